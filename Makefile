@@ -1,0 +1,58 @@
+# Everything runs in .venv, which is made here from Python 3.11 or newer and the pins in constraints.txt.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+# Test processes; a compiled simulation takes up to 1 GB while it is being compiled.
+WORKERS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format unit serve bench pins clean
+
+help: ## this list
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
+
+demo: $(STAMP) ## simulate a worn machine, build a small catalogue, find the worn joint again
+	$(BIN)/python -m app.demo
+
+serve: $(STAMP) ## the web form and the HTTP API on http://127.0.0.1:8000
+	$(BIN)/jointplay serve
+
+test: lint unit ## all checks: style, types, layers, tests
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(STAMP) ## put the code into the form that the checks want
+	$(BIN)/ruff check --fix --exit-zero .
+	$(BIN)/ruff format .
+
+unit: $(STAMP)
+	$(BIN)/pytest -n $(WORKERS)
+
+bench: $(STAMP) ## the measurements that docs/decisions.md speaks of
+	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+
+pins: ## make constraints.txt anew from the newest versions that fit pyproject.toml
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
+	touch $(STAMP)
+
+clean: ## remove what was made: the environment, caches, builds
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The version file is read at installation, the pins decide what is installed: either makes the environment stale.
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo 'jointplay needs Python 3.11 or newer; this is $(PYTHON). Say: make PYTHON=python3.12' >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	  { echo '$(PYTHON) cannot make virtual environments; on Debian and Ubuntu: apt-get install python3-venv' >&2; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@

@@ -1,0 +1,1 @@
+"""The outside of jointplay: command line, HTTP service, web page and demo."""

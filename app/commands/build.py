@@ -1,0 +1,94 @@
+"""``jointplay build``: make or extend a catalogue."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from app.commands.parameters import json_option, print_json
+from app.commands.progress import ProgressLine
+
+if TYPE_CHECKING:
+    from catalogue.build import BuildReport
+
+
+@click.command("build")
+@click.argument("machine")
+@click.option(
+    "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
+)
+@click.option(
+    "--plan",
+    default="standard",
+    show_default=True,
+    metavar="quick|standard|thorough|PLAN.yaml",
+    help="Which cases it is to hold.",
+)
+@click.option("--workers", type=click.IntRange(1, 1024), help="Processes that compute; by default one a processor.")
+@json_option
+def command(machine: str, catalogue: Path, plan: str, workers: int | None, as_json: bool) -> None:
+    """Build the catalogue of MACHINE (a shipped machine's name, or a file).
+
+    What is there already is kept; the same command again goes on where an interrupted one stopped.
+    """
+    from catalogue.build import build
+    from catalogue.plan import resolve_plan
+    from solver.machine import resolve_machine
+
+    found = resolve_machine(machine)
+    with ProgressLine("building", "cases") as line:
+        report = build(
+            found,
+            resolve_plan(plan),
+            catalogue,
+            workers=workers or processors(),
+            progress=lambda state: line.show(state.done, state.total),
+        )
+    if as_json:
+        print_json(document(report, catalogue))
+    else:
+        tell(report, catalogue)
+    if report.lost:
+        from app.errors import IncompleteBuildError
+
+        raise IncompleteBuildError(
+            f"{len(report.lost)} cases could not be computed: {report.lost_reason}; the same command tries them again"
+        )
+
+
+def processors() -> int:
+    """Return the number of processors this process may use."""
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def document(report: BuildReport, catalogue: Path) -> dict[str, object]:
+    """Return the report as JSON values."""
+    return {
+        "catalogue": str(catalogue),
+        "added": report.added,
+        "present": report.present,
+        "adopted": report.adopted,
+        "failed": dict(report.failed),
+        "lost": list(report.lost),
+        "lost_reason": report.lost_reason,
+        "workers_lost": report.workers_lost,
+        "elapsed_s": report.seconds,
+        "size_bytes": report.size,
+    }
+
+
+def tell(report: BuildReport, catalogue: Path) -> None:
+    """Print the report as plain lines."""
+    click.echo(
+        f"{catalogue}: {report.added} cases added in {report.seconds:.1f} s, {report.present} were there; "
+        f"{report.size / 1e6:.1f} MB"
+    )
+    if report.failed:
+        listed = ", ".join(f"{count} {status}" for status, count in sorted(report.failed.items()))
+        click.echo(f"cases without a spectrum: {listed}")
+    if report.workers_lost:
+        click.echo(f"workers that died and were replaced: {report.workers_lost}")

@@ -1,0 +1,100 @@
+"""``jointplay diagnose``: which joints are worn, and how much."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from app import words
+from app.commands.parameters import Pairs, Quantity, each_once, existing_catalogue, json_option, print_json
+from app.commands.tables import indented, table
+
+if TYPE_CHECKING:
+    from catalogue.diagnosis import Effort
+
+
+@click.command("diagnose")
+@click.argument("measurement", type=click.Path(path_type=Path))
+@click.option(
+    "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
+)
+@click.option(
+    "--speed", type=Quantity("ANGULAR_SPEED"), help='Drive speed, such as "600 rpm"; estimated when not given.'
+)
+@click.option(
+    "--effort",
+    type=click.Choice(["fast", "standard", "thorough"]),
+    default="standard",
+    show_default=True,
+    help="How much to compute.",
+)
+@click.option("--sample-rate", type=Quantity("FREQUENCY"), help='Of a recording without times, such as "10 kHz".')
+@click.option(
+    "--map", "mapping", type=Pairs("COLUMN=SENSOR"), multiple=True, help="Column of a sensor; may be repeated."
+)
+@click.option("--unit", "units", type=Pairs("COLUMN=UNIT"), multiple=True, help="Unit of a column that names none.")
+@click.option(
+    "--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Draw measured and matched."
+)
+@json_option
+def command(
+    measurement: Path,
+    catalogue: Path,
+    speed: float | None,
+    effort: Effort,
+    sample_rate: float | None,
+    mapping: Sequence[tuple[str, str]],
+    units: Sequence[tuple[str, str]],
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame."""
+    if plot is not None:
+        from app.plots import check_ending
+
+        check_ending(plot)
+    from catalogue.diagnosis import diagnose
+    from catalogue.measurement import read_measurement
+    from catalogue.store import Catalogue
+
+    sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
+    opened = Catalogue.open(existing_catalogue(catalogue))
+    recording = read_measurement(measurement, sample_rate=sample_rate, units=given_units or None)
+    diagnosis = diagnose(recording, opened, speed=speed, effort=effort, mapping=sensors or None)
+    result = diagnosis.model_dump(mode="json")
+    if plot is not None:
+        from app.plots import plot_diagnosis
+
+        plot_diagnosis(result, measurement.name, plot)
+    if as_json:
+        print_json(result)
+    else:
+        click.echo(report(result))
+        if plot is not None:
+            click.echo(f"drawn: {plot}")
+
+
+def report(result: Mapping[str, Any]) -> str:
+    """Return a diagnosis as plain text."""
+    parts = [
+        words.sentence(result),
+        f"drive speed {result['drive_speed_rpm']:.6g} rpm; {words.fit_sentence(result)}",
+        indented(ranking(result)),
+        words.set_sentence(result),
+    ]
+    parts += [f"warning: {line}" for line in result["warnings"]]
+    return "\n".join(parts)
+
+
+def ranking(result: Mapping[str, Any]) -> str:
+    """Return the hypotheses as a table, the most probable first."""
+    rows = []
+    for entry in result["hypotheses"]:
+        several = len(entry["joints"]) > 1
+        found = "; ".join(words.clearance(each, name if several else "") for name, each in entry["joints"].items())
+        distance = f"{entry['distance_db']:.1f} dB"
+        rows.append((words.label(entry), words.percent(entry["probability"]), found or "-", distance))
+    return table(("hypothesis", "probability", "radial clearance (90 % interval)", "distance"), rows, frozenset({1, 3}))

@@ -1,0 +1,70 @@
+"""``jointplay machines``: what ships with the program."""
+
+from __future__ import annotations
+
+import json
+from math import pi
+from typing import TYPE_CHECKING
+
+import click
+
+from app.commands.parameters import json_option, print_json
+from app.commands.tables import table
+
+if TYPE_CHECKING:
+    from solver.machine import Machine
+
+
+@click.command("machines")
+@click.argument("name", required=False)
+@json_option
+def command(name: str | None, as_json: bool) -> None:
+    """List the machines that ship with the program, or print machine NAME as a file."""
+    from solver.machine import shipped_machine, shipped_machine_names, shipped_machine_text
+
+    if name is not None:
+        if as_json:
+            print_json(json.loads(shipped_machine(name).canonical_json()))
+        else:
+            click.echo(shipped_machine_text(name), nl=False)
+        return
+    machines = {each: shipped_machine(each) for each in shipped_machine_names()}
+    if as_json:
+        print_json([brief(each, machine) for each, machine in machines.items()])
+        return
+    rows = [
+        (
+            each,
+            str(len(machine.links)),
+            " ".join(machine.turning_joints),
+            " ".join(machine.sliding_joints) or "-",
+            drive_of(machine),
+        )
+        for each, machine in machines.items()
+    ]
+    click.echo(table(("machine", "links", "turning joints", "sliding joints", "drive"), rows, frozenset({1})))
+
+
+def brief(name: str, machine: Machine) -> dict[str, object]:
+    """Return what the list says about a machine."""
+    return {
+        "name": name,
+        "content_key": machine.content_key,
+        "links": len(machine.links),
+        "turning_joints": list(machine.turning_joints),
+        "sliding_joints": list(machine.sliding_joints),
+        "sensors": [sensor.name for sensor in machine.sensors],
+    }
+
+
+def drive_of(machine: Machine) -> str:
+    """Return the drive in a few words."""
+    drive = machine.drive
+    if drive is None:
+        return "none"
+    speed = getattr(drive, "speed", None)
+    if drive.kind == "rotation" and isinstance(speed, float):
+        return f"{drive.joint} at {speed * 30 / pi:.6g} rpm"
+    if drive.kind == "translation" and isinstance(speed, float):
+        return f"{drive.joint} at {speed:.6g} m/s"
+    return f"{drive.joint} by {drive.kind}"

@@ -1,0 +1,106 @@
+"""Kinds of option values that several commands share."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from solver.units import Dimension
+
+
+class Quantity(click.ParamType[float]):
+    """A number with a unit, such as "600 rpm", as SI; a bare number is SI already.
+
+    Parameters
+    ----------
+    dimension : str
+        Name of a dimension in :mod:`solver.units`.
+    positive : bool
+        Whether the value must be greater than 0.
+    """
+
+    def __init__(self, dimension: str, *, positive: bool = True) -> None:
+        self._dimension = dimension
+        self._positive = positive
+        self.name = dimension.lower().replace("_", " ")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the SI value."""
+        from solver import units
+
+        dimension: Dimension = getattr(units, self._dimension)
+        try:
+            number = units.to_si(value, dimension)
+        except units.UnitError as error:
+            raise click.BadParameter(f"{value}: {error}", ctx, param) from None
+        if self._positive and number <= 0:
+            raise click.BadParameter(f"{value}: must be greater than 0", ctx, param)
+        return number
+
+
+class Pairs(click.ParamType[tuple[str, str]]):
+    """A pair LEFT=RIGHT; the last equals sign separates, as a column's name may hold one.
+
+    Parameters
+    ----------
+    form : str
+        What both sides are called in messages.
+    """
+
+    def __init__(self, form: str) -> None:
+        self.name = form
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        """Return both sides."""
+        if isinstance(value, tuple):
+            return value
+        left, _, right = str(value).rpartition("=")
+        if not left.strip() or not right.strip():
+            raise click.BadParameter(f"{value}: must be {self.name}", ctx, param)
+        return left.strip(), right.strip()
+
+
+def each_once(pairs: Sequence[tuple[str, str]], option: str) -> dict[str, str]:
+    """Return pairs as a mapping; a left side given twice is refused, as one of the two would be lost."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = next(left for left, count in Counter(left for left, _ in pairs).items() if count > 1)
+        raise click.BadParameter(f"{twice}: is given twice", param_hint=f"'{option}'")
+    return found
+
+
+def existing_catalogue(path: Path) -> Path:
+    """Return the folder of a catalogue that is there; a wrong name is bad input, not a damaged catalogue.
+
+    Raises
+    ------
+    UnknownCatalogueError
+        When there is no catalogue.
+    """
+    from app.errors import UnknownCatalogueError
+    from catalogue.directory import CatalogueDirectory
+
+    layout = CatalogueDirectory(path)
+    if not layout.manifest.exists() and not layout.shards.is_dir():
+        raise UnknownCatalogueError(f"{path}: is not a catalogue; `jointplay build` makes one")
+    return path
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+
+
+def print_json(document: object) -> None:
+    """Print a value as JSON; a number that is not finite is a mistake of ours and must not pass as one."""
+    click.echo(json.dumps(document, indent=2, ensure_ascii=not utf8(), allow_nan=False))
+
+
+def utf8() -> bool:
+    """Return whether the terminal or file takes any character."""
+    return (getattr(sys.stdout, "encoding", None) or "").lower().replace("-", "") == "utf8"

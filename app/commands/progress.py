@@ -1,0 +1,66 @@
+"""Progress on a terminal as a bar, elsewhere as plain lines now and then."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Never
+
+import click
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+SECONDS_BETWEEN_LINES = 5.0
+
+
+class ProgressLine:
+    """Shows how far long work is; everything goes to stderr.
+
+    Parameters
+    ----------
+    label : str
+        What is done.
+    unit : str
+        What is counted.
+    """
+
+    def __init__(self, label: str, unit: str) -> None:
+        self._label = label
+        self._unit = unit
+        self._bar: tqdm[Never] | None = None
+        self._terminal = sys.stderr.isatty()
+        self._told = time.monotonic()
+        self._done = -1
+
+    def __enter__(self) -> ProgressLine:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def show(self, done: int, total: int) -> None:
+        """Show that `done` of `total` are done."""
+        if self._terminal:
+            self._draw(done, total)
+        elif done != self._done and (
+            done == total or self._done < 0 or time.monotonic() - self._told >= SECONDS_BETWEEN_LINES
+        ):
+            click.echo(f"{self._label}: {done} of {total} {self._unit}", err=True)
+            self._told = time.monotonic()
+            self._done = done
+
+    def _draw(self, done: int, total: int) -> None:
+        bar = self._bar
+        if bar is None:
+            from tqdm import tqdm
+
+            # Work found done already is where the bar starts, so that the time left is judged from this run alone.
+            bar = tqdm(total=total, initial=done, desc=self._label, unit=f" {self._unit}", file=sys.stderr)
+            self._bar = bar
+        bar.total = total
+        bar.update(done - bar.n)

@@ -1,0 +1,75 @@
+"""``jointplay serve``: the HTTP interface and the web page."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Any
+
+import click
+
+from app.errors import AddressError
+
+
+@click.command("serve")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="Port; 0 takes a free one."
+)
+@click.option(
+    "--catalogues",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Directory of catalogues, or one catalogue (JOINTPLAY_CATALOGUES) [default: .jointplay/catalogues].",
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Directory for uploads and results (JOINTPLAY_DATA) [default: .jointplay/server].",
+)
+@click.option("--workers", type=click.IntRange(1, 256), help="Processes that compute (JOINTPLAY_WORKERS) [default: 2].")
+def command(host: str, port: int, catalogues: Path | None, data: Path | None, workers: int | None) -> None:
+    """Serve the HTTP interface (/api/v1, /openapi.json) and the web page (/).
+
+    Every setting may also come from the environment, as JOINTPLAY_ and the setting's name in capitals.
+    """
+    import uvicorn
+    from pydantic import ValidationError
+
+    from app.main import create_app
+    from app.settings import Settings
+
+    given: dict[str, Any] = {"catalogues": catalogues, "data": data, "workers": workers}
+    try:
+        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise click.UsageError(f"JOINTPLAY_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
+    if not settings.catalogues.is_dir():
+        click.echo(f"jointplay: {settings.catalogues}: no catalogues there yet; `jointplay build` makes one", err=True)
+    listener = listen(host, port)
+    click.echo(f"jointplay: serving http://{host}:{listener.getsockname()[1]}", err=True)
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), server_header=False, log_level="info"))
+    server.run(sockets=[listener])
+    if not server.started:
+        raise click.exceptions.Exit(1)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens at an address; one that is taken is refused in one line.
+
+    Raises
+    ------
+    AddressError
+        When the address cannot be had.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise AddressError(f"{host}:{port}: {error.strerror or error}") from None
+    return listener

@@ -1,0 +1,104 @@
+"""``python -m app.demo``: build or reuse a catalogue, diagnose three recordings, compare with the truth."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import click
+
+from app import words
+from app.cli import run
+from app.commands.build import processors
+from app.commands.diagnose import ranking
+from app.commands.progress import ProgressLine
+from app.commands.tables import indented
+
+MACHINE = "quick-return"
+PLAN = "quick"
+CATALOGUE = Path(".jointplay/catalogues") / MACHINE
+
+
+def demo() -> None:
+    """Run the demo in the present folder."""
+    from catalogue.diagnosis import diagnose
+    from catalogue.measurement import read_measurement
+    from catalogue.store import Catalogue
+
+    click.echo(f"Machine {MACHINE}: which of its turning joints is worn, from vibration of its frame alone?\n")
+    build_catalogue()
+    started = time.monotonic()
+    catalogue = Catalogue.open(CATALOGUE)
+    for name, truth in recordings().items():
+        recording = read_measurement(content_of(name), name=f"{name}.csv.gz")
+        result = diagnose(recording, catalogue).model_dump(mode="json")
+        click.echo(f"\n{name}.csv.gz")
+        click.echo(f"  verdict: {words.sentence(result)}")
+        click.echo(f"  truth:   {truth_sentence(truth)}")
+        click.echo(indented(ranking({**result, "hypotheses": result["hypotheses"][:3]}), "    "))
+        for warning in result["warnings"]:
+            click.echo(f"  warning: {warning}")
+    click.echo(f"\nDiagnosed in {time.monotonic() - started:.1f} s.")
+    click.echo(
+        "The same in a browser: `make serve`, then http://127.0.0.1:8000; the recordings are in app/demo/recordings."
+    )
+
+
+def build_catalogue() -> None:
+    """Build the catalogue of the demo, or go on with it; one that fits no longer is built anew."""
+    import shutil
+
+    from catalogue.build import build
+    from catalogue.errors import CatalogueMismatchError
+    from catalogue.plan import resolve_plan
+    from solver.machine import shipped_machine
+
+    machine, plan = shipped_machine(MACHINE), resolve_plan(PLAN)
+
+    def make() -> None:
+        with ProgressLine("simulating", "cases") as line:
+            report = build(
+                machine,
+                plan,
+                CATALOGUE,
+                workers=processors(),
+                progress=lambda state: line.show(state.done, state.total),
+            )
+        made = f"built in {report.seconds:.1f} s" if report.added else "there already"
+        click.echo(f"Catalogue {CATALOGUE}: {report.added + report.present} simulated cases, {made}.")
+
+    try:
+        make()
+    except CatalogueMismatchError:
+        # Made by an older version, or for another machine file: it is a cache, and nothing in it is missed.
+        shutil.rmtree(CATALOGUE)
+        make()
+
+
+def recordings() -> dict[str, Mapping[str, Any]]:
+    """Return the recordings' names, each with what it was made with."""
+    folder = resources.files("app.demo") / "recordings"
+    found: dict[str, Mapping[str, Any]] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    return found
+
+
+def content_of(name: str) -> bytes:
+    """Return the bytes of a recording as they are stored."""
+    return (resources.files("app.demo") / "recordings" / f"{name}.csv.gz").read_bytes()
+
+
+def truth_sentence(truth: Mapping[str, Any]) -> str:
+    """Return what a recording was made with."""
+    worn = truth["worn_um"]
+    if not worn:
+        return f"no worn joint ({truth['speed_rpm']:.5g} rpm)"
+    listed = ", ".join(f"{joint} worn, {clearance:.0f} µm" for joint, clearance in worn.items())
+    return f"{listed} ({truth['speed_rpm']:.5g} rpm)"
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(demo))

@@ -1,0 +1,95 @@
+"""Exceptions of the outside layer: requests and command lines that cannot be met."""
+
+from __future__ import annotations
+
+
+class AppError(Exception):
+    """Root of everything this layer raises on purpose; ``str()`` is one plain line.
+
+    Parameters
+    ----------
+    message : str
+        The line shown to the user.
+    field : str, optional
+        Name of the option or form field at fault, where there is one.
+    """
+
+    def __init__(self, message: str, *, field: str = "") -> None:
+        super().__init__(message)
+        self.field = field
+
+
+class UnknownMachineError(AppError):
+    """No machine has this name."""
+
+
+class UnknownCatalogueError(AppError):
+    """No catalogue has this id or name."""
+
+
+class UnknownMeasurementError(AppError):
+    """No stored measurement has this id."""
+
+
+class UnknownDiagnosisError(AppError):
+    """No stored diagnosis has this id."""
+
+
+class UnknownPageError(AppError):
+    """No page of the web form has this address."""
+
+
+class BadRequestError(AppError):
+    """A request whose body or query cannot be read at all."""
+
+
+class BadFieldError(AppError):
+    """A readable request with a field that breaks a rule."""
+
+
+class BadCursorError(AppError):
+    """A page cursor that this service did not hand out."""
+
+
+class UploadTooLargeError(AppError):
+    """A request body over the size limit."""
+
+
+class UnsupportedMediaError(AppError):
+    """A request body of a type that this address does not take."""
+
+
+class BusyError(AppError):
+    """Too many requests wait for a worker already."""
+
+
+class TimeLimitError(AppError):
+    """A computation took longer than the time limit."""
+
+
+class WorkerDiedError(AppError):
+    """A worker process ended before it answered, for instance for want of memory."""
+
+
+class OutputError(AppError):
+    """A result that cannot be written to the named file in the named format."""
+
+
+class AddressError(AppError):
+    """An address that the service cannot listen at."""
+
+
+class UnassembledError(AppError):
+    """A simulation of a machine, or of a fault, that cannot be assembled."""
+
+
+class SimulationFailedError(AppError):
+    """A simulation that ended with another status than ok."""
+
+
+class IncompleteBuildError(AppError):
+    """A build that had to leave cases out."""
+
+
+class DamagedCatalogueError(AppError):
+    """A catalogue check that found damage it could not repair."""

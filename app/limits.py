@@ -1,0 +1,57 @@
+"""The limit on request bodies, enforced while they arrive."""
+
+from __future__ import annotations
+
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.errors import BadRequestError, UploadTooLargeError
+
+JSON_BYTES = 1_000_000
+
+
+class BodyLimit:
+    """Middleware that stops reading a body at its limit, so that no upload is ever held whole in memory.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        The application behind.
+    upload_bytes : int
+        Largest multipart body; any other body may have at most `JSON_BYTES`.
+    """
+
+    def __init__(self, app: ASGIApp, upload_bytes: int) -> None:
+        self._app = app
+        self._upload_bytes = upload_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on with a counted body."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Request(scope).headers
+        multipart = headers.get("content-type", "").startswith("multipart/")
+        limit = self._upload_bytes if multipart else min(JSON_BYTES, self._upload_bytes)
+        declared = headers.get("content-length", "0")
+        received = 0
+
+        async def counted() -> Message:
+            nonlocal received
+            if not declared.isdecimal():
+                raise BadRequestError(f"Content-Length: {declared}: must be a whole number")
+            # A declared length is refused before the first byte is read, an undeclared one when the limit is passed.
+            if int(declared) > limit:
+                raise too_large(limit)
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > limit:
+                raise too_large(limit)
+            return message
+
+        await self._app(scope, counted, send)
+
+
+def too_large(limit: int) -> UploadTooLargeError:
+    """Return the refusal of a body over the limit."""
+    return UploadTooLargeError(f"the request body is larger than {limit / 1e6:g} MB, the limit of this service")

@@ -1,0 +1,64 @@
+"""The application factory of the HTTP service."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import FastAPI
+from starlette.staticfiles import StaticFiles
+
+from app import handlers, openapi
+from app.catalogues import CatalogueShelf
+from app.headers import SecurityHeaders
+from app.limits import BodyLimit
+from app.routes import catalogues, diagnoses, health, machines, measurements, pages
+from app.service import Service
+from app.settings import Settings
+from app.storage import Store
+from app.workers import WorkerPool
+
+STATIC = Path(__file__).parent / "static"
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """Return the service as an ASGI application.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        Read from the environment when not given.
+    """
+    chosen = settings if settings is not None else Settings()
+
+    @asynccontextmanager
+    async def lifespan(application: FastAPI) -> AsyncIterator[None]:
+        store = Store(chosen.data)
+        pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s)
+        application.state.service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool)
+        try:
+            yield
+        finally:
+            pool.close()
+            store.close()
+
+    # The framework's own documentation pages load scripts from elsewhere; the document itself is at /openapi.json.
+    application = FastAPI(
+        title="jointplay",
+        summary="Which joints of a machine have play, and how much, from the vibration of its frame.",
+        version=openapi.API_VERSION,
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    for module in (machines, catalogues, measurements, diagnoses):
+        application.include_router(module.router, prefix="/api/v1")
+    application.include_router(health.router)
+    application.include_router(pages.router, include_in_schema=False)
+    application.mount("/static", StaticFiles(directory=STATIC), name="static")
+    handlers.install(application)
+    application.add_middleware(BodyLimit, upload_bytes=chosen.max_upload_bytes)
+    application.add_middleware(SecurityHeaders)
+    application.openapi = openapi.documented(application)  # type: ignore[method-assign]
+    return application

@@ -1,0 +1,86 @@
+"""The OpenAPI document: every error is a problem document, and nothing of the framework's own 422 remains."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from app.problems import MEDIA_TYPE
+from app.schemas import ProblemDocument
+
+API_VERSION = "1.0.0"
+REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
+
+DESCRIPTIONS = {
+    400: "The request cannot be read.",
+    404: "There is none of this name or id.",
+    409: "The catalogue cannot be used as it is.",
+    413: "The body is larger than the limit of the service.",
+    415: "This type of body is not taken here.",
+    422: "The content breaks a rule; the detail names file, field, value and rule.",
+    500: "The service failed.",
+    503: "All workers are busy; Retry-After says when to try again.",
+    504: "The computation took longer than the limit of the service.",
+}
+COMPUTING = (400, 404, 409, 413, 415, 422, 500, 503, 504)
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the description of a route's errors by status."""
+    return {
+        status: {"description": DESCRIPTIONS[status], "content": {MEDIA_TYPE: {"schema": REFERENCE}}}
+        for status in statuses
+    }
+
+
+def documented(application: FastAPI) -> Callable[[], dict[str, Any]]:
+    """Return the function that makes the application's OpenAPI document, once."""
+
+    def document() -> dict[str, Any]:
+        if application.openapi_schema is None:
+            application.openapi_schema = with_problems(
+                get_openapi(
+                    title=application.title,
+                    version=application.version,
+                    summary=application.summary,
+                    description=application.description,
+                    routes=application.routes,
+                )
+            )
+        return application.openapi_schema
+
+    return document
+
+
+def with_problems(document: dict[str, Any]) -> dict[str, Any]:
+    """Replace the framework's error shape by ours, also where a route does not list its errors."""
+    for path in document["paths"].values():
+        for operation in path.values():
+            responses = operation["responses"]
+            if "422" in responses:
+                responses["422"] = problems(422)[422]
+            responses["default"] = {"description": "Any other error.", "content": {MEDIA_TYPE: {"schema": REFERENCE}}}
+    schemas = document.setdefault("components", {}).setdefault("schemas", {})
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
+    schemas.update(problem.pop("$defs", {}))
+    schemas["ProblemDocument"] = problem
+    return document
+
+
+def main() -> None:
+    """Print the document, for ``docs/openapi.json``."""
+    from app.main import create_app
+    from app.settings import Settings
+
+    sys.stdout.write(json.dumps(create_app(Settings()).openapi(), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""Opaque cursors: where the next page of a list begins."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+
+from app.errors import BadCursorError
+
+
+def encode(position: str) -> str:
+    """Return the cursor of a position; its inside is nobody's business."""
+    return base64.urlsafe_b64encode(position.encode()).decode().rstrip("=")
+
+
+def decode(cursor: str) -> str:
+    """Return the position of a cursor.
+
+    Raises
+    ------
+    BadCursorError
+        When this service did not make it.
+    """
+    try:
+        padded = cursor.encode("ascii") + b"=" * (-len(cursor) % 4)
+        return base64.b64decode(padded, altchars=b"-_", validate=True).decode()
+    except (binascii.Error, UnicodeError):
+        raise refusal(cursor) from None
+
+
+def decode_number(cursor: str | None) -> int | None:
+    """Return the row number in a cursor; ``None`` for the first page."""
+    if cursor is None:
+        return None
+    position = decode(cursor)
+    if not position.isascii() or not position.isdecimal() or len(position) > 18:
+        raise refusal(cursor)
+    return int(position)
+
+
+def refusal(cursor: str) -> BadCursorError:
+    """Return the error for a cursor that was not handed out here."""
+    return BadCursorError(f"cursor: {cursor[:80]}: is not a cursor of this list", field="cursor")

@@ -1,0 +1,174 @@
+"""Problem documents (RFC 9457): the one table from exceptions to answers, for HTTP and for exit statuses.
+
+The packages below raise what is wrong in their own words and know nothing of HTTP. Each class of
+their trees has its own row here; a test walks the trees, so that a new class cannot be forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import Any
+
+from app import errors
+from catalogue import errors as catalogue_errors
+from solver import errors as solver_errors
+
+MEDIA_TYPE = "application/problem+json"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a class of exception is called outside.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    slug : str
+        Last part of the problem's type.
+    title : str
+        Short summary, the same for every occurrence.
+    exit_status : int, optional
+        Of the command line; by default 2 (bad input) for a status below 500 and 1 (a failure) from there on.
+    """
+
+    status: int
+    slug: str
+    title: str
+    exit_status: int | None = None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One answer that tells what was wrong; it can be sent between processes."""
+
+    status: int
+    type: str
+    title: str
+    detail: str
+    errors: tuple[Mapping[str, str], ...] = ()
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+    def document(self, instance: str) -> dict[str, Any]:
+        """Return the members of the JSON document.
+
+        Parameters
+        ----------
+        instance : str
+            Path of the request.
+        """
+        members: dict[str, Any] = {
+            "type": self.type,
+            "title": self.title,
+            "status": self.status,
+            "detail": self.detail,
+            "instance": instance,
+        }
+        if self.errors:
+            members["errors"] = [dict(entry) for entry in self.errors]
+        return members
+
+
+TABLE: dict[type[Exception], Kind] = {
+    errors.AppError: Kind(500, "failure", "The service failed"),
+    errors.UnknownMachineError: Kind(404, "unknown-machine", "No such machine"),
+    errors.UnknownCatalogueError: Kind(404, "unknown-catalogue", "No such catalogue"),
+    errors.UnknownMeasurementError: Kind(404, "unknown-measurement", "No such measurement"),
+    errors.UnknownDiagnosisError: Kind(404, "unknown-diagnosis", "No such diagnosis"),
+    errors.UnknownPageError: Kind(404, "unknown-page", "No such page"),
+    errors.BadRequestError: Kind(400, "unreadable-request", "The request cannot be read"),
+    errors.BadFieldError: Kind(422, "invalid-field", "A field breaks a rule"),
+    errors.BadCursorError: Kind(400, "invalid-cursor", "The page cursor is not valid"),
+    errors.UploadTooLargeError: Kind(413, "too-large", "The upload is too large"),
+    errors.UnsupportedMediaError: Kind(415, "unsupported-media", "This type of body is not taken here"),
+    errors.BusyError: Kind(503, "busy", "All workers are busy"),
+    errors.TimeLimitError: Kind(504, "time-limit", "The computation took too long"),
+    errors.WorkerDiedError: Kind(500, "worker-died", "A worker process ended early"),
+    errors.OutputError: Kind(422, "output", "The result cannot be written"),
+    errors.AddressError: Kind(500, "address", "The address cannot be used"),
+    errors.UnassembledError: Kind(422, "unassembled", "The machine cannot be assembled"),
+    errors.SimulationFailedError: Kind(500, "simulation-failed", "The simulation did not succeed"),
+    errors.IncompleteBuildError: Kind(500, "incomplete-build", "The catalogue is not complete"),
+    errors.DamagedCatalogueError: Kind(500, "damaged-catalogue", "The catalogue is damaged"),
+    solver_errors.SolverError: Kind(500, "solver", "The solver failed"),
+    solver_errors.MachineError: Kind(422, "machine", "The machine or fault breaks a rule"),
+    solver_errors.AssemblyError: Kind(422, "assembly", "The machine cannot be assembled"),
+    solver_errors.SettingsError: Kind(422, "settings", "The settings cannot be met"),
+    solver_errors.UnitError: Kind(422, "unit", "A number or its unit cannot be read"),
+    catalogue_errors.CatalogueError: Kind(500, "catalogue", "The catalogue failed"),
+    catalogue_errors.PlanError: Kind(422, "plan", "The plan breaks a rule"),
+    catalogue_errors.KeyContentError: Kind(422, "key-content", "A value has no canonical form"),
+    catalogue_errors.CatalogueFileError: Kind(500, "catalogue-file", "A file of the catalogue cannot be used"),
+    catalogue_errors.CatalogueMismatchError: Kind(409, "catalogue-mismatch", "The catalogue is of something else"),
+    catalogue_errors.CatalogueBusyError: Kind(409, "catalogue-busy", "The catalogue is being built", exit_status=1),
+    catalogue_errors.BuildError: Kind(500, "build", "The catalogue could not be built"),
+    catalogue_errors.MeasurementError: Kind(422, "measurement", "The measurement cannot be used"),
+    catalogue_errors.EntryNotFoundError: Kind(404, "unknown-entry", "No such entry"),
+    catalogue_errors.MatchingError: Kind(422, "matching", "The draws or features cannot be matched"),
+    catalogue_errors.DiagnosisError: Kind(422, "diagnosis", "The measurement cannot be diagnosed"),
+}
+
+
+def kind_of(error: BaseException) -> Kind | None:
+    """Return the row of an exception's class or of the nearest class it derives from; ``None`` if there is none."""
+    for cls in type(error).__mro__:
+        if cls in TABLE:
+            return TABLE[cls]
+    return None
+
+
+def type_of(slug: str) -> str:
+    """Return the problem type (a URI) of a slug."""
+    return f"urn:jointplay:problem:{slug}"
+
+
+def problem_of(error: Exception) -> Problem:
+    """Return the answer to an exception of any of the three trees; any other becomes a plain 500 without its text."""
+    kind = kind_of(error)
+    if kind is None:
+        return of_status(500, "The service failed in a way it did not foresee; the log has the details.")
+    headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}
+    named = getattr(error, "field", "")
+    entries = ({"field": named, "message": str(error)},) if named else ()
+    return Problem(kind.status, type_of(kind.slug), kind.title, one_line(str(error)), entries, headers)
+
+
+def of_status(status: int, detail: str = "", headers: Mapping[str, str] | None = None) -> Problem:
+    """Return the answer for a bare HTTP status (no such route, method not allowed ...)."""
+    title = HTTPStatus(status).phrase
+    return Problem(status, "about:blank", title, detail or f"{title}.", headers=dict(headers or {}))
+
+
+def of_validation(entries: list[dict[str, Any]]) -> Problem:
+    """Return the 422 for pydantic's list of errors.
+
+    Parameters
+    ----------
+    entries : list of dict
+        With ``loc`` and ``msg``, as pydantic gives them.
+    """
+    listed = tuple(
+        {"field": ".".join(str(part) for part in entry["loc"] if part != "body"), "message": str(entry["msg"])}
+        for entry in entries
+    )
+    detail = "; ".join(
+        f"{entry['field']}: {entry['message']}" if entry["field"] else entry["message"] for entry in listed
+    )
+    return Problem(422, type_of("invalid-field"), "A field breaks a rule", one_line(detail), listed)
+
+
+def exit_status(error: Exception) -> int:
+    """Return the exit status of the command line: 2 for bad input, 1 for a failure."""
+    kind = kind_of(error)
+    if kind is None:
+        return 1
+    if kind.exit_status is not None:
+        return kind.exit_status
+    return 2 if kind.status < HTTPStatus.INTERNAL_SERVER_ERROR else 1
+
+
+def one_line(text: str) -> str:
+    """Return a message as one line, whatever a library put into it."""
+    return " ".join(text.split())

@@ -1,0 +1,47 @@
+"""A diagnosis as the HTTP interface answers it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from app.storage import DiagnosisRow, aware
+from catalogue.diagnosis import Effort, Evidence, GoodnessOfFit, Hypothesis, Provenance, Verdict
+
+
+class DiagnosisOut(BaseModel):
+    """A finished diagnosis."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    id: str
+    created_at: datetime
+    measurement: str = Field(description="Id of the measurement.")
+    machine: str
+    catalogue: str = Field(description="Id of the catalogue as it was then; one that has grown has another.")
+    drive_speed_rpm: float
+    effort: Effort = Field(description="As used; a warning says if that is less than was asked for.")
+    verdict: Verdict
+    hypotheses: tuple[Hypothesis, ...] = Field(description="The most probable first; no joints: no wear.")
+    joint_probabilities: Mapping[str, float] = Field(description="Of each joint, to be among the worn ones.")
+    candidate_set: tuple[str, ...] = Field(description="Labels of the hypotheses that hold the truth at `coverage`.")
+    coverage: float
+    goodness_of_fit: GoodnessOfFit
+    evidence: Evidence
+    warnings: tuple[str, ...]
+    provenance: Provenance
+
+
+def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
+    """Return the outside shape of a stored diagnosis."""
+    own: dict[str, Any] = {
+        "id": row.id,
+        "created_at": aware(row.created_at),
+        "measurement": row.measurement,
+        "catalogue": row.catalogue,
+    }
+    kept = {name: value for name, value in row.result.items() if name in DiagnosisOut.model_fields}
+    return DiagnosisOut.model_validate({**kept, **own})

@@ -1,0 +1,52 @@
+"""Catalogues that measurements can be compared with."""
+
+from __future__ import annotations
+
+import hashlib
+
+from fastapi import APIRouter, Request
+from starlette.responses import Response
+
+from app import paging
+from app.catalogues import Offer
+from app.etags import respond
+from app.openapi import problems
+from app.routes.machines import Cursor, Limit
+from app.schemas import CatalogueDetail, CatalogueItem, CataloguePage
+from app.service import of_request
+from solver.drawing import machine_svg
+
+router = APIRouter(prefix="/catalogues", tags=["catalogues"])
+
+
+@router.get("", responses=problems(400, 422))
+def catalogues(request: Request, cursor: Cursor = None, limit: Limit = None) -> CataloguePage:
+    """List the catalogues by name."""
+    service = of_request(request)
+    after = paging.decode(cursor) if cursor is not None else ""
+    size = limit or service.settings.page_size
+    found = [offer.description for offer in service.shelf.offers() if offer.description.name > after]
+    more = len(found) > size
+    items = [CatalogueItem.model_validate(brief(each)) for each in found[:size]]
+    return CataloguePage(items=items, next_cursor=paging.encode(found[size - 1].name) if more else None)
+
+
+@router.get("/{name}", response_model=CatalogueDetail, responses=problems(404))
+def catalogue(request: Request, name: str) -> Response:
+    """Return one catalogue with its plan and the statuses of its cases."""
+    offer = of_request(request).shelf.find(name)
+    document = Response(offer.description.model_dump_json(), media_type="application/json")
+    return respond(request, document, hashlib.sha256(document.body).hexdigest())
+
+
+@router.get("/{name}/drawing.svg", responses=problems(404), response_class=Response)
+def drawing(request: Request, name: str) -> Response:
+    """Return the drawing of the catalogue's machine in its drawn pose."""
+    offer: Offer = of_request(request).shelf.find(name)
+    picture = Response(machine_svg(offer.machine), media_type="image/svg+xml")
+    return respond(request, picture, f"drawing-{offer.machine.content_key}")
+
+
+def brief(description: CatalogueDetail) -> dict[str, object]:
+    """Return the members that a list shows."""
+    return {name: getattr(description, name) for name in CatalogueItem.model_fields}

@@ -1,0 +1,133 @@
+"""Diagnoses: asking for one, and finding it again."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+
+from app import paging
+from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from app.etags import respond
+from app.openapi import COMPUTING, problems
+from app.results import DiagnosisOut, diagnosis_out
+from app.routes.machines import Cursor, Limit
+from app.routes.measurements import FILE, RATE
+from app.schemas import DiagnosisItem, DiagnosisPage, DiagnosisRequest
+from app.service import Service, of_request, rate_of
+from app.storage import DiagnosisRow, aware
+from app.uploads import MULTIPART, media_type, received_form
+
+router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
+
+JSON_TYPE = "application/json"
+FIELDS = frozenset({"measurement", "catalogue", "speed", "effort", "mapping", "sample_rate"})
+TEXT = {"type": "string"}
+FORM = {
+    "type": "object",
+    "required": ["catalogue"],
+    "description": "Either `file` or `measurement` is needed.",
+    "properties": {
+        "file": FILE,
+        "sample_rate": RATE,
+        "measurement": TEXT,
+        "catalogue": TEXT,
+        "speed": TEXT,
+        "effort": TEXT,
+        "mapping": {"type": "string", "description": "A JSON object: measurement column to sensor."},
+    },
+}
+
+
+def body() -> dict[str, Any]:
+    """Return the description of the two bodies that a diagnosis may be asked for with."""
+    schema = DiagnosisRequest.model_json_schema(ref_template="#/components/schemas/{model}")
+    return {"required": True, "content": {JSON_TYPE: {"schema": schema}, MULTIPART: {"schema": FORM}}}
+
+
+@router.post("", status_code=201, responses=problems(*COMPUTING), openapi_extra={"requestBody": body()})
+async def ask(request: Request, response: Response) -> DiagnosisOut:
+    """Diagnose a stored measurement (JSON), or a file sent in the same call (multipart)."""
+    service = of_request(request)
+    kind = media_type(request)
+    if kind == JSON_TYPE:
+        wanted = checked(parsed(await request.body()))
+    elif kind == MULTIPART:
+        wanted = await from_form(request, service)
+    else:
+        raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
+    row = await service.diagnose(wanted)
+    response.headers["Location"] = f"/api/v1/diagnoses/{row.id}"
+    return diagnosis_out(row)
+
+
+@router.get("", responses=problems(400, 422))
+def diagnoses(request: Request, cursor: Cursor = None, limit: Limit = None) -> DiagnosisPage:
+    """List the diagnoses, the newest first."""
+    service = of_request(request)
+    size = limit or service.settings.page_size
+    rows = service.store.diagnoses(paging.decode_number(cursor), size + 1)
+    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    return DiagnosisPage(items=[item(row) for row in rows[:size]], next_cursor=following)
+
+
+@router.get("/{key}", response_model=DiagnosisOut, responses=problems(404))
+async def diagnosis(request: Request, key: str) -> Response:
+    """Return a diagnosis again."""
+    row = await run_in_threadpool(of_request(request).store.diagnosis, key)
+    return respond(request, Response(diagnosis_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
+
+
+async def from_form(request: Request, service: Service) -> DiagnosisRequest:
+    """Return what a form asks for; a file in it is stored first."""
+    async with received_form(request, service.store, FIELDS) as form:
+        members: dict[str, Any] = {name: value for name, value in form.fields.items() if name != "sample_rate"}
+        if "mapping" in members:
+            members["mapping"] = parsed(members["mapping"], "mapping")
+        if form.file is None:
+            return checked(members)
+        if "measurement" in members:
+            raise BadFieldError("measurement: give either a measurement or a file, not both", field="measurement")
+        # Everything else is checked before the file is read, which takes much longer.
+        checked({**members, "measurement": "file"})
+        row = await service.add_measurement(form.file, form.file_name, rate_of(form.fields.get("sample_rate")))
+        return checked({**members, "measurement": row.id})
+
+
+def checked(members: object) -> DiagnosisRequest:
+    """Return a request whose members keep the rules."""
+    try:
+        return DiagnosisRequest.model_validate(members)
+    except ValidationError as error:
+        raise RequestValidationError(error.errors()) from None
+
+
+def parsed(text: bytes | str, name: str = "") -> object:
+    """Return the value of a JSON text; numbers that are not finite are refused."""
+    try:
+        return json.loads(text, parse_constant=refuse_constant)
+    except (ValueError, RecursionError) as error:
+        prefix = f"{name}: " if name else ""
+        raise BadRequestError(f"{prefix}is not JSON: {error}", field=name) from None
+
+
+def refuse_constant(name: str) -> object:
+    """Refuse NaN and Infinity, which are not JSON."""
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def item(row: DiagnosisRow) -> DiagnosisItem:
+    """Return what a list says about a diagnosis."""
+    return DiagnosisItem(
+        id=row.id,
+        created_at=aware(row.created_at),
+        machine=row.result["machine"],
+        catalogue=row.catalogue,
+        measurement=row.measurement,
+        verdict=row.result["verdict"],
+        candidate_set=row.result["candidate_set"],
+    )

@@ -1,0 +1,76 @@
+"""Recordings that people upload."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from app import paging
+from app.errors import BadFieldError
+from app.etags import respond
+from app.openapi import problems
+from app.routes.machines import Cursor, Limit
+from app.schemas import MeasurementOut, MeasurementPage
+from app.service import of_request, rate_of
+from app.storage import MeasurementRow, aware
+from app.uploads import MULTIPART, received_form
+
+router = APIRouter(prefix="/measurements", tags=["measurements"])
+
+FILE = {"type": "string", "format": "binary", "description": "The recording; its name's ending says what it is."}
+RATE = {"type": "string", "description": 'Sample rate of a recording without times: "10 kHz", or a number in Hz.'}
+BODY = {
+    "required": True,
+    "content": {
+        MULTIPART: {
+            "schema": {"type": "object", "required": ["file"], "properties": {"file": FILE, "sample_rate": RATE}}
+        }
+    },
+}
+
+
+@router.post(
+    "",
+    status_code=201,
+    responses=problems(400, 413, 415, 422, 500, 503, 504),
+    openapi_extra={"requestBody": BODY},
+)
+async def upload(request: Request, response: Response) -> MeasurementOut:
+    """Store a recording; the same bytes under the same name give the same measurement again."""
+    service = of_request(request)
+    async with received_form(request, service.store, frozenset({"sample_rate"})) as form:
+        if form.file is None:
+            raise BadFieldError("file: is missing", field="file")
+        row = await service.add_measurement(form.file, form.file_name, rate_of(form.fields.get("sample_rate")))
+    response.headers["Location"] = f"/api/v1/measurements/{row.id}"
+    return measurement_out(row)
+
+
+@router.get("", responses=problems(400, 422))
+def measurements(request: Request, cursor: Cursor = None, limit: Limit = None) -> MeasurementPage:
+    """List the measurements, the newest first."""
+    service = of_request(request)
+    size = limit or service.settings.page_size
+    rows = service.store.measurements(paging.decode_number(cursor), size + 1)
+    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    return MeasurementPage(items=[measurement_out(row) for row in rows[:size]], next_cursor=following)
+
+
+@router.get("/{key}", response_model=MeasurementOut, responses=problems(404))
+async def measurement(request: Request, key: str) -> Response:
+    """Return what is known about one measurement."""
+    row = await run_in_threadpool(of_request(request).store.measurement, key)
+    document = Response(measurement_out(row).model_dump_json(), media_type="application/json")
+    return respond(request, document, row.id)
+
+
+def measurement_out(row: MeasurementRow) -> MeasurementOut:
+    """Return the outside shape of a stored measurement."""
+    return MeasurementOut(
+        id=row.id,
+        name=row.name,
+        sha256=row.sha256,
+        size_bytes=row.size_bytes,
+        created_at=aware(row.created_at),
+        **row.summary,
+    )

@@ -1,0 +1,173 @@
+"""Shapes of the HTTP interface's bodies."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
+
+Effort = Literal["fast", "standard", "thorough"]
+
+
+class Shape(BaseModel):
+    """A body; unknown members are refused where it comes from outside."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FieldError(Shape):
+    """One field that breaks a rule."""
+
+    field: str
+    message: str
+
+
+class ProblemDocument(BaseModel):
+    """What every error answers (RFC 9457, ``application/problem+json``)."""
+
+    type: str = Field(description="A URI that names the kind of problem; about:blank for a plain HTTP status.")
+    title: str = Field(description="The kind of problem in words.")
+    status: int = Field(description="The HTTP status.")
+    detail: str = Field(description="What was wrong this time, in one line.")
+    instance: str = Field(description="Path of the request.")
+    errors: list[FieldError] = Field(default=[], description="The fields at fault, where there are any.")
+
+
+class MachineItem(Shape):
+    """A machine that ships with the program."""
+
+    name: str
+    content_key: str = Field(description="SHA-256 of the machine's content; also its ETag.")
+    links: int
+    turning_joints: list[str]
+    sliding_joints: list[str]
+    sensors: list[str]
+
+
+class Page(Shape):
+    """What all lists have."""
+
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
+class MachinePage(Page):
+    """A page of machines."""
+
+    items: list[MachineItem]
+
+
+class SensorItem(Shape):
+    """A sensor of a catalogue's machine."""
+
+    name: str
+    at_m: tuple[float, float]
+    direction: tuple[float, float]
+
+
+class CatalogueItem(Shape):
+    """A catalogue that measurements can be compared with."""
+
+    id: str
+    name: str = Field(description="Name of its folder; it may stand wherever the id may.")
+    machine: str
+    machine_content_key: str
+    hypotheses: list[str]
+    entries: int = Field(description="Number of simulated cases.")
+    turning_joints: list[str]
+    sensors: list[SensorItem]
+    nominal_speed_rpm: float | None
+
+
+class CatalogueDetail(CatalogueItem):
+    """A catalogue with its plan and what became of its cases."""
+
+    plan: dict[str, Any]
+    statuses: dict[str, int] = Field(description="Number of cases by the status of their simulation.")
+
+
+class CataloguePage(Page):
+    """A page of catalogues."""
+
+    items: list[CatalogueItem]
+
+
+class ChannelItem(Shape):
+    """One column of a measurement."""
+
+    name: str
+    unit: str
+    quantity: str
+
+
+class MeasurementOut(Shape):
+    """A stored recording."""
+
+    id: str
+    name: str
+    sha256: str = Field(description="Of the file's bytes.")
+    size_bytes: int
+    created_at: datetime
+    sample_rate_hz: float
+    samples: int
+    duration_s: float
+    channels: list[ChannelItem]
+    warnings: list[str]
+    import_report: list[str]
+
+
+class MeasurementPage(Page):
+    """A page of measurements."""
+
+    items: list[MeasurementOut]
+
+
+class DiagnosisRequest(Shape):
+    """What to compare, and how."""
+
+    measurement: Annotated[str, Field(min_length=1, max_length=64, description="Id of a stored measurement.")]
+    catalogue: Annotated[str, Field(min_length=1, max_length=255, description="Id or name of a catalogue.")]
+    speed: Annotated[
+        StrictFloat | StrictStr | None,
+        Field(default=None, description='Drive speed: "600 rpm", or a number in rad/s. Estimated when not given.'),
+    ]
+    effort: Annotated[Effort, Field(default="standard", description="How much to compute.")]
+    mapping: Annotated[
+        dict[str, str],
+        Field(
+            default={},
+            max_length=64,
+            description="Measurement column to sensor of the machine; columns named like a sensor need no entry.",
+        ),
+    ]
+
+
+class DiagnosisItem(Shape):
+    """A finished diagnosis in a list."""
+
+    id: str
+    created_at: datetime
+    machine: str
+    catalogue: str
+    measurement: str
+    verdict: str
+    candidate_set: list[str]
+
+
+class DiagnosisPage(Page):
+    """A page of diagnoses."""
+
+    items: list[DiagnosisItem]
+
+
+class Health(Shape):
+    """State of the process."""
+
+    status: Literal["ok"]
+
+
+class Readiness(Shape):
+    """State of what the service needs."""
+
+    status: Literal["ready"]
+    catalogues: int

@@ -1,0 +1,91 @@
+"""What the HTTP interface and the web page both do: keep recordings, diagnose them, find results again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+
+from app import tasks
+from app.catalogues import CatalogueShelf
+from app.errors import BadFieldError
+from app.schemas import DiagnosisRequest
+from app.settings import Settings
+from app.storage import DiagnosisRow, MeasurementRow, Store, Upload
+from app.workers import WorkerPool
+from solver.errors import UnitError
+from solver.units import ANGULAR_SPEED, FREQUENCY, to_si
+
+
+@dataclass(frozen=True)
+class Service:
+    """The parts of a running service; made by the application factory, found at ``request.app.state``."""
+
+    settings: Settings
+    store: Store
+    shelf: CatalogueShelf
+    pool: WorkerPool
+
+    async def add_measurement(self, upload: Upload, name: str, sample_rate_hz: float | None) -> MeasurementRow:
+        """Read an uploaded recording in a worker and store it."""
+        summary = await self.pool.run(tasks.summarise, str(upload.path), name, sample_rate_hz)
+        return await run_in_threadpool(self.store.add_measurement, upload, name, sample_rate_hz, summary)
+
+    async def diagnose(self, request: DiagnosisRequest) -> DiagnosisRow:
+        """Diagnose a stored measurement in a worker and store the result."""
+        speed = speed_of(request.speed)
+        offer = await run_in_threadpool(self.shelf.find, request.catalogue)
+        row = await run_in_threadpool(self.store.measurement, request.measurement)
+        result = await self.pool.run(
+            tasks.diagnose,
+            str(self.store.path_of(row.sha256)),
+            row.name,
+            row.given_sample_rate_hz,
+            str(offer.path),
+            offer.stamp,
+            speed,
+            request.effort,
+            dict(request.mapping),
+        )
+        return await run_in_threadpool(
+            self.store.add_diagnosis,
+            row.id,
+            offer.description.id,
+            json.loads(offer.machine.canonical_json()),
+            request.model_dump(mode="json"),
+            result,
+        )
+
+
+def of_request(request: Request) -> Service:
+    """Return the service that answers a request."""
+    service: Service = request.app.state.service
+    return service
+
+
+def speed_of(given: float | str | None) -> float | None:
+    """Return a drive speed in rad/s from what a request says; a web form's empty text is "not given"."""
+    if given is None or given == "":
+        return None
+    return positive(given, "speed")
+
+
+def rate_of(given: str | None) -> float | None:
+    """Return a sample rate in Hz from what a form says."""
+    if given is None or given == "":
+        return None
+    return positive(given, "sample_rate")
+
+
+def positive(given: float | str, field: str) -> float:
+    """Return a number greater than 0 in SI, or say which field breaks the rule."""
+    dimension = FREQUENCY if field == "sample_rate" else ANGULAR_SPEED
+    try:
+        value = to_si(given, dimension)
+    except UnitError as error:
+        raise BadFieldError(f"{field}: {given}: {error}", field=field) from None
+    if value <= 0:
+        raise BadFieldError(f"{field}: {given}: must be greater than 0", field=field)
+    return value

@@ -1,0 +1,44 @@
+"""Settings of the service, read from the environment (prefix ``JOINTPLAY_``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class Settings(BaseSettings):
+    """What the service may be told from outside; every field has a working default.
+
+    A field ``time_limit_s`` is read from ``JOINTPLAY_TIME_LIMIT_S``.
+    """
+
+    model_config = SettingsConfigDict(env_prefix="JOINTPLAY_", frozen=True, extra="ignore")
+
+    catalogues: Path = Field(
+        default=Path(".jointplay/catalogues"),
+        description="Directory whose sub-directories are catalogues; it may also be one catalogue itself.",
+    )
+    data: Path = Field(
+        default=Path(".jointplay/server"),
+        description="Directory for uploaded recordings and the data base of results; made when missing.",
+    )
+    max_upload_mb: float = Field(
+        default=200.0, gt=0, description="Largest upload in megabytes (10^6 bytes); a larger one is answered with 413."
+    )
+    time_limit_s: float = Field(
+        default=120.0, gt=0, description="Longest time one reading or diagnosis may compute, in seconds; then 504."
+    )
+    workers: int = Field(
+        default=2, ge=1, le=256, description="Number of processes that read recordings and diagnose them."
+    )
+    queue_limit: int = Field(
+        default=32, ge=1, description="Number of requests that may wait for a worker; more are answered with 503."
+    )
+    page_size: int = Field(default=50, ge=1, le=500, description="Number of items in one page of a list.")
+
+    @property
+    def max_upload_bytes(self) -> int:
+        """Largest request body that is read, in bytes; multipart framing is included."""
+        return int(self.max_upload_mb * 1e6)

@@ -1,0 +1,90 @@
+"""What worker processes do: read recordings and diagnose them. Plain values in, plain values out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from catalogue.diagnosis import Effort
+    from catalogue.measurement import Measurement
+    from catalogue.store import Catalogue
+
+
+def summarise(path: str, name: str, sample_rate: float | None) -> dict[str, Any]:
+    """Read a recording and return what there is to say about it.
+
+    Parameters
+    ----------
+    path : str
+        Where its bytes lie.
+    name : str
+        What its sender calls it; its ending says how to read it.
+    sample_rate : float, optional
+        Hz; for recordings without times.
+    """
+    measurement = read(path, name, sample_rate)
+    samples = len(measurement.signal)
+    return {
+        "sample_rate_hz": float(measurement.sample_rate),
+        "samples": samples,
+        "duration_s": samples / float(measurement.sample_rate),
+        "channels": [
+            {"name": channel.name, "unit": channel.unit, "quantity": channel.quantity}
+            for channel in measurement.channels
+        ],
+        "warnings": list(measurement.warnings),
+        "import_report": list(measurement.import_report),
+    }
+
+
+def diagnose(
+    path: str,
+    name: str,
+    sample_rate: float | None,
+    catalogue: str,
+    stamp: str,
+    speed: float | None,
+    effort: Effort,
+    mapping: Mapping[str, str],
+) -> dict[str, Any]:
+    """Diagnose a recording and return the contract's members as JSON values.
+
+    Parameters
+    ----------
+    path, name, sample_rate
+        As for :func:`summarise`.
+    catalogue : str
+        Folder of the catalogue.
+    stamp : str
+        Changes when the catalogue does, so that an open one is not used for longer than it is true.
+    speed : float, optional
+        Drive speed [rad/s].
+    effort : str
+        fast, standard or thorough.
+    mapping : Mapping
+        Column to sensor.
+    """
+    from catalogue.diagnosis import diagnose as ranked
+
+    measurement = read(path, name, sample_rate)
+    result = ranked(measurement, opened(catalogue, stamp), speed=speed, effort=effort, mapping=mapping or None)
+    document: dict[str, Any] = result.model_dump(mode="json")
+    return document
+
+
+def read(path: str, name: str, sample_rate: float | None) -> Measurement:
+    """Read a recording by the reader that its name asks for."""
+    from catalogue.measurement import read_measurement
+
+    return read_measurement(Path(path).read_bytes(), name=name, sample_rate=sample_rate)
+
+
+@lru_cache(maxsize=4)
+def opened(directory: str, stamp: str) -> Catalogue:
+    """Return an open catalogue; a worker keeps the last few it used."""
+    from catalogue.store import Catalogue
+
+    return Catalogue.open(Path(directory))

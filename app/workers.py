@@ -1,0 +1,175 @@
+"""Worker processes for everything that computes longer than a moment, each task under a time limit.
+
+A thread cannot be stopped, a process can: a recording that takes too long or eats the memory costs one
+worker, which is replaced, and never the service.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from typing import Any
+
+from app.errors import BusyError, TimeLimitError, WorkerDiedError
+from app.problems import Problem, problem_of
+
+log = logging.getLogger(__name__)
+
+
+class TaskFailedError(Exception):
+    """A task raised; the answer to its exception was made in the worker, where the exception was whole."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.detail)
+        self.problem = problem
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What comes back from a worker: a value or a problem."""
+
+    value: Any = None
+    problem: Problem | None = None
+
+
+def prepare() -> None:
+    """Set a fresh worker up: one thread of linear algebra, deaf to Ctrl-C, gone when the service is gone."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=leave_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def leave_with(sentinel: int) -> None:
+    """End this process when its parent ends, whatever way the parent went."""
+    wait([sentinel])
+    os._exit(1)
+
+
+def attempt(task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+    """Run a task in the worker and send its exception back as a problem, because not every exception can be sent."""
+    try:
+        return Outcome(value=task(*args))
+    except Exception as error:
+        problem = problem_of(error)
+        if problem.status >= 500:
+            logging.getLogger(__name__).exception("task %s failed", task.__name__)
+        return Outcome(problem=problem)
+
+
+class Worker:
+    """One process that runs one task at a time."""
+
+    def __init__(self) -> None:
+        self._executor = ProcessPoolExecutor(
+            max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=prepare
+        )
+        self._pid: int | None = None
+
+    async def run(self, task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+        """Run one task; the process is started when it is first needed."""
+        loop = asyncio.get_running_loop()
+        if self._pid is None:
+            self._pid = await loop.run_in_executor(self._executor, os.getpid)
+        outcome: Outcome = await loop.run_in_executor(self._executor, attempt, task, args)
+        return outcome
+
+    def end(self) -> None:
+        """Stop the process now, even in the middle of a task."""
+        if self._pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pid, signal.SIGKILL)
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+class WorkerPool:
+    """A fixed number of workers and a queue of limited length in front of them.
+
+    Parameters
+    ----------
+    workers : int
+        Number of processes.
+    queue_limit : int
+        Number of tasks that may wait.
+    time_limit : float
+        Longest time of one task [s]; waiting in the queue does not count.
+    """
+
+    def __init__(self, workers: int, queue_limit: int, time_limit: float) -> None:
+        self._queue_limit = queue_limit
+        self._time_limit = time_limit
+        self._waiting = 0
+        self._workers = [Worker() for _ in range(workers)]
+        self._free: asyncio.Queue[Worker] = asyncio.Queue()
+        for worker in self._workers:
+            self._free.put_nowait(worker)
+
+    async def run(self, task: Callable[..., Any], *args: Any) -> Any:
+        """Run a task in a worker and return its value.
+
+        Parameters
+        ----------
+        task : callable
+            A function at the top of a module.
+        *args
+            Its arguments; they must be picklable.
+
+        Raises
+        ------
+        BusyError
+            When too many tasks wait already.
+        TimeLimitError
+            When the task takes too long; its process is ended.
+        TaskFailedError
+            When the task raised.
+        WorkerDiedError
+            When the process ended early.
+        """
+        if self._waiting >= self._queue_limit:
+            raise BusyError(f"{self._waiting} requests wait for a worker already; try again in a few seconds")
+        self._waiting += 1
+        try:
+            worker = await self._free.get()
+        finally:
+            self._waiting -= 1
+        try:
+            async with asyncio.timeout(self._time_limit):
+                outcome = await worker.run(task, args)
+        except TimeoutError:
+            worker = self._replace(worker)
+            raise TimeLimitError(f"stopped after {self._time_limit:g} s, the time limit of this service") from None
+        except BrokenProcessPool:
+            worker = self._replace(worker)
+            raise WorkerDiedError("the process that computed this ended early, perhaps for want of memory") from None
+        except asyncio.CancelledError:
+            worker = self._replace(worker)
+            raise
+        finally:
+            self._free.put_nowait(worker)
+        if outcome.problem is not None:
+            raise TaskFailedError(outcome.problem)
+        return outcome.value
+
+    def _replace(self, worker: Worker) -> Worker:
+        """End a worker and return the one that takes its place."""
+        worker.end()
+        fresh = Worker()
+        self._workers[self._workers.index(worker)] = fresh
+        return fresh
+
+    def close(self) -> None:
+        """End all processes."""
+        for worker in self._workers:
+            worker.end()

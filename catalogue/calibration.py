@@ -1,0 +1,147 @@
+"""From scores to probabilities that mean what they say: held-out draws, temperature, tails, quality figures.
+
+Everything here is fitted on draws the matcher has not learned from. Rows made from one simulated case are always held
+out together, because they share everything but the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import logsumexp
+
+from catalogue.matching import BoolArray, FloatArray, IntArray, TrainingSet
+
+TEMPERATURES = (0.5, 8.0)
+"""Range in which a temperature is sought; 1 leaves probabilities as they are, more makes them less sure."""
+
+
+def folds(training: TrainingSet, count: int, seed: int = 0) -> Iterator[tuple[TrainingSet, TrainingSet]]:
+    """Split a training set into (learned, held out) pairs so that every row is held out exactly once.
+
+    Parameters
+    ----------
+    training : TrainingSet
+    count : int
+        Number of splits, >= 2. A hypothesis with fewer cases than that is split by rows.
+    seed : int
+        Of the shuffling of cases; the same seed gives the same splits.
+
+    Yields
+    ------
+    learned, held_out : TrainingSet
+        Both hold all hypotheses, in the same order.
+    """
+    generator = np.random.default_rng(seed)
+    assigned: list[IntArray] = []
+    for draws in training.hypotheses:
+        _, case = np.unique(draws.entry, return_inverse=True)
+        if draws.cases < count:
+            case = np.arange(len(draws.entry))
+        order = generator.permutation(int(case.max()) + 1)
+        assigned.append((order % count)[case].astype(np.int64))
+    for fold in range(count):
+        parts = list(zip(training.hypotheses, assigned, strict=True))
+        learned = tuple(draws.rows(part != fold) for draws, part in parts)
+        held = tuple(draws.rows(part == fold) for draws, part in parts)
+        yield TrainingSet(learned, training.watched), TrainingSet(held, training.watched)
+
+
+def probabilities(log_evidence: FloatArray, temperature: float) -> FloatArray:
+    """Turn log evidences (m, h) into probabilities (m, h), divided by `temperature` first."""
+    scaled = log_evidence / temperature
+    out: FloatArray = np.exp(scaled - logsumexp(scaled, axis=1, keepdims=True))
+    return out
+
+
+def log_loss(posterior: FloatArray, truth: IntArray) -> float:
+    """Return the mean of -ln p(true hypothesis); probabilities below 1e-12 count as 1e-12."""
+    return float(-np.mean(np.log(np.maximum(posterior[np.arange(len(truth)), truth], 1e-12))))
+
+
+def calibration_error(posterior: FloatArray, truth: IntArray, bins: int = 10) -> float:
+    """Return the expected calibration error of the top probability, over equally wide bins of confidence."""
+    top = posterior.max(axis=1)
+    right = posterior.argmax(axis=1) == truth
+    index = np.minimum((top * bins).astype(int), bins - 1)
+    error = 0.0
+    for k in range(bins):
+        inside = index == k
+        if inside.any():
+            error += inside.mean() * abs(float(top[inside].mean()) - float(right[inside].mean()))
+    return float(error)
+
+
+def fit_temperature(
+    log_evidence: FloatArray, truth: IntArray, weights: FloatArray, between: tuple[float, float] = TEMPERATURES
+) -> float:
+    """Return the temperature with the least weighted log-loss on held-out rows.
+
+    Parameters
+    ----------
+    log_evidence : ndarray, shape (m, h)
+    truth : ndarray of int, shape (m,)
+        Index of the true hypothesis of each row.
+    weights : ndarray, shape (m,)
+        So that a hypothesis with many rows does not count more than one with few.
+    between : tuple of float
+        Range searched.
+    """
+    rows = np.arange(len(truth))
+
+    def loss(log_temperature: float) -> float:
+        scaled = log_evidence * np.exp(-log_temperature)
+        return float(np.sum(weights * (logsumexp(scaled, axis=1) - scaled[rows, truth])))
+
+    low, high = np.log(between)
+    found = minimize_scalar(loss, bounds=(float(low), float(high)), method="bounded", options={"xatol": 1e-3})
+    return float(np.exp(found.x))
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Held-out values of a statistic that is large where the model fails.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        In rising order.
+    """
+
+    values: FloatArray
+
+    @classmethod
+    def of(cls, values: FloatArray) -> Tail:
+        """Make a tail from values in any order."""
+        return cls(np.sort(values))
+
+    def p_value(self, value: float) -> float:
+        """Return the share of values at least as large, (1 + count) / (1 + n): never 0."""
+        count = len(self.values) - int(np.searchsorted(self.values, value, side="left"))
+        return (1.0 + count) / (1.0 + len(self.values))
+
+
+def combined(first: float, second: float) -> float:
+    """Combine two p-values of the same question, without assuming independence (Bonferroni)."""
+    return min(1.0, 2.0 * min(first, second))
+
+
+def row_weights(index: NDArray[np.integer]) -> FloatArray:
+    """Return a weight for each row such that every hypothesis index weighs the same; they add up to 1."""
+    _, inverse, counts = np.unique(index, return_inverse=True, return_counts=True)
+    weights: FloatArray = 1.0 / counts[inverse] / len(counts)
+    return weights
+
+
+def largest(z: FloatArray, watched: BoolArray, count: int = 3) -> FloatArray:
+    """Return the mean of the `count` largest absolute z-scores among the watched features of each row; 0 if none."""
+    chosen = np.abs(z[:, watched])
+    if chosen.shape[1] == 0:
+        return np.zeros(len(z))
+    top = np.sort(chosen, axis=1)[:, -count:]
+    mean: FloatArray = top.mean(axis=1)
+    return mean

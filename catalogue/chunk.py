@@ -1,0 +1,137 @@
+"""A chunk: cases with the same joints, simulated together by one worker with one compiled model."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import zip_longest
+
+import numpy as np
+
+from catalogue.entry import Entry, Recipe
+from catalogue.keys import content_digest
+from catalogue.shard import OK, Outcome
+from solver.bands import band_matrix
+from solver.machine import Machine, parse_machine
+from solver.simulate import Case, History, Settings, Status, simulate_batch
+
+__all__ = ["Chunk", "Compute", "chunked", "simulate_chunk"]
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Cases to be computed together, and all that a worker must know for it.
+
+    Parameters
+    ----------
+    machine : str
+        Canonical JSON.
+    recipe : Recipe
+    entries : tuple of Entry
+        At least one; all with the same joints and parameter names.
+    """
+
+    machine: str
+    recipe: Recipe
+    entries: tuple[Entry, ...]
+
+    @cached_property
+    def id(self) -> str:
+        """Follows from the entries alone, so that a build that continues knows its chunks again."""
+        return content_digest([entry.key for entry in self.entries])[:16]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints with clearance in all its cases."""
+        return self.entries[0].joints
+
+    def halves(self) -> tuple[Chunk, Chunk]:
+        """Two chunks of its cases, to find the one that kills workers; only where there are two cases at least."""
+        middle = len(self.entries) // 2
+        first, second = self.entries[:middle], self.entries[middle:]
+        return Chunk(self.machine, self.recipe, first), Chunk(self.machine, self.recipe, second)
+
+
+SLACK_REVOLUTIONS = 0.01
+"""Simulated beyond the recipe's, so that rounding to samples and to fast transforms costs no window of the estimate."""
+
+Compute = Callable[[Chunk], tuple[Outcome, ...]]
+"""What a worker does with a chunk: one outcome a case, in the order of the cases. A module's function, picklable."""
+
+
+def chunked(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: int) -> list[Chunk]:
+    """Cut cases into chunks.
+
+    Parameters
+    ----------
+    machine : Machine
+    recipe : Recipe
+    entries : iterable of Entry
+        In the order of the plan; the same cases give the same chunks.
+    size : int
+        Most cases of a chunk.
+
+    Returns
+    -------
+    list of Chunk
+        The first chunks of all sets of joints, then the second ones, and so on: then workers compile different models
+        in the beginning, and find them compiled later.
+    """
+    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[Entry]] = defaultdict(list)
+    for entry in entries:
+        groups[entry.joints, tuple(sorted(entry.parameters))].append(entry)
+    content = machine.canonical_json()
+    cut = [
+        [Chunk(content, recipe, tuple(group[start : start + size])) for start in range(0, len(group), size)]
+        for group in groups.values()
+    ]
+    return [chunk for turn in zip_longest(*cut) for chunk in turn if chunk is not None]
+
+
+@lru_cache(maxsize=2)
+def _machine(content: str) -> Machine:
+    return parse_machine(content, "machine of the catalogue")
+
+
+def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
+    """Simulate the cases of a chunk and estimate their spectra in bands.
+
+    Raises
+    ------
+    SolverError
+        A parameter or a setting that the solver refuses. What goes wrong numerically is the status of an outcome.
+    """
+    recipe = chunk.recipe
+    revolutions = recipe.revolutions + SLACK_REVOLUTIONS
+    settings = Settings(sample_rate=recipe.sample_rate, accuracy=recipe.accuracy, revolutions=revolutions)
+    cases = [Case(entry.fault, entry.parameters) for entry in chunk.entries]
+    return tuple(_outcome(history, recipe) for history in simulate_batch(_machine(chunk.machine), cases, settings))
+
+
+def _outcome(history: History, recipe: Recipe) -> Outcome:
+    message = " ".join(history.message.split())
+
+    def failed(status: str, message: str) -> Outcome:
+        return Outcome(status, message, history.drive_speed, history.transient, 0, history.seconds)
+
+    if history.status is not Status.OK:
+        return failed(history.status.value, message)
+    signal = history.band_limited_acceleration[history.t >= history.transient]
+    if not np.isfinite(signal).all():
+        return failed("not_finite", "the acceleration holds a number that is not finite")
+    bands = band_matrix(signal, history.sample_rate, history.drive_speed, recipe.scheme)
+    power = bands.power.astype(np.complex64)
+    if not (np.isfinite(power).all() and np.isfinite(bands.spread_db).all()):
+        return failed("not_finite", "a band power is beyond the range of single precision")
+    return Outcome(
+        OK,
+        message,
+        history.drive_speed,
+        history.transient,
+        bands.segments,
+        history.seconds,
+        power,
+        bands.spread_db.astype(np.float32),
+    )

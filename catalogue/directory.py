@@ -1,0 +1,172 @@
+"""The folder of a catalogue: which file is what, and how a file gets there whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from catalogue.errors import CatalogueBusyError, CatalogueFileError
+
+__all__ = ["CatalogueDirectory", "publish", "sha256_of"]
+
+_TEMPORARY = ".tmp-"
+
+
+def sha256_of(content: bytes) -> str:
+    """SHA-256 of `content`, 64 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make renames in `folder` durable, where the system can do that for a folder."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def publish(path: Path, content: bytes) -> None:
+    """Write a file so that under its name there is always either nothing, the old content or the whole new one.
+
+    The content goes to a temporary file beside it and to the disk, then takes the name; a crash at any moment leaves at
+    most the temporary file.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an old one is replaced.
+    content : bytes
+        All of it.
+
+    Raises
+    ------
+    CatalogueFileError
+        The folder cannot be written to, or the disk is full.
+    """
+    temporary = path.with_name(f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(4)}")
+    try:
+        try:
+            with open(temporary, "xb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise CatalogueFileError(path, f"cannot be written ({error.strerror or error})") from error
+
+
+@dataclass(frozen=True)
+class CatalogueDirectory:
+    """Paths inside one catalogue.
+
+    Parameters
+    ----------
+    root : Path
+        The folder; it need not exist yet.
+    """
+
+    root: Path
+
+    @property
+    def manifest(self) -> Path:
+        """What the catalogue is: schema, machine, settings, plan, versions."""
+        return self.root / "manifest.json"
+
+    @property
+    def index(self) -> Path:
+        """SQLite database of entries, shards and chunks; made from the shards, so it can be lost."""
+        return self.root / "index.sqlite"
+
+    @property
+    def shards(self) -> Path:
+        """Folder of the immutable HDF5 files, each named by the SHA-256 of its content."""
+        return self.root / "shards"
+
+    @property
+    def quarantine(self) -> Path:
+        """Folder to which damaged files are moved."""
+        return self.root / "quarantine"
+
+    @property
+    def lock(self) -> Path:
+        """Locked while somebody builds or repairs here."""
+        return self.root / "build.lock"
+
+    def shard(self, name: str) -> Path:
+        """Path of the shard called `name` (its SHA-256)."""
+        return self.shards / f"{name}.h5"
+
+    def shard_names(self) -> tuple[str, ...]:
+        """Names of all shards on the disk, sorted."""
+        return tuple(sorted(path.stem for path in self.shards.glob("*.h5"))) if self.shards.is_dir() else ()
+
+    def create(self) -> None:
+        """Make the folders.
+
+        Raises
+        ------
+        CatalogueFileError
+            They cannot be made, or the folder holds something that is not a catalogue.
+        """
+        try:
+            foreign = self.root.is_dir() and not self.manifest.exists() and not self.shards.exists()
+            if foreign and any(path.name != self.lock.name for path in self.root.iterdir()):
+                raise CatalogueFileError(self.root, "holds files but no catalogue: name an empty or new folder")
+            self.shards.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise CatalogueFileError(self.root, f"cannot be created ({error.strerror or error})") from error
+
+    def remove_temporaries(self) -> int:
+        """Delete what an interrupted :func:`publish` left; only the holder of the lock may do this."""
+        leftovers = [path for folder in (self.root, self.shards) for path in folder.glob(f"{_TEMPORARY}*")]
+        for path in leftovers:
+            path.unlink(missing_ok=True)
+        return len(leftovers)
+
+    def move_to_quarantine(self, path: Path) -> Path:
+        """Take a damaged file out of the catalogue without destroying it; returns where it is now."""
+        self.quarantine.mkdir(exist_ok=True)
+        target = self.quarantine / path.name
+        number = 1
+        while target.exists():
+            target = self.quarantine / f"{path.stem}-{number}{path.suffix}"
+            number += 1
+        os.replace(path, target)
+        _sync_folder(self.quarantine)
+        _sync_folder(path.parent)
+        return target
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the only right to change this catalogue; it ends with the process, however that ends.
+
+        Raises
+        ------
+        CatalogueBusyError
+            Another process builds or repairs here.
+        """
+        lock = FileLock(self.lock)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout as error:
+            raise CatalogueBusyError(self.root) from error
+        except OSError as error:
+            raise CatalogueFileError(self.lock, f"cannot be locked ({error.strerror or error})") from error
+        try:
+            yield
+        finally:
+            lock.release()

@@ -1,0 +1,106 @@
+"""Random numbers of a plan: what is uncertain about a machine, and space-filling draws of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from solver.fields import Quantity, RuleError, Vector
+from solver.machine_parts import Part
+from solver.units import RATIO
+
+__all__ = ["Distribution", "log_uniform", "rounded_levels", "unit_draws"]
+
+#: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
+_CELL = 2.0**-30
+
+
+class Distribution(Part):
+    """How one number of the machine scatters; exactly one of the fields is given.
+
+    Parameters
+    ----------
+    uniform : (float, float), optional
+        Bounds of a uniform distribution of the number itself, SI.
+    factor_uniform : (float, float), optional
+        Bounds, > 0, of a uniform distribution of the factor on the machine's own number.
+    lognormal : float, optional
+        Standard deviation, > 0, of the natural logarithm of the factor on the machine's own number; its median is 1.
+    """
+
+    uniform: Annotated[tuple[float, float], Vector((Quantity(RATIO),) * 2)] | None = None
+    factor_uniform: Annotated[tuple[float, float], Vector((Quantity(RATIO, above=0.0),) * 2)] | None = None
+    lognormal: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_in_order(self) -> Self:
+        given = {name: getattr(self, name) for name in type(self).model_fields if getattr(self, name) is not None}
+        if len(given) != 1:
+            raise RuleError("must give exactly one of uniform, factor_uniform, lognormal")
+        for name, value in given.items():
+            if isinstance(value, tuple) and value[0] > value[1]:
+                raise RuleError("must be [low, high] with low <= high", (name,), list(value))
+        return self
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether :meth:`quantile` is a factor on the machine's own number, not the number itself."""
+        return self.uniform is None
+
+    def quantile(self, u: float) -> float:
+        """Number, or factor, below which the fraction `u` (in [0, 1]) of all draws lies."""
+        if self.lognormal is not None:
+            deviate = float(ndtri(min(max(u, _CELL / 2), 1.0 - _CELL / 2)))
+            return math.exp(self.lognormal * deviate)
+        bounds = self.uniform if self.uniform is not None else self.factor_uniform
+        assert bounds is not None  # one of them is given, see _one_in_order
+        low, high = bounds
+        return low + u * (high - low)
+
+
+def log_uniform(low: float, high: float, u: float) -> float:
+    """Quantile `u` of the log-uniform distribution between `low` and `high`."""
+    return low * math.pow(high / low, u)
+
+
+def unit_draws(seed: int, dimensions: int, count: int) -> NDArray[np.float64]:
+    """The first `count` points of the scrambled Sobol sequence of `seed` in the unit cube.
+
+    Row i does not depend on `count`: asking for more continues the sequence.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the scrambling.
+    dimensions : int
+        Numbers drawn at a time, >= 1.
+    count : int
+        Number of points.
+
+    Returns
+    -------
+    ndarray, shape (count, dimensions)
+        In [0, 1).
+
+    Notes
+    -----
+    Owen's scrambling as left matrix scrambling with a digital shift (J. Matousek, J. Complexity 14 (1998)), by SciPy.
+    Counts that are powers of two are balanced in every dimension.
+    """
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
+    exponent = max(0, math.ceil(math.log2(max(count, 1))))
+    points: NDArray[np.float64] = sequence.random_base2(exponent)
+    return points[:count]
+
+
+def rounded_levels(low: float, high: float, count: int) -> tuple[float, ...]:
+    """`count` log-spaced numbers from `low` to `high`; rounded to 9 digits, so that nested grids share numbers."""
+    if count == 1:
+        return (float(f"{math.sqrt(low * high):.9g}"),)
+    return tuple(float(f"{log_uniform(low, high, i / (count - 1)):.9g}") for i in range(count))

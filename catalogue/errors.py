@@ -1,0 +1,123 @@
+"""Exceptions of the catalogue: misuse and damaged files only. A numerical failure is the status of an entry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def _one_line(*parts: object) -> str:
+    shown = (" ".join(str(part).split()) for part in parts if part is not None)
+    return ": ".join(part if len(part) <= 160 else part[:157] + "..." for part in shown if part)
+
+
+class CatalogueError(Exception):
+    """Root of everything the catalogue raises on purpose; ``str()`` is one plain line."""
+
+
+class PlanError(CatalogueError):
+    """A plan, or a number in it, that breaks a rule.
+
+    Parameters
+    ----------
+    source : str
+        File or name of the plan.
+    path : str
+        Dotted path of the value, ``clearance.low``; empty for the whole plan.
+    value : object
+        The offending value as the user wrote it; ``None`` when something is missing.
+    rule : str
+        The rule it breaks, as a phrase: "must be greater than 0".
+    """
+
+    def __init__(self, source: str, path: str, value: object, rule: str) -> None:
+        self.source, self.path, self.value, self.rule = source, path, value, rule
+        super().__init__(source, path, value, rule)
+
+    def __str__(self) -> str:
+        return _one_line(self.source, self.path, self.value, self.rule)
+
+
+class KeyContentError(CatalogueError):
+    """Something that is to be part of a key but has no canonical form: a number that is not finite, an object."""
+
+    def __init__(self, path: str, value: object, rule: str) -> None:
+        self.path, self.value, self.rule = path, value, rule
+        super().__init__(path, value, rule)
+
+    def __str__(self) -> str:
+        return _one_line(self.path, repr(self.value), self.rule)
+
+
+class CatalogueFileError(CatalogueError):
+    """A file or folder of a catalogue that is missing, cannot be read or written, or is damaged."""
+
+    def __init__(self, path: Path | str, rule: str) -> None:
+        self.path, self.rule = Path(path), rule
+        super().__init__(path, rule)
+
+    def __str__(self) -> str:
+        return _one_line(self.path, self.rule)
+
+
+class CatalogueMismatchError(CatalogueFileError):
+    """A catalogue that is in order, but of another machine, plan, solver or schema version than the one asked for."""
+
+
+class CatalogueBusyError(CatalogueFileError):
+    """Another process builds or repairs this catalogue."""
+
+    def __init__(self, path: Path | str) -> None:
+        super().__init__(path, "another build or verify is running here; wait for its end or stop it")
+        self.args = (path,)
+
+
+class BuildError(CatalogueError):
+    """A build in which nothing at all could be computed."""
+
+
+class EntryNotFoundError(CatalogueError):
+    """No entry with this key, or with a key that begins so."""
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+        super().__init__(key)
+
+    def __str__(self) -> str:
+        return _one_line(self.key, "no such entry in the catalogue")
+
+
+class MeasurementError(CatalogueError):
+    """A recording that cannot be read, or holds what a diagnosis must not rest on.
+
+    Parameters
+    ----------
+    source : str
+        File (or name) of the recording.
+    line : int, optional
+        Line of the file, from 1.
+    column : str, optional
+        Name of the column or channel.
+    value : object, optional
+        The offending value as the file has it.
+    rule : str
+        The rule it breaks, as a phrase: "is not a number".
+    """
+
+    def __init__(
+        self, source: str, line: int | None = None, column: str | None = None, value: object = None, rule: str = ""
+    ) -> None:
+        self.source, self.line, self.column, self.value, self.rule = source, line, column, value, rule
+        super().__init__(source, line, column, value, rule)
+
+    def __str__(self) -> str:
+        line = None if self.line is None else f"line {self.line}"
+        column = None if self.column is None else f"column {self.column!r}"
+        return _one_line(self.source, line, column, None if self.value is None else repr(self.value), self.rule)
+
+
+class MatchingError(CatalogueError):
+    """Draws or a feature vector that a matcher cannot use: wrong lengths, too few draws, not finite."""
+
+
+class DiagnosisError(CatalogueError):
+    """A measurement that cannot be compared with this catalogue, or a setting of a diagnosis that breaks a rule."""

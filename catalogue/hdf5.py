@@ -1,0 +1,210 @@
+"""HDF5 files: the only module that knows how they are read and written.
+
+One lock for the library, which is not safe to be called from several threads at once.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from catalogue.cross_power import CHANNELS, PACKED, UNITS
+from catalogue.directory import publish
+from catalogue.entry import Recipe
+from catalogue.errors import CatalogueFileError, CatalogueMismatchError
+from catalogue.keys import canonical_json
+from catalogue.shard import Shard, ShardHeader
+
+__all__ = ["SCHEMA_VERSION", "decode_shard", "encode_shard", "read_arrays", "write_arrays"]
+
+SCHEMA_VERSION = 1
+"""Of shard files and of the catalogue folder; a change that older programs cannot read raises it."""
+
+_FORMAT = "jointplay catalogue shard"
+_TEXT = h5py.string_dtype("utf-8")
+_LOCK = threading.RLock()
+
+_TEXT_COLUMNS = ("key", "hypothesis", "status", "message")
+_NUMBER_COLUMNS = {"draw": "1", "segments": "1", "row": "1", "drive_speed": "rad/s", "transient": "s", "seconds": "s"}
+
+
+def encode_shard(shard: Shard) -> bytes:
+    """The HDF5 file of a shard, as bytes; the same shard gives the same bytes.
+
+    Parameters
+    ----------
+    shard : Shard
+
+    Returns
+    -------
+    bytes
+        Its groups are ``bands``, ``entries`` and ``spectra``; see ``docs/catalogue.md``.
+    """
+    header = shard.header
+    with _LOCK, h5py.File.in_memory(track_order=False) as file:
+        file.attrs["format"] = _FORMAT
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["machine"] = header.machine
+        file.attrs["recipe"] = canonical_json(header.recipe.content)
+        file.attrs["plan"] = canonical_json(header.plan)
+        file.attrs["solver_version"] = header.solver_version
+        file.attrs["versions"] = canonical_json(header.versions)
+
+        bands = file.create_group("bands")
+        edges = bands.create_dataset("edges", data=np.asarray(header.recipe.scheme.edges, np.float64))
+        edges.attrs["unit"] = "orders"
+
+        entries = file.create_group("entries")
+        entries.attrs["joints"] = np.array(shard.joints, dtype=_TEXT)
+        entries.attrs["parameter_names"] = np.array(shard.parameter_names, dtype=_TEXT)
+        for name in _TEXT_COLUMNS:
+            entries.create_dataset(name, data=np.array(getattr(shard, name), dtype=object), dtype=_TEXT)
+        for name, unit in _NUMBER_COLUMNS.items():
+            entries.create_dataset(name, data=getattr(shard, name)).attrs["unit"] = unit
+        entries.create_dataset("clearance", data=shard.clearance).attrs["unit"] = "m"
+        entries.create_dataset("parameters", data=shard.parameters).attrs["unit"] = "SI"
+
+        spectra = file.create_group("spectra")
+        power = spectra.create_dataset("power", data=shard.power)
+        power.attrs["quantity"] = "cross-power of the frame's acceleration, integrated over each band"
+        power.attrs["columns"] = np.array(PACKED, dtype=_TEXT)
+        power.attrs["channels"] = np.array(CHANNELS, dtype=_TEXT)
+        power.attrs["units"] = np.array(UNITS, dtype=_TEXT)
+        power.attrs["point"] = "centre of gravity of the frame"
+        spread = spectra.create_dataset("spread_db", data=shard.spread_db)
+        spread.attrs["quantity"] = "standard deviation of the band level over the averaged windows"
+        spread.attrs["unit"] = "dB"
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
+
+
+def decode_shard(content: bytes, path: Path) -> Shard:
+    """Read what :func:`encode_shard` wrote.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+    path : Path
+        Its name, for messages.
+
+    Raises
+    ------
+    CatalogueFileError
+        It is no HDF5 file, or something is missing in it.
+    CatalogueMismatchError
+        It has another schema version.
+    """
+    try:
+        with _LOCK, h5py.File.in_memory(content) as file:
+            if file.attrs.get("format") != _FORMAT:
+                raise CatalogueFileError(path, "is an HDF5 file, but not a shard of a catalogue")
+            if int(file.attrs["schema_version"]) != SCHEMA_VERSION:
+                found = int(file.attrs["schema_version"])
+                raise CatalogueMismatchError(path, f"has schema version {found}; this program reads {SCHEMA_VERSION}")
+            entries, spectra = file["entries"], file["spectra"]
+            columns: dict[str, Any] = {name: tuple(map(str, entries[name].asstr()[()])) for name in _TEXT_COLUMNS}
+            columns |= {name: entries[name][()] for name in _NUMBER_COLUMNS}
+            return Shard(
+                header=ShardHeader(
+                    machine=str(file.attrs["machine"]),
+                    recipe=Recipe.from_content(json.loads(file.attrs["recipe"])),
+                    plan=json.loads(file.attrs["plan"]),
+                    solver_version=str(file.attrs["solver_version"]),
+                    versions=json.loads(file.attrs["versions"]),
+                ),
+                joints=tuple(map(str, entries.attrs["joints"])),
+                parameter_names=tuple(map(str, entries.attrs["parameter_names"])),
+                clearance=entries["clearance"][()],
+                parameters=entries["parameters"][()],
+                power=spectra["power"][()],
+                spread_db=spectra["spread_db"][()],
+                **columns,
+            )
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
+        # What the library and NumPy raise for a file whose bytes, or whose structure, are not what a shard has.
+        raise CatalogueFileError(path, f"cannot be read as a shard ({type(error).__name__}: {error})") from error
+
+
+def write_arrays(
+    path: str | Path,
+    arrays: Mapping[str, NDArray[Any]],
+    *,
+    units: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | float | int | bool | tuple[str, ...]] | None = None,
+) -> None:
+    """Write named arrays, as of a simulation: time histories, spectra, and what they are.
+
+    The file takes its name only when it is complete.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; an old one is replaced.
+    arrays : mapping of str to ndarray
+        Numbers, or text (links, channels), each becomes a dataset.
+    units : mapping of str to str, optional
+        Unit of a dataset, stored as its attribute ``unit``; several units, one a column, are separated by commas.
+    attributes : mapping, optional
+        Attributes of the file: status, settings, versions, machine.
+
+    Raises
+    ------
+    CatalogueFileError
+        The file cannot be written.
+    """
+    with _LOCK, h5py.File.in_memory(track_order=True) as file:
+        for name, array in arrays.items():
+            if np.asarray(array).dtype.kind in "UO":
+                dataset = file.create_dataset(name, data=np.asarray(array, dtype=object), dtype=_TEXT)
+            else:
+                large = np.asarray(array).nbytes > 65536
+                options: dict[str, Any] = {"compression": "gzip", "shuffle": True} if large else {}
+                dataset = file.create_dataset(name, data=array, **options)
+            if units and name in units:
+                dataset.attrs["unit"] = units[name]
+        for name, value in (attributes or {}).items():
+            file.attrs[name] = np.array(value, dtype=_TEXT) if isinstance(value, tuple) else value
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    publish(Path(path), image)
+
+
+def read_arrays(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read what :func:`write_arrays` wrote.
+
+    Returns
+    -------
+    arrays : dict of str to ndarray
+        Datasets of the file's root.
+    attributes : dict of str to object
+        Attributes of the file; lists of text are tuples.
+
+    Raises
+    ------
+    CatalogueFileError
+        The file cannot be read, or is no HDF5 file.
+    """
+    path = Path(path)
+    try:
+        with _LOCK, h5py.File(path, "r") as file:
+            arrays = {
+                name: item.asstr()[()] if h5py.check_string_dtype(item.dtype) else item[()]
+                for name, item in file.items()
+                if isinstance(item, h5py.Dataset)
+            }
+            attributes = {
+                name: tuple(map(str, value)) if isinstance(value, np.ndarray) and value.dtype.kind == "O" else value
+                for name, value in file.attrs.items()
+            }
+    except OSError as error:
+        raise CatalogueFileError(path, f"cannot be read as HDF5 ({' '.join(str(error).split())})") from error
+    return arrays, attributes

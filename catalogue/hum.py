@@ -1,0 +1,270 @@
+"""Mains hum and other steady lines between the orders: found, weighed against the orders next to them, taken out.
+
+A steady line keeps its phase against the clock, an order keeps its phase against the drive's angle, which wanders.
+Around each suspected frequency both are fitted together; the line goes only when it explains far more than chance
+would. So hum is told from an order even where the two are closer than the recording resolves.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+import scipy.ndimage
+
+from catalogue.drivespeed import SpeedTrack
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+#: Mains frequencies of the world [Hz], how far they stray, which multiples betray them, how many are then looked at.
+MAINS = (50.0, 60.0)
+MAINS_STRAY = 0.2
+STRAY_USUAL = 0.15  # of that, the usual deviation
+FIRST_MULTIPLES = (1, 2)
+MULTIPLES = 6
+#: Least distance of a line from an order, in cycles over the recording, for the two to be told apart; more at high
+#: orders, whose phase is known less well.
+LEAST_SEPARATION = 0.2
+SEPARATION_PER_ORDER = 0.002
+#: A line less than a cycle from an order must have at least this share of its amplitude: orders are not that steady.
+LEAST_SHARE = 0.1
+#: A line goes when the sum over channels of (its power / what chance would give) exceeds this much a channel, plus
+#: this much.
+GAIN_A_CHANNEL = 6.0
+GAIN_ON_TOP = 6.0
+#: More for higher multiples, where orders are dense, and for lines at no particular frequency.
+MULTIPLES_FACTOR = 2.0
+SEARCH_FACTOR = 5.0
+SEARCH_UP_TO = 1000.0
+SEARCH_LINES = 8
+#: Fewest revolutions that tell a line from an order.
+LEAST_REVOLUTIONS = 3.0
+#: Long recordings are taken in stretches [s], as the mains frequency drifts.
+STRETCH = 30.0
+#: Windows: one revolution of Hann, so that all orders but the neighbours fall on zeros; four a revolution.
+WINDOWS_PER_REVOLUTION = 4
+#: Independent windows among them: the noise bandwidth of a Hann window is 1.5 lines.
+INDEPENDENT = 1.5 / WINDOWS_PER_REVOLUTION
+#: Samples a cycle, and a revolution, that are kept to look at a frequency.
+SAMPLES_PER_CYCLE = 16.0
+SAMPLES_PER_REVOLUTION = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyLine:
+    """A line that was taken out.
+
+    Parameters
+    ----------
+    frequency : float
+        Hz.
+    amplitude : (c,) array
+        Peak amplitude in each channel [unit]; the mean over stretches.
+    mains : float or None
+        The mains frequency it is a multiple of.
+    """
+
+    frequency: float
+    amplitude: FloatArray
+    mains: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """A signal without the lines.
+
+    Parameters
+    ----------
+    signal : (n, c) array
+    lines : tuple of SteadyLine
+    """
+
+    signal: FloatArray
+    lines: tuple[SteadyLine, ...]
+
+
+def remove_hum(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) -> Cleaned:
+    """Take steady lines out of a signal.
+
+    Parameters
+    ----------
+    signal : (n, c) array
+    sample_rate : float
+        Hz.
+    track : SpeedTrack
+        Course of the drive speed in this recording.
+
+    Returns
+    -------
+    Cleaned
+        The signal is a copy; orders are untouched.
+    """
+    values = np.array(signal, dtype=np.float64)
+    count = max(1, math.ceil(len(values) / sample_rate / STRETCH))
+    borders = np.linspace(0, len(values), count + 1).round().astype(int)
+    found: dict[tuple[float, float | None], list[FloatArray]] = {}
+    for first, last in itertools.pairwise(borders):
+        stretch = _Stretch(values[first:last], sample_rate, first / sample_rate, track)
+        for line in stretch.clean():
+            # Stretches find slightly different frequencies of one line.
+            known = [key for key in found if abs(key[0] - line.frequency) < 2 * MAINS_STRAY and key[1] == line.mains]
+            found.setdefault(known[0] if known else (line.frequency, line.mains), []).append(line.amplitude)
+    lines = tuple(
+        SteadyLine(frequency, np.sum(amplitudes, axis=0) / count, mains)
+        for (frequency, mains), amplitudes in sorted(found.items())
+    )
+    return Cleaned(values, lines)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    line: SteadyLine
+    half_amplitude: ComplexArray
+    gain: float
+
+
+class _Stretch:
+    """A stretch of the signal, cleaned in place."""
+
+    def __init__(self, values: FloatArray, sample_rate: float, start: float, track: SpeedTrack) -> None:
+        self.values = values
+        self.rate = sample_rate
+        self.time = np.arange(len(values)) / sample_rate
+        speed = np.interp(start + self.time, track.time, track.speed)
+        self.angle = np.concatenate([[0.0], np.cumsum(speed[:-1])]) / sample_rate
+        self.turn = float(speed.mean()) / (2.0 * math.pi)
+        self.duration = len(values) / sample_rate
+
+    def clean(self) -> list[SteadyLine]:
+        """Take out mains lines of the stronger family, then others."""
+        if self.duration * self.turn < LEAST_REVOLUTIONS:
+            return []
+        removed = []
+        families = [self._fit(mains * m, MAINS_STRAY * m, mains, 1.0) for mains in MAINS for m in FIRST_MULTIPLES]
+        best = max((fit for fit in families if fit is not None), key=lambda fit: fit.gain, default=None)
+        if best is not None:
+            mains = best.line.mains
+            assert mains is not None
+            # The multiples of a line that was found lie where they must.
+            actual = best.line.frequency / round(best.line.frequency / mains)
+            for multiple in range(1, MULTIPLES + 1):
+                factor = 1.0 if multiple in FIRST_MULTIPLES else MULTIPLES_FACTOR
+                removed.append(self._fit(multiple * actual, 0.0, mains, factor))
+                self._take_out(removed[-1])
+        for frequency in self._suspects():
+            removed.append(self._fit(frequency, 0.5 / self.duration, None, SEARCH_FACTOR))
+            self._take_out(removed[-1])
+        return [fit.line for fit in removed if fit is not None]
+
+    def _take_out(self, fit: _Fit | None) -> None:
+        if fit is not None:
+            wave = np.exp(2j * math.pi * fit.line.frequency * self.time)
+            self.values -= 2.0 * (wave[:, None] * fit.half_amplitude).real
+
+    def _fit(self, frequency: float, stray: float, mains: float | None, factor: float) -> _Fit | None:
+        """Fit a line and the orders around it; None when the line is not there or cannot be told from an order."""
+        if frequency + 2.0 * self.turn > 0.5 * self.rate:
+            return None
+        baseband, middle = self._baseband(frequency)
+        centre = frequency / self.turn
+        orders = np.arange(max(1, math.ceil(centre - 1.99)), math.floor(centre + 1.99) + 1)
+        angle = np.interp(middle, self.time, self.angle)
+        turning = np.exp(1j * (np.outer(angle, orders) - 2.0 * math.pi * frequency * middle[:, None]))
+        offset = self._offset(baseband, turning, middle, frequency, stray, orders)
+        if offset is None:
+            return None
+        model = np.column_stack([np.exp(2j * math.pi * offset * middle), turning])
+        inverse = np.linalg.pinv(model)
+        weights = inverse @ baseband
+        residual = baseband - model @ weights
+        freedom = max(1.0, INDEPENDENT * len(middle) - model.shape[1])
+        variance = (np.abs(residual) ** 2).sum(axis=0) * INDEPENDENT / freedom
+        chance = variance * float(np.sum(np.abs(inverse[0]) ** 2)) / INDEPENDENT
+        power = np.abs(weights[0]) ** 2
+        gain = float((power / np.maximum(chance, np.finfo(np.float64).tiny)).sum())
+        if gain < factor * (GAIN_A_CHANNEL * len(power) + GAIN_ON_TOP):
+            return None
+        if orders.size:
+            nearest = int(np.argmin(np.abs(orders * self.turn - frequency - offset)))
+            unresolved = abs(orders[nearest] * self.turn - frequency - offset) * self.duration < 1.0
+            if unresolved and power.sum() < LEAST_SHARE**2 * float((np.abs(weights[1 + nearest]) ** 2).sum()):
+                return None
+        return _Fit(SteadyLine(frequency + offset, 2.0 * np.abs(weights[0]), mains), weights[0], gain)
+
+    def _baseband(self, frequency: float) -> tuple[ComplexArray, FloatArray]:
+        """Complex amplitude at a frequency in every window, (windows, c), and the windows' middles [s]."""
+        # Means of blocks will do for low frequencies; what they lose at the frequency itself is known.
+        block = max(1, int(self.rate / max(SAMPLES_PER_CYCLE * frequency, SAMPLES_PER_REVOLUTION * self.turn)))
+        count = len(self.values) // block
+        thin = self.values[: count * block].reshape(count, block, -1).mean(axis=1)
+        thin /= np.sin(math.pi * frequency * block / self.rate) / (block * math.sin(math.pi * frequency / self.rate))
+        thin -= thin.mean(axis=0)
+        rate = self.rate / block
+        time = (np.arange(count) + 0.5 * (1.0 - 1.0 / block)) / rate
+        turned = thin * np.exp(-2j * math.pi * frequency * time)[:, None]
+        # Windows overlap by three quarters: weigh every quarter once for each place in a window, then add up.
+        # The window is exactly one revolution wide, or loud low orders would not fall on its zeros. What leaks of them
+        # folds onto the order next to the line, as windows follow each other by a quarter of a revolution.
+        revolution = rate / self.turn
+        hop = round(revolution / WINDOWS_PER_REVOLUTION)
+        place = (np.arange(WINDOWS_PER_REVOLUTION * hop) + 0.5 - 0.5 * WINDOWS_PER_REVOLUTION * hop) / revolution
+        window = np.where(np.abs(place) < 0.5, np.cos(math.pi * place) ** 2, 0.0)
+        window /= window.sum()
+        quarters = turned[: count // hop * hop].reshape(count // hop, hop, -1)
+        parts = np.einsum("mhc,qh->qmc", quarters, window.reshape(WINDOWS_PER_REVOLUTION, hop))
+        windows = count // hop - WINDOWS_PER_REVOLUTION + 1
+        baseband = sum(parts[q, q : q + windows] for q in range(1, WINDOWS_PER_REVOLUTION)) + parts[0, :windows]
+        middle = time[0] + ((np.arange(windows) + 0.5 * WINDOWS_PER_REVOLUTION) * hop - 0.5) / rate
+        return np.asarray(baseband, dtype=np.complex128), np.asarray(middle, dtype=np.float64)
+
+    def _offset(
+        self,
+        baseband: ComplexArray,
+        turning: ComplexArray,
+        middle: FloatArray,
+        frequency: float,
+        stray: float,
+        orders: npt.NDArray[np.int_],
+    ) -> float | None:
+        """Distance of the line from where it was suspected [Hz], None when it cannot be told from an order."""
+        step = 0.05 / self.duration
+        offsets = np.arange(-math.floor(stray / step), math.floor(stray / step) + 1) * step
+        distance = np.abs(frequency + offsets[:, None] - orders * self.turn).min(axis=1, initial=math.inf)
+        offsets = offsets[distance * self.duration >= LEAST_SEPARATION + SEPARATION_PER_ORDER * frequency / self.turn]
+        if not offsets.size:
+            return None
+        # Project the orders out of both the signal and the line, or offsets next to an order would look best.
+        basis, _ = np.linalg.qr(turning)
+        rest = baseband - basis @ (basis.conj().T @ baseband)
+        waves = np.exp(-2j * math.pi * np.outer(offsets, middle))
+        left = len(middle) - (np.abs(waves @ basis) ** 2).sum(axis=1)
+        total = np.maximum((np.abs(rest) ** 2).sum(axis=0), 1e-300)
+        explained = np.abs(waves @ rest) ** 2 / np.maximum(left, 1e-9)[:, None] / total
+        likelihood = -INDEPENDENT * len(middle) * np.log(np.maximum(1.0 - explained, 1e-12)).sum(axis=1)
+        usual = max(STRAY_USUAL * stray, step)
+        return float(offsets[np.argmax(likelihood - 0.5 * (offsets / usual) ** 2)])
+
+    def _suspects(self) -> Iterable[float]:
+        """Frequencies [Hz] of sharp peaks that are no order, nor a half, third or quarter of one."""
+        length = scipy.fft.next_fast_len(len(self.values), real=True)
+        window = np.hanning(len(self.values))[:, None]
+        spectrum = scipy.fft.rfft((self.values - self.values.mean(axis=0)) * window, length, axis=0)
+        lines = min(len(spectrum), int(min(SEARCH_UP_TO, 0.4 * self.rate) * length / self.rate))
+        power = np.abs(spectrum[:lines]) ** 2
+        scale = np.median(power, axis=0)
+        level = (power / np.where(scale > 0, scale, 1.0)).sum(axis=1)
+        frequency = np.arange(lines) * self.rate / length
+        floor = scipy.ndimage.median_filter(level, size=2 * int(2.0 * self.turn * self.duration) + 1)
+        order = frequency / self.turn
+        away = np.min([np.abs(order * n - np.round(order * n)) / n for n in (2, 3, 4)], axis=0) * self.turn
+        peaks = np.zeros(lines, dtype=bool)
+        peaks[1:-1] = (level[1:-1] >= level[:-2]) & (level[1:-1] > level[2:])
+        peaks &= (level > 100.0 * floor) & (away * self.duration > 1.5) & (order > 0.5)
+        chosen = np.flatnonzero(peaks)
+        return [float(f) for f in frequency[chosen[np.argsort(-level[chosen])][:SEARCH_LINES]]]

@@ -1,0 +1,145 @@
+"""How a text file writes its table: delimiter, decimal sign, where the numbers begin."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+#: Not numbers to compute with, but a cell of a table of numbers all the same.
+_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
+_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+
+#: Lines that must read as numbers, one after the other, before a table is believed to begin.
+_CONVINCING = 3
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """Delimiter (a blank stands for any run of blanks) and decimal sign."""
+
+    delimiter: str
+    decimal: str
+
+    @property
+    def words(self) -> str:
+        """For a report: "columns divided by semicolons, decimal comma"."""
+        decimal = "comma" if self.decimal == "," else "point"
+        return f"columns divided by {_NAMES[self.delimiter]}, decimal {decimal}"
+
+    def split(self, line: str) -> list[str]:
+        """Fields of a line, stripped, quotes taken off; an empty field at the end (a trailing delimiter) is dropped."""
+        if self.delimiter == " ":
+            return line.split()
+        text = line.strip("\r\n")
+        raw = text.split(self.delimiter)
+        if '"' in text:
+            # A field of more than 128 KiB is an error: no table, whatever the quotes mean.
+            with contextlib.suppress(csv.Error):
+                raw = next(csv.reader([text], delimiter=self.delimiter), [""])
+        fields = [field.strip() for field in raw]
+        if len(fields) > 1 and not fields[-1]:
+            fields.pop()
+        return fields
+
+    def number(self, field: str) -> float | None:
+        """Value of a field, or None when it is not a finite number."""
+        plain = field.replace(",", ".") if self.decimal == "," else field
+        return float(plain) if _NUMBER.fullmatch(plain) else None
+
+    def is_cell(self, field: str) -> bool:
+        """Whether a field may stand in a table of numbers: a number, or a NaN or infinity (refused later by name)."""
+        return self.number(field) is not None or _NOT_FINITE.fullmatch(field) is not None
+
+
+DIALECTS = tuple(Dialect(delimiter, decimal) for delimiter in ";\t|, " for decimal in ".," if delimiter != decimal)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where a table stands in a file.
+
+    Parameters
+    ----------
+    dialect : Dialect
+    first : int
+        Index of the first line of numbers.
+    columns : int
+        Fields a line.
+    """
+
+    dialect: Dialect
+    first: int
+    columns: int
+
+
+def find_layout(lines: Sequence[str]) -> Layout | None:
+    """Dialect and beginning of the table in the first lines of a file.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        The first few hundred lines are enough.
+
+    Returns
+    -------
+    Layout or None
+        The dialect that makes some lines in a row a table of numbers, by preference one whose fields are as many in the
+        line above (the header), then the one with most columns. None when no dialect does.
+    """
+    best: tuple[tuple[bool, int, int], Layout] | None = None
+    for preference, dialect in enumerate(DIALECTS):
+        layout = _table_of(lines, dialect)
+        if layout is None:
+            continue
+        header = header_line(lines, layout)
+        rank = (header is not None, layout.columns, -preference)
+        if best is None or rank > best[0]:
+            best = (rank, layout)
+    return None if best is None else best[1]
+
+
+def header_line(lines: Sequence[str], layout: Layout) -> int | None:
+    """Index of the line right above the table (blank lines aside), if it has as many fields as the table."""
+    for index in range(layout.first - 1, -1, -1):
+        if lines[index].strip():
+            return index if len(header_fields(lines[index], layout)) == layout.columns else None
+    return None
+
+
+def header_fields(line: str, layout: Layout) -> list[str]:
+    """Fields of a header line; a comment sign before them does not count.
+
+    Between blanks, "time [s]" is two words: there, labels are told apart by two blanks, a tab or a closing bracket.
+    """
+    text = line.strip().lstrip("#%/").strip() if is_comment(line) else line.strip()
+    fields = layout.dialect.split(text)
+    if layout.dialect.delimiter == " " and len(fields) != layout.columns:
+        fields = [part.strip() for part in re.split(r"\s{2,}|\t|(?<=[\])])\s+", text) if part.strip()]
+    return fields
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line is a comment: it begins with #, % or //."""
+    return line.lstrip().startswith(("#", "%", "//"))
+
+
+def _table_of(lines: Sequence[str], dialect: Dialect) -> Layout | None:
+    first, columns, found = 0, 0, 0
+    for index, line in enumerate(lines):
+        if not line.strip() or is_comment(line):
+            continue
+        fields = dialect.split(line)
+        if all(map(dialect.is_cell, fields)):
+            if found and len(fields) == columns:
+                found += 1
+            else:
+                first, columns, found = index, len(fields), 1
+            if found == _CONVINCING:
+                return Layout(dialect, first, columns)
+        else:
+            found = 0
+    return None

@@ -1,0 +1,127 @@
+"""Which column of a recording is which sensor of the machine, and what of the frame's motion the sensors see."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.errors import MeasurementError
+from catalogue.measurement import Measurement
+from solver.machine import Machine
+from solver.sensor import rigid_body, sensor_transform
+from solver.spectrum import DERIVATIVES
+
+MOTIONS = ("x", "y", "theta")
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMap:
+    """Columns of a recording and the frame's motion.
+
+    Parameters
+    ----------
+    columns : tuple of int, (s,)
+        Columns of the recording that are used.
+    sensors : tuple of str, (s,)
+        The machine's sensors they are.
+    transform : (s, 3) array
+        ``signal = transform @ [ax, ay, alpha]``, accelerations.
+    compared : tuple of str, (c,)
+        What is compared with a catalogue: the frame's free motions where the sensors see them all, else the sensors.
+    channels : (c, s) array
+        ``compared = channels @ signal``: least squares, or the identity.
+    derivatives : tuple of int, (s,)
+        How many times each column is to be differentiated to be an acceleration.
+    warnings : tuple of str
+    """
+
+    columns: tuple[int, ...]
+    sensors: tuple[str, ...]
+    transform: npt.NDArray[np.float64]
+    compared: tuple[str, ...]
+    channels: npt.NDArray[np.float64]
+    derivatives: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def rigid_body(self) -> bool:
+        """Whether motions of the frame are compared, not sensors."""
+        return self.compared != self.sensors
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the compared channels, (c,)."""
+        rotation = MOTIONS[2]
+        return tuple("rad/s2" if self.rigid_body and name == rotation else "m/s2" for name in self.compared)
+
+
+def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str, str] | None = None) -> SensorMap:
+    """Match columns of a recording to sensors of a machine.
+
+    Parameters
+    ----------
+    measurement : Measurement
+    machine : Machine
+    mapping : mapping of column to sensor, optional
+        Columns not in it are matched by name; capitals, blanks, hyphens and underscores do not count.
+
+    Returns
+    -------
+    SensorMap
+
+    Raises
+    ------
+    MeasurementError
+        When nothing matches or the mapping names what is not there; the message lists columns and sensors.
+    """
+    wanted = dict(mapping or {})
+    names = measurement.channel_names
+    sensors = {sensor.name: sensor for sensor in machine.sensors}
+    lists = f"columns: {', '.join(names)}; sensors of {machine.name}: {', '.join(sensors) or 'none'}"
+    frame = machine.links[machine.frame]
+    free = [] if frame.fixed else [index for index, motion in enumerate(MOTIONS) if motion not in frame.locked]
+    if not free:
+        raise MeasurementError(
+            measurement.name, rule=f"the frame of {machine.name} cannot move: sensors on it see nothing"
+        )
+    for column, sensor in wanted.items():
+        if column not in names:
+            raise MeasurementError(measurement.name, None, column, rule=f"is mapped but not in the recording; {lists}")
+        if sensor not in sensors:
+            raise MeasurementError(measurement.name, None, column, sensor, f"is not a sensor; {lists}")
+    found: dict[str, int] = {}
+    plain = {_plain(name): name for name in sensors}
+    for index, name in enumerate(names):
+        matched = wanted.get(name) or (
+            plain.get(_plain(name)) if plain.get(_plain(name)) not in wanted.values() else None
+        )
+        if matched is None:
+            continue
+        if matched in found:
+            rule = f"is the second column for sensor {matched}; {lists}"
+            raise MeasurementError(measurement.name, None, name, rule=rule)
+        found[matched] = index
+    if not found:
+        raise MeasurementError(measurement.name, rule=f"no column is a sensor; {lists}; map them: COLUMN=SENSOR")
+    unused = [name for index, name in enumerate(names) if index not in found.values()]
+    warnings = [f"columns not used, as they are no sensor of {machine.name}: {', '.join(unused)}"] if unused else []
+    chosen = [sensors[name] for name in found]
+    transform = sensor_transform([s.at for s in chosen], [s.direction for s in chosen], frame.cg)
+    body = rigid_body(transform[:, free])
+    if body.inverse is not None:
+        compared, channels = tuple(MOTIONS[index] for index in free), body.inverse
+    else:
+        compared, channels = tuple(found), np.eye(len(found))
+        warnings.append("the sensors do not see all motions of the frame: they are compared one by one")
+    columns = tuple(found.values())
+    quantities = [measurement.channels[column].quantity for column in columns]
+    derivatives = tuple(DERIVATIVES["acceleration"] - DERIVATIVES[quantity] for quantity in quantities)
+    return SensorMap(columns, tuple(found), transform, compared, channels, derivatives, tuple(warnings))
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s_\-.]+", "", name).casefold()

@@ -1,0 +1,258 @@
+"""Checking a catalogue against its checksums, and making its index agree with its files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from catalogue.cross_power import pack, unpack
+from catalogue.directory import CatalogueDirectory, sha256_of
+from catalogue.entry import Entry
+from catalogue.errors import CatalogueError, CatalogueFileError, CatalogueMismatchError
+from catalogue.hdf5 import decode_shard
+from catalogue.index import Index
+from catalogue.keys import entry_key
+from catalogue.manifest import Manifest
+from catalogue.shard import OK, Shard
+from solver.errors import MachineError
+from solver.machine import parse_machine
+
+__all__ = ["Finding", "VerifyReport", "verify"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that was not in order.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What was wrong.
+    action : str
+        What was done about it.
+    """
+
+    path: Path
+    what: str
+    action: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.what}; {self.action}"
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """What a check found.
+
+    Parameters
+    ----------
+    shards, entries, failed : int
+        Sound shards, entries in them, and those of the entries whose status is not ok.
+    findings : tuple of Finding
+        What was wrong; empty for a catalogue in order. Everything in it has been repaired or put aside.
+    lost_entries : int
+        Entries that the index knew and no sound shard holds; building again computes them.
+    """
+
+    shards: int
+    entries: int
+    failed: int
+    findings: tuple[Finding, ...]
+    lost_entries: int
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing was wrong."""
+        return not self.findings
+
+
+def verify(directory: str | Path) -> VerifyReport:
+    """Check every shard and every entry of a catalogue, and repair its index and its manifest from the shards.
+
+    A shard that does not match its checksum, cannot be read, belongs elsewhere, or holds numbers that cannot be, is
+    moved to ``quarantine``; nothing is deleted but the leftovers of interrupted writing.
+
+    Parameters
+    ----------
+    directory : str or Path
+        The catalogue's folder.
+
+    Returns
+    -------
+    VerifyReport
+
+    Raises
+    ------
+    CatalogueFileError
+        There is no catalogue, or its files cannot be read or written.
+    CatalogueMismatchError
+        It has another schema version.
+    CatalogueBusyError
+        A build is running there.
+    """
+    layout = CatalogueDirectory(Path(directory))
+    if not layout.manifest.exists() and not layout.shards.is_dir():
+        raise CatalogueFileError(layout.root, "is not a catalogue: it has no manifest.json and no shards")
+    with layout.locked():
+        return _Check(layout).run()
+
+
+class _Check:
+    """One check under way."""
+
+    def __init__(self, layout: CatalogueDirectory) -> None:
+        self._layout = layout
+        self._findings: list[Finding] = []
+
+    def run(self) -> VerifyReport:
+        leftovers = self._layout.remove_temporaries()
+        if leftovers:
+            self._note(self._layout.root, f"{leftovers} unfinished files of an interrupted build", "deleted")
+        manifest = self._manifest()
+        sound: dict[str, Shard] = {}
+        sizes: dict[str, int] = {}
+        for name in self._layout.shard_names():
+            path = self._layout.shard(name)
+            try:
+                content = path.read_bytes()
+                manifest = self._checked(name, path, content, manifest, sound, sizes)
+            except OSError as error:
+                raise CatalogueFileError(path, f"cannot be read ({error.strerror or error})") from error
+        if manifest is None:
+            raise CatalogueFileError(self._layout.manifest, "is missing, and no shard tells what it should say")
+        lost = self._repair_index(sound, sizes)
+        keys = {key: status for shard in sound.values() for key, status in zip(shard.key, shard.status, strict=True)}
+        failed = sum(status != OK for status in keys.values())
+        return VerifyReport(len(sound), len(keys), failed, tuple(self._findings), lost)
+
+    def _note(self, path: Path, what: str, action: str) -> None:
+        self._findings.append(Finding(path, what, action))
+
+    def _manifest(self) -> Manifest | None:
+        """The manifest; None if it must be made again from a shard."""
+        path = self._layout.manifest
+        try:
+            return Manifest.read(self._layout)
+        except CatalogueMismatchError:
+            raise
+        except CatalogueFileError as error:
+            if path.exists():
+                aside = self._layout.move_to_quarantine(path)
+                self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
+            return None
+
+    def _checked(
+        self,
+        name: str,
+        path: Path,
+        content: bytes,
+        manifest: Manifest | None,
+        sound: dict[str, Shard],
+        sizes: dict[str, int],
+    ) -> Manifest | None:
+        """Sort one shard into the sound ones or out of the way; the first sound one stands in for a lost manifest."""
+        try:
+            if sha256_of(content) != name:
+                raise CatalogueFileError(path, "does not match its checksum")
+            shard = decode_shard(content, path)
+            _check_content(shard, path)
+            if manifest is None:
+                manifest = Manifest.of_shard(shard.header, datetime.now(UTC).isoformat(timespec="seconds"))
+                manifest.write(self._layout)
+                self._note(self._layout.manifest, "was missing or damaged", "made again from the shards")
+            header = shard.header
+            if (header.machine, header.recipe) != (manifest.machine_content, manifest.recipe):
+                raise CatalogueFileError(path, "belongs to another machine or other settings")
+        except CatalogueFileError as error:
+            aside = self._layout.move_to_quarantine(path)
+            self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
+        else:
+            sound[name], sizes[name] = shard, len(content)
+        return manifest
+
+    def _repair_index(self, sound: dict[str, Shard], sizes: dict[str, int]) -> int:
+        """Make the index say what the sound shards hold; returns how many entries it knew that are nowhere now."""
+        path = self._layout.index
+        is_new = not path.exists()
+        index: Index | None = None
+        try:
+            index = Index(path)
+            if not is_new and not index.is_sound():
+                raise CatalogueFileError(path, "is a damaged database")
+        except CatalogueFileError as error:
+            if index is not None:
+                index.close()
+            aside = self._layout.move_to_quarantine(path)
+            self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}, made again from the shards")
+            index, is_new = Index(path), True
+        else:
+            if is_new and sound:
+                self._note(path, "is missing", "made again from the shards")
+        with index:
+            known, before = index.shards(), index.places()
+            gone = sorted(set(known) - set(sound))
+            for name in gone:
+                if not self._was_noted(name):
+                    self._note(self._layout.shard(name), "is missing", "its entries were taken out of the index")
+            new = sorted(set(sound) - set(known))
+            wrong = [name for name in sound if name in known and not _agrees(name, sound[name], before)]
+            if new and not is_new:
+                self._note(path, f"did not know {len(new)} shards", "entered them")
+            if wrong:
+                self._note(path, f"did not agree with {len(wrong)} shards", "entered them again")
+            index.remove_shards([*gone, *wrong])
+            for name in sorted([*new, *wrong]):
+                index.add_shard(name, sizes[name], sound[name])
+            return len(set(before) - set(index.places()))
+
+    def _was_noted(self, name: str) -> bool:
+        return any(finding.path == self._layout.shard(name) for finding in self._findings)
+
+
+def _agrees(name: str, shard: Shard, places: dict[str, tuple[str, int]]) -> bool:
+    """Whether the index has every entry of a shard there, or in another shard that holds it, too."""
+    return all(key in places and (places[key][0] != name or places[key][1] == i) for i, key in enumerate(shard.key))
+
+
+def _check_content(shard: Shard, path: Path) -> None:
+    """Refuse a shard whose numbers cannot be, whatever its checksum says."""
+    count, spectra = shard.count, shard.power.shape[0]
+    bands = shard.header.recipe.scheme.count
+    if shard.power.shape != (spectra, bands, 9) or shard.spread_db.shape != (spectra, bands, 3):
+        raise CatalogueFileError(path, "has spectra of another shape than its bands ask for")
+    columns = ("hypothesis", "status", "message", "clearance", "parameters", "draw", "segments", "row", "drive_speed")
+    if any(len(getattr(shard, column)) != count for column in (*columns, "transient", "seconds")):
+        raise CatalogueFileError(path, "has columns of different lengths")
+    if not (np.isfinite(shard.power).all() and np.isfinite(shard.spread_db).all() and (shard.spread_db >= 0).all()):
+        raise CatalogueFileError(path, "holds a number that is not finite, or a negative spread")
+    if not (shard.power[..., :3] >= 0).all():
+        raise CatalogueFileError(path, "holds a negative power")
+    if not np.array_equal(pack(unpack(shard.power)), shard.power):
+        raise CatalogueFileError(path, "holds cross-powers that do not read back")
+    good = np.array([status == OK for status in shard.status], dtype=bool)
+    if not np.array_equal(np.sort(shard.row[good]), np.arange(spectra)) or (shard.row[~good] != -1).any():
+        raise CatalogueFileError(path, "has entries whose spectrum is missing")
+    _check_keys(shard, path)
+
+
+def _check_keys(shard: Shard, path: Path) -> None:
+    """Make every key again from what it stands for."""
+    try:
+        machine = parse_machine(shard.header.machine, str(path))
+        for position in range(shard.count):
+            entry: Entry = shard.entry(position)
+            content = shard.header.recipe.content
+            key = entry_key(machine.content_key, entry.fault, entry.parameters, content, shard.header.solver_version)
+            if key != entry.key:
+                raise CatalogueFileError(path, f"entry {entry.key[:12]} does not match its key")
+    except MachineError as error:
+        raise CatalogueFileError(path, f"has a machine that cannot be read ({error.rule})") from None
+    except CatalogueFileError:
+        raise
+    except CatalogueError as error:
+        raise CatalogueFileError(path, f"holds a number that is not finite ({error})") from None

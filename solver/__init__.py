@@ -1,0 +1,5 @@
+"""Dynamics of planar machines with clearance in their joints."""
+
+from __future__ import annotations
+
+__version__ = "0.1.0"

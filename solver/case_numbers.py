@@ -1,0 +1,68 @@
+"""Parameters of a case: expanded to full paths, and held to the bounds of the machine file."""
+
+from __future__ import annotations
+
+import math
+
+from solver.errors import MachineError
+from solver.fields import nearest
+from solver.history import Case
+from solver.machine import Machine
+from solver.numbers import CONTACT_NUMBERS, contact_path
+
+_CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
+#: Shorthand for all joints with clearance.
+SHORTHANDS = (*_CONTACT, "pin_radius")
+#: Last part of paths whose numbers must be greater than 0, and of those that must not be negative.
+_POSITIVE = ("mass", "inertia", "friction_velocity")
+_NOT_NEGATIVE = ("damping", "friction", "viscous", "pin_radius", "stiffness", "free_length")
+
+
+def _check(machine: Machine, path: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise MachineError(machine.name, path, value, "must be finite")
+    parts = path.split(".")
+    name = parts[-2] if parts[-1].isdigit() and len(parts) > 1 else parts[-1]
+    contact_stiffness = name == "stiffness" and "contact" in parts
+    if (name in _POSITIVE or contact_stiffness) and value <= 0:
+        raise MachineError(machine.name, path, value, "must be greater than 0")
+    if name in _NOT_NEGATIVE and value < 0:
+        raise MachineError(machine.name, path, value, "must not be negative")
+    return float(value)
+
+
+def full_paths(machine: Machine, case: Case) -> dict[str, float]:
+    """Parameters of a case by full path, and its clearances.
+
+    Numbers of a contact that is closed in this case, and the viscous resistance of a joint that has clearance, have no
+    effect there and are left out.
+
+    Parameters
+    ----------
+    machine : Machine
+    case : Case
+
+    Raises
+    ------
+    MachineError
+        An unknown path, or a value outside the bounds of the machine file.
+    """
+    values: dict[str, float] = {}
+    for path, given in case.parameters.items():
+        value = _check(machine, path, given)
+        first, _, rest = path.partition(".")
+        joint, _, number = rest.partition(".")
+        if path in SHORTHANDS:
+            for worn in case.fault.joints:
+                values.setdefault(contact_path(worn, path.rpartition(".")[2]), value)
+        elif first == "joints" and joint in machine.turning_joints:
+            if number not in (*SHORTHANDS, "viscous"):
+                rule = f"no such number{nearest(number, [*SHORTHANDS, 'viscous'])}"
+                raise MachineError(machine.name, path, given, rule)
+            if (joint in case.fault) != (number == "viscous"):
+                values[path] = value
+        else:
+            values[path] = value
+    for joint, clearance in case.fault.items():
+        values[contact_path(joint, "clearance")] = clearance
+    return values

@@ -1,0 +1,170 @@
+"""Runge-Kutta-Gill with fixed steps: the paper's integrator.
+
+Fourth order, with Gill's running correction q of the rounding error (S. Gill, Proc. Camb. Phil. Soc. 47, 1951). Each of
+the four stages is
+
+    d = a (h f(y) - b q);  y <- y + d;  q <- q + 3 d - c h f(y_old)
+
+with a = 1/2, 1 - sqrt(1/2), 1 + sqrt(1/2), 1/6; b = 2, 1, 1, 2; c = a, but 1/2 in the last stage.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from solver.ir import LANES, Block
+from solver.layout import Layout
+
+#: Sum of coordinates and velocities (absolute, SI) beyond which a case counts as diverged: no machine is that fast.
+DIVERGED = 1e8
+#: Correction of a coordinate (m, rad) that is not believed: where closures lose their rank for an instant it is noise.
+LOST = 1e-3
+#: Unbelieved corrections one after the other with which the closures count as lost.
+PATIENCE = 20
+
+_ROOT = math.sqrt(0.5)
+#: (a, b, c, time of the stage's result in steps)
+_STAGES = (
+    (0.5, 2.0, 0.5, 0.5),
+    (1.0 - _ROOT, 1.0, 1.0 - _ROOT, None),
+    (1.0 + _ROOT, 1.0, 1.0 + _ROOT, 1.0),
+    (1.0 / 6.0, 2.0, 0.5, None),
+)
+
+
+def gill_step(layout: Layout) -> str:
+    """One step as vector code: ``void gill(double* work)``, with the first right-hand side evaluated already."""
+    block = Block()
+    n = layout.size
+    rows = [layout.rows(start, n) for start in (layout.z, layout.v, layout.a)]
+    scratch = layout.rows(layout.scratch, 2 * n)
+    h, t = block.load(layout.step), block.load(layout.time)
+    for stage, (a, b, c, time) in enumerate(_STAGES):
+        # Coordinates first: their rate is the velocity that the second pass overwrites.
+        for y, f, q in ((rows[0], rows[1], scratch[:n]), (rows[1], rows[2], scratch[n:])):
+            for i in range(n):
+                k = block.mul(h, block.load(f[i]))
+                kept = block.load(q[i])
+                d = block.mul(block.constant(a), block.fma(block.constant(-b), kept, k))
+                block.store(y[i], block.add(block.load(y[i]), d))
+                kept = block.fma(block.constant(3.0), d, kept)
+                block.store(q[i], block.fma(block.constant(-c), k, kept))
+        if time is not None:
+            block.store(layout.time, block.fma(block.constant(time), h, t))
+        if stage < 3:
+            block.statement("call void @rhs(ptr %w)")
+    return block.function("gill")
+
+
+def _call(typing_context: Any, address: Any, work: Any) -> Any:
+    """Call ``void f(double*)`` at an address with the data of the work array."""
+    signature = types.void(types.int64, work)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[1])(context, builder, arguments[1])
+        kind = ir.FunctionType(ir.VoidType(), [array.data.type])
+        builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), [array.data])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+#: ``call(address, work)`` inside compiled code.
+call: Any = intrinsic(_call)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def integrate(
+    kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, start: float, h: float, substeps: int,
+    record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Integrate one group of lanes with a fixed step and record samples.
+
+    Parameters
+    ----------
+    kernel : tuple of int
+        Addresses of the kernel's ``prepare``, ``rhs``, ``gill`` and ``project``; the last 0 for none.
+    w : (total,) array
+        Work array with parameters, coordinates and velocities at the start.
+    n : int
+        Number of coordinates.
+    start, h : float
+        Time of the first sample and step, s.
+    substeps : int
+        Steps from sample to sample; closures are restored at every sample.
+    record : (r,) array of int
+        Offsets of the rows to record.
+    out : (LANES, r, samples) array
+        Filled in.
+    broken : (LANES,) array of int
+        First sample at which a lane was no longer finite, else -1; filled in.
+
+    Notes
+    -----
+    Compiled without the fast-math flags of the right-hand side: this is where non-finite numbers are looked for.
+    """
+    prepare, rhs, gill, project = kernel
+    samples = out.shape[2]
+    call(prepare, w)
+    before = np.zeros(2 * n * LANES)
+    lost = np.zeros(LANES, dtype=np.int64)
+    for lane in range(LANES):
+        broken[lane] = -1
+        w[LANES + lane] = h
+    for i in range(LANES * (2 + 3 * n), LANES * (2 + 5 * n)):
+        w[i] = 0.0  # nothing to correct yet
+    for s in range(samples):
+        for lane in range(LANES):
+            w[lane] = start + s * substeps * h
+        call(rhs, w)
+        alive = 0
+        for lane in range(LANES):
+            size = 0.0
+            for i in range(2, 2 + 2 * n):
+                size += abs(w[i * LANES + lane])
+            for i in range(2 + 2 * n, 2 + 3 * n):
+                size += 0.0 * w[i * LANES + lane]  # nothing, or no number
+            if broken[lane] < 0:
+                if size < DIVERGED and lost[lane] < PATIENCE:
+                    alive += 1
+                else:
+                    broken[lane] = max(0, s - lost[lane])
+        for r in range(record.size):
+            for lane in range(LANES):
+                out[lane, r, s] = w[record[r] + lane]
+        if alive == 0 or s + 1 == samples:
+            return
+        for k in range(substeps):
+            if k > 0:
+                for lane in range(LANES):
+                    w[lane] = start + (s * substeps + k) * h
+                call(rhs, w)
+            call(gill, w)
+        if project != 0:
+            before[:] = w[2 * LANES : (2 + 2 * n) * LANES]
+            call(project, w)
+            for lane in range(LANES):
+                moved = 0.0
+                for i in range(n):
+                    moved += abs(w[(2 + i) * LANES + lane] - before[i * LANES + lane])
+                if moved < LOST:  # false for a correction that is no number
+                    lost[lane] = 0
+                else:
+                    lost[lane] += 1
+                    for i in range(2 * n):
+                        w[(2 + i) * LANES + lane] = before[i * LANES + lane]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def repeat(kernel: tuple[int, int, int, int], w: NDArray[np.float64], count: int) -> None:
+    """The right-hand side alone, `count` times; for benchmarks."""
+    call(kernel[0], w)
+    for _ in range(count):
+        call(kernel[1], w)

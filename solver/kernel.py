@@ -1,0 +1,158 @@
+"""Models to kernels: machine code that evaluates eight cases side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from solver import native
+from solver.dopri import StepRows, dopri_step
+from solver.emit import straight_line
+from solver.gill import gill_step
+from solver.ir import DECLARATIONS, LANES
+from solver.layout import Layout
+from solver.model import Model
+
+_ALIGNMENT = 64  # bytes: a row never straddles two cache lines
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A compiled model.
+
+    Attributes
+    ----------
+    layout : Layout
+        Where everything is in the work array.
+    functions : tuple of int
+        Addresses of ``void f(double* work)``: ``prepare`` (what depends on the parameters alone), the right-hand side,
+        one step of the method, and ``project``, the correction of coordinates and velocities that restores the
+        closures (0 where nothing is to close).
+    operations : int
+        Vector operations of one right-hand side.
+    key : str
+        SHA-256 of code, processor and compiler.
+    """
+
+    layout: Layout
+    functions: tuple[int, int, int, int]
+    operations: int
+    key: str
+
+    def work_array(self) -> NDArray[np.float64]:
+        """A zeroed, aligned work array."""
+        spare = _ALIGNMENT // 8
+        raw = np.zeros(self.layout.total + spare)
+        skip = (-raw.ctypes.data % _ALIGNMENT) // 8
+        return raw[skip : skip + self.layout.total]
+
+
+@dataclass(frozen=True)
+class KernelCode:
+    """LLVM assembly of a model, before compilation."""
+
+    text: str
+    layout: Layout
+    operations: int
+    constrained: bool
+
+
+def _simplified(name: str, symbols: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
+    """A function after elimination of common subexpressions."""
+    return ca.Function(name, symbols, [ca.densify(out) for out in ca.cse(outputs)])
+
+
+def _code(
+    model: Model, layout: Layout, name: str, symbols: list[ca.SX], inputs: list[list[int]], outputs: list[ca.SX],
+    targets: list[list[int]], step: str,
+) -> KernelCode:  # fmt: skip
+    """Right-hand side `name`, projection, ``prepare`` and one step of a method."""
+    right = straight_line(_simplified(name, symbols, outputs), inputs, targets, fixed_input=3, hoist_at=layout.hoist)
+    functions = [right.body.function(name)]
+    prepare, slots = right.hoisted, right.hoist_slots
+    constrained = bool(model.kinematics.closures)
+    if constrained:
+        # Velocities at the corrected pose: else a residual of gap times speed stays in them.
+        dz, _ = model.projection.call(symbols[:4])
+        _, dv = model.projection.call([symbols[0], model.z + dz, *symbols[2:4]])
+        project = straight_line(
+            _simplified("project", symbols[:4], [model.z + dz, model.v + dv]), inputs[:4], inputs[1:3],
+            fixed_input=3, hoist_at=layout.hoist + LANES * slots,
+        )  # fmt: skip
+        functions.append(project.body.function("project"))
+        prepare.lines += project.hoisted.lines
+        slots += project.hoist_slots
+    functions += [prepare.function("prepare"), step]
+    text = "\n".join([DECLARATIONS, *functions])
+    return KernelCode(text, replace(layout, hoisted=slots), right.body.operations, constrained)
+
+
+def kernel_code(model: Model) -> KernelCode:
+    """Print a model for Runge-Kutta-Gill: ``prepare``, ``rhs``, ``gill`` and ``project``."""
+    n, k = model.size, len(model.parameters)
+    layout = Layout(n, k)
+    symbols = [model.t, model.z, model.v, model.p]
+    inputs = [[layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k)]
+    return _code(
+        model, layout, "rhs", symbols, inputs, [model.acceleration], [layout.rows(layout.a, n)], gill_step(layout)
+    )
+
+
+def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> KernelCode:
+    """Print a model for error-controlled steps: ``prepare``, ``held``, ``dopri`` and ``project``.
+
+    Parameters
+    ----------
+    model : Model
+    scales : sequence of float
+        Sizes of coordinates and velocities that errors are compared with; 2 n numbers.
+    recorded : tuple of int
+        Coordinates with dense output.
+    """
+    n, k, contacts = model.size, len(model.parameters), len(model.contacts)
+    layout = Layout(n, k, extra=StepRows.count(n, contacts, len(recorded)))
+    rows = StepRows(layout, contacts, recorded)
+    symbols = [model.t, model.z, model.v, model.p, model.touching]
+    inputs = [
+        [layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k),
+        layout.rows(rows.touching, contacts),
+    ]  # fmt: skip
+    outputs, targets = [model.held_acceleration], [layout.rows(layout.a, n)]
+    if contacts:
+        for start, name in ((rows.switch, "switch"), (rows.penetration, "penetration"), (rows.approach, "approach")):
+            outputs.append(ca.vertcat(*(getattr(contact, name) for contact in model.contacts)))
+            targets.append(layout.rows(start, contacts))
+    return _code(model, layout, "held", symbols, inputs, outputs, targets, dopri_step(rows, scales))
+
+
+def _compiled(code: KernelCode, names: tuple[str, str]) -> Kernel:
+    address = native.load(code.text)
+    project = address("project") if code.constrained else 0
+    functions = (address("prepare"), address(names[0]), address(names[1]), project)
+    return Kernel(code.layout, functions, code.operations, native.content_key(code.text))
+
+
+def compile_model(model: Model) -> Kernel:
+    """Compile a model for Runge-Kutta-Gill, or load it from the disk cache.
+
+    Raises
+    ------
+    SettingsError
+        The cache directory cannot be used.
+    """
+    return _compiled(kernel_code(model), ("rhs", "gill"))
+
+
+def compile_adaptive(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> Kernel:
+    """Compile a model for error-controlled steps, see :func:`adaptive_code`.
+
+    Raises
+    ------
+    SettingsError
+        The cache directory cannot be used.
+    """
+    return _compiled(adaptive_code(model, scales, recorded), ("held", "dopri"))

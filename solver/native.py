@@ -1,0 +1,117 @@
+"""LLVM assembly to machine code for this processor, kept on disk by content."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import threading
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import cast
+
+import llvmlite
+import llvmlite.binding as llvm
+import platformdirs
+
+from solver.errors import SettingsError
+
+_DIGEST = hashlib.sha256().digest_size
+
+
+def cache_directory() -> Path:
+    """Where compiled kernels are kept: ``JOINTPLAY_CACHE_DIR`` or the user's cache directory."""
+    configured = os.environ.get("JOINTPLAY_CACHE_DIR")
+    base = Path(configured) if configured else Path(platformdirs.user_cache_dir("jointplay"))
+    return base / "kernels"
+
+
+@cache
+def _processor() -> tuple[str, str]:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+
+
+def _target_machine() -> llvm.TargetMachine:
+    name, features = _processor()
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(cpu=name, features=features, opt=3, codemodel="jitdefault", jit=True)
+
+
+def content_key(text: str) -> str:
+    """SHA-256 over the code, the processor it is compiled for and the compiler."""
+    parts = (text, *_processor(), llvmlite.__version__, str(llvm.llvm_version_info))
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _compile(text: str) -> bytes:
+    module = llvm.parse_assembly(text)
+    module.verify()
+    machine = _target_machine()
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    builder.getModulePassManager().run(module, builder)
+    return bytes(machine.emit_object(module))
+
+
+def _read(path: Path) -> bytes | None:
+    """Object code, or ``None`` where there is none or a damaged one (it is then compiled again)."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    digest, code = content[:_DIGEST], content[_DIGEST:]
+    return code if hashlib.sha256(code).digest() == digest else None
+
+
+def _publish(path: Path, code: bytes) -> None:
+    """Write under another name, then rename: two processes that compile the same kernel cannot meet half a file."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(hashlib.sha256(code).digest() + code)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def object_code(text: str) -> bytes:
+    """Machine code of LLVM assembly, from the disk cache where it is there.
+
+    Raises
+    ------
+    SettingsError
+        The cache directory cannot be used.
+    """
+    directory = cache_directory()
+    path = directory / f"{content_key(text)}.o"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        code = _read(path)
+        if code is None:
+            code = _compile(text)
+            _publish(path, code)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SettingsError(f"kernel cache {directory} cannot be used ({reason}); set JOINTPLAY_CACHE_DIR") from error
+    return code
+
+
+_engines: dict[str, llvm.ExecutionEngine] = {}
+_loading = threading.Lock()
+
+
+def load(text: str) -> Callable[[str], int]:
+    """Load LLVM assembly into this process; returns what gives the address of a function by name."""
+    key = content_key(text)
+    with _loading:
+        if key not in _engines:
+            code = object_code(text)
+            engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
+            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+            engine.finalize_object()
+            _engines[key] = engine
+        engine = _engines[key]
+    return cast("Callable[[str], int]", engine.get_function_address)

@@ -1,0 +1,189 @@
+"""From a case to numbers: lane parameters, start, transient, step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.drive import drive_rates
+from solver.errors import AssemblyError, MachineError, SettingsError
+from solver.history import Settings
+from solver.machine import Machine, RotationDrive, TranslationDrive
+from solver.model import Model, build_model
+from solver.pose import check_closures, start_pose, start_velocity, walk
+from solver.steps import (
+    BETWEEN_IMPACTS,
+    STEP_RULES,
+    contact_mobility,
+    largest_step,
+    smooth_eigenvalues,
+    suspension_modes,
+    transient_time,
+)
+
+Array = NDArray[np.float64]
+
+#: Longest run, steps or samples of one case: refused beyond, so that a mistyped duration does not run for days.
+MOST_STEPS = 2_000_000_000
+#: Most memory for one kind of record (displacement, say) of one case.
+MOST_BYTES = 2e9
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A case with its lane parameters, start and step.
+
+    Attributes
+    ----------
+    index : int
+        Place in the table of cases.
+    vector : list of float
+        Lane parameters in kernel order.
+    z, v : (n,) arrays
+        Start.
+    speed : float
+        What revolutions are counted by, rad/s; 0 where nothing repeats.
+    transient : float
+        s.
+    remark : str
+        Where the transient rule does not hold.
+    duration : float
+        s.
+    longest_step : float
+        What the rules of :mod:`solver.steps` allow at the asked accuracy, s.
+    smooth_step : float
+        Longest step that resolves suspension and drive, contacts apart, s.
+    """
+
+    index: int
+    vector: list[float]
+    z: Array
+    v: Array
+    speed: float
+    transient: float
+    remark: str
+    duration: float
+    longest_step: float
+    smooth_step: float
+
+
+@lru_cache(maxsize=64)
+def model_of(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    """The model of a machine with clearance in `joints`, the numbers `varying` as lane parameters; kept."""
+    return build_model(machine, joints, varying)
+
+
+@lru_cache(maxsize=64)
+def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    """The model with its drive standing, same coordinates."""
+    drive = machine.drive
+    if isinstance(drive, RotationDrive):
+        drive = drive.model_copy(update={"speed": 0.0, "ripple": ()})
+    elif isinstance(drive, TranslationDrive):
+        drive = drive.model_copy(update={"speed": 0.0, "harmonics": ()})
+    kept = tuple(path for path in varying if not path.startswith("drive."))
+    return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
+
+
+@lru_cache(maxsize=64)
+def mobility_of(machine: Machine, joints: tuple[str, ...]) -> dict[str, float]:
+    """Contact mobilities of the machine as filed, over twelve poses; also refuses what cannot be assembled."""
+    drive, speed = machine.drive, 1.0
+    if isinstance(drive, RotationDrive):
+        # One turn at a speed of 1, whatever the drive does in time.
+        speeds = [speed for _, speed in drive.speed] if isinstance(drive.speed, tuple) else [drive.speed]
+        speed = math.copysign(1.0, max(speeds, key=abs))
+        drive = drive.model_copy(update={"speed": speed, "ripple": ()})
+    model = build_model(machine.model_copy(update={"drive": drive}), joints)
+    values = model.vector({})
+    poses = walk(model, values, speed)
+    return contact_mobility(model, poses[:: max(1, len(poses) // 12)], values)
+
+
+@dataclass(frozen=True)
+class _Smooth:
+    """Motions between impacts: eigenvalues of all, 1/s, and the modes of the suspension under the rigid machine."""
+
+    eigenvalues: Array
+    suspension: tuple[complex, ...]
+
+
+@lru_cache(maxsize=1024)
+def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
+    """Of the machine without clearances, its drive standing, with the given numbers by path."""
+    model = _standing(machine, (), tuple(path for path, _ in values))
+    p = model.vector(dict(values))
+    suspension = suspension_modes(model, p)
+    try:
+        check_closures(model, p)
+    except AssemblyError:
+        # Redundant while nothing is worn (a healthy case was refused before): rigid on its supports, it still moves.
+        return _Smooth(np.array(suspension), tuple(suspension))
+    return _Smooth(smooth_eigenvalues(model, p), tuple(suspension))
+
+
+def prepare(
+    machine: Machine, model: Model, mobility: dict[str, float], index: int, values: dict[str, float],
+    varying: tuple[str, ...], settings: Settings,
+) -> Prepared:  # fmt: skip
+    """Work out everything a run needs.
+
+    Parameters
+    ----------
+    machine : Machine
+    model : Model
+    mobility : dict of str to float
+        Of its clearance joints, 1/kg.
+    index : int
+        Place in the table of cases.
+    values : dict of str to float
+        Parameters by full path.
+    varying : tuple of str
+        Those that are neither contact numbers nor the drive speed.
+    settings : Settings
+
+    Raises
+    ------
+    MachineError
+        A parameter that the machine does not have.
+    AssemblyError
+        No start pose, or contradicting velocities.
+    SettingsError
+        A run of absurd length.
+    """
+    complete = {path: values.get(path, model.nominal[path]) for path in model.parameters}
+    unknown = set(values) - set(complete)
+    if unknown:
+        raise MachineError(machine.name, min(unknown), values[min(unknown)], "this machine has no such number")
+    vector = model.vector(complete)
+    standing = _standing(machine, model.clearance_joints, varying)
+    still = standing.vector(complete)
+    z = start_pose(standing, still)
+    joints = model.clearance_joints
+    v = start_velocity(model, vector, z)
+    motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(path, joints)))
+    speed, fastest = drive_rates(machine, complete)
+    transient, remark = transient_time(motions.suspension, speed)
+    duration = settings.duration
+    if duration is None:
+        duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)
+    rule = STEP_RULES[settings.accuracy]
+    longest = settings.step or largest_step(rule, mobility, complete, motions.eigenvalues, fastest)
+    smooth = largest_step(BETWEEN_IMPACTS, {}, complete, motions.eigenvalues, fastest)
+    recorded = model.size if settings.links else 3
+    if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
+        too_much = f"{duration * settings.sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
+        raise SettingsError(f"duration: {duration:g} s: {too_much}; take a lower sample rate")
+    if duration * max(settings.sample_rate, 1 / longest) > MOST_STEPS:
+        too_long = f"needs more than {MOST_STEPS:.0e} steps of {min(longest, 1 / settings.sample_rate):.3g} s"
+        raise SettingsError(f"duration: {duration:g} s: {too_long}")
+    return Prepared(index, vector, z, v, speed, transient, remark, duration, longest, smooth)
+
+
+def _is_smooth(path: str, joints: tuple[str, ...]) -> bool:
+    """Whether a number has to do with the motions between impacts, not with a contact or the drive."""
+    return not path.startswith("drive.") and not any(path.startswith(f"joints.{joint}.") for joint in joints)

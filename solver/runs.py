@@ -1,0 +1,213 @@
+"""Groups of prepared cases through a kernel: recorded motion of some coordinates, by either method."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver import adaptive, gill, sampling
+from solver.history import Settings, Status
+from solver.ir import LANES
+from solver.kernel import Kernel, compile_adaptive, compile_model
+from solver.machine import Machine, RotationDrive, TranslationDrive
+from solver.model import Model
+from solver.preparation import Prepared, model_of
+
+Array = NDArray[np.float64]
+
+#: Recorded samples per sample asked for; at least 2 so that nothing folds below 0.4 of the sample rate.
+OVERSAMPLING = 2
+#: Scaled error of a step that each level of accuracy allows; chosen from measured harmonic errors, ``docs/solver.md``.
+TOLERANCES = {"draft": 1e-5, "standard": 1e-6, "reference": 1e-9}
+#: Cases per revolution of the queue of lanes are bounded by the memory of their records, bytes.
+_RECORD_BYTES = 256e6
+#: Longest step where nothing else bounds it, s.
+_LONGEST_STEP = 0.1
+#: Trial steps of a case, in multiples of the fixed steps it would take, after which it counts as stalled.
+_PATIENCE = 100
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was recorded of one case.
+
+    Attributes
+    ----------
+    case : Prepared
+    status : Status
+    message : str
+        For a status other than ok.
+    z, v, a : (r, samples) arrays
+        Recorded coordinates, their velocities and accelerations: at the sample rate, the velocities at
+        :data:`OVERSAMPLING` times that. Of a case that failed, the samples before.
+    step : float
+        s; the mean of an error-controlled run.
+    seconds : float
+        Processor time.
+    """
+
+    case: Prepared
+    status: Status
+    message: str
+    z: Array
+    v: Array
+    a: Array
+    step: float
+    seconds: float
+
+
+def _samples(case: Prepared, settings: Settings) -> int:
+    """Recorded samples: to the end, and what the filter needs beyond."""
+    return round(case.duration * settings.sample_rate) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
+
+
+def _round_number(count: int) -> int:
+    """Next of 1, 2, 3, 4, 6, 8, 12, 16, 24 ...: few different steps fill the lanes."""
+    power = 1 << max(0, count - 1).bit_length()
+    return 3 * power // 4 if power >= 4 and 3 * power // 4 >= count else power
+
+
+@lru_cache(maxsize=64)
+def _gill_kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Kernel:
+    return compile_model(model_of(machine, joints, varying))
+
+
+def gill_runs(
+    machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
+    settings: Settings,
+) -> Iterator[Run]:  # fmt: skip
+    """Runge-Kutta-Gill with fixed steps.
+
+    Cases with equal steps run side by side: no result depends on which other cases are in the table.
+
+    Parameters
+    ----------
+    machine, model, varying
+        As :func:`solver.preparation.model_of`.
+    prepared : sequence of Prepared
+    recorded : sequence of int
+        Coordinates to record.
+    settings : Settings
+    """
+    kernel = _gill_kernel(machine, model.clearance_joints, varying)
+    equal: dict[int, list[Prepared]] = defaultdict(list)
+    for case in sorted(prepared, key=lambda case: case.duration):
+        steps = math.ceil(1 / (OVERSAMPLING * settings.sample_rate * case.longest_step) - 1e-9)
+        equal[_round_number(steps)].append(case)
+    for substeps, same in equal.items():
+        for first in range(0, len(same), LANES):
+            yield from _gill_group(model, kernel, same[first : first + LANES], recorded, substeps, settings)
+
+
+def _gill_group(
+    model: Model, kernel: Kernel, lanes: Sequence[Prepared], recorded: Sequence[int], substeps: int, settings: Settings
+) -> Iterator[Run]:
+    """Up to eight cases side by side; lanes left over repeat the last one."""
+    began = time.process_time()
+    layout = kernel.layout
+    work = kernel.work_array()
+    for lane in range(LANES):
+        case = lanes[min(lane, len(lanes) - 1)]
+        for start, column in ((layout.z, case.z), (layout.v, case.v), (layout.p, case.vector)):
+            work[start + lane : start + lane + LANES * len(column) : LANES] = column
+    rate = settings.sample_rate * OVERSAMPLING
+    h = 1 / (rate * substeps)
+    counts = [_samples(case, settings) for case in lanes]
+    rows = [start + LANES * i for start in (layout.z, layout.v, layout.a) for i in recorded]
+    out = np.zeros((LANES, len(rows), max(counts)))
+    broken = np.zeros(LANES, dtype=np.int64)
+    record = np.array(rows, dtype=np.int64)
+    gill.integrate(kernel.functions, work, model.size, 0.0, h, substeps, record, out, broken)
+    spent = (time.process_time() - began) / len(lanes)
+    for lane, case in enumerate(lanes):
+        status, message, reached = Status.OK, "", counts[lane]
+        if 0 <= broken[lane] < reached:
+            status, reached = Status.DIVERGED, int(broken[lane])
+            message = (
+                f"diverged at {reached / rate:.6g} s with steps of {h:.3g} s; try a higher accuracy or a smaller step"
+            )
+        z, v, a = np.split(out[lane, :, :reached], 3)
+        yield Run(case, status, message, z[:, ::OVERSAMPLING], v, a[:, ::OVERSAMPLING], h, spent)
+
+
+def _scales(machine: Machine, model: Model) -> list[float]:
+    """Sizes of coordinates (the machine's extent, a radian) and of velocities (those at the drive's angular speed)."""
+    points = [joint.at for joint in machine.joints.values()] + [link.cg for link in machine.links.values()]
+    extent = max((math.dist(p, q) for p in points for q in points), default=0.0) or 1.0
+    drive, rate = machine.drive, 0.0
+    if isinstance(drive, RotationDrive | TranslationDrive):
+        speeds = [drive.speed] if isinstance(drive.speed, float) else [speed for _, speed in drive.speed]
+        rate = max(abs(speed) for speed in speeds) / (1.0 if isinstance(drive, RotationDrive) else extent)
+        if isinstance(drive, TranslationDrive):
+            rate = max(rate, *(2 * math.pi * h.frequency for h in drive.harmonics), 0.0)
+    rate = max(rate, math.sqrt(abs(machine.gravity) / extent), 1.0)
+    sizes = [1.0 if name.startswith("theta(") else extent for name in model.kinematics.names]
+    return [*sizes, *(size * rate for size in sizes)]
+
+
+@lru_cache(maxsize=64)
+def _adaptive_kernel(
+    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
+) -> Kernel:
+    model = model_of(machine, joints, varying)
+    return compile_adaptive(model, _scales(machine, model), recorded)
+
+
+def adaptive_runs(
+    machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
+    settings: Settings,
+) -> Iterator[Run]:  # fmt: skip
+    """Dormand-Prince steps under error control, contacts located; parameters as :func:`gill_runs`."""
+    kernel = _adaptive_kernel(machine, model.clearance_joints, varying, tuple(recorded))
+    queue = sorted(prepared, key=lambda case: case.duration)
+    while queue:
+        size = 2 * len(recorded) * _samples(queue[-1], settings) * 8
+        together = int(_RECORD_BYTES / max(size, 1))
+        together = max(1, together if together < LANES else together // LANES * LANES)
+        yield from _adaptive_group(machine, model, kernel, queue[-together:], recorded, settings)
+        del queue[-together:]
+
+
+def _adaptive_group(
+    machine: Machine, model: Model, kernel: Kernel, cases: Sequence[Prepared], recorded: Sequence[int],
+    settings: Settings,
+) -> Iterator[Run]:  # fmt: skip
+    began = time.process_time()
+    rate = settings.sample_rate * OVERSAMPLING
+    tolerance = settings.rtol or TOLERANCES[settings.accuracy]
+    extent = min(scale for scale in _scales(machine, model)[: model.size] or [1.0])
+    counts = np.array([_samples(case, settings) for case in cases], dtype=np.int64)
+    most_samples = int(counts.max())
+    velocities = np.zeros((len(cases), len(recorded), most_samples))
+    reduced = (len(cases), len(recorded), -(-most_samples // OVERSAMPLING))
+    coordinates, accelerations = np.zeros(reduced), np.zeros(reduced)
+    outcome, reached, accepted = (np.zeros(len(cases), dtype=np.int64) for _ in range(3))
+    longest = np.array([min(case.smooth_step, _LONGEST_STEP) for case in cases])
+    first = np.minimum(longest, np.array([case.longest_step for case in cases]))
+    most = np.array([_PATIENCE * (1000 + case.duration / case.longest_step) for case in cases]).astype(np.int64)
+    adaptive.integrate(
+        kernel.functions, kernel.work_array(), model.size, len(model.contacts), np.array(recorded, dtype=np.int64),
+        kernel.layout.p // LANES, np.array([np.concatenate([case.z, case.v]) for case in cases]),
+        np.array([case.vector for case in cases]).reshape(len(cases), -1), counts, 1 / rate, tolerance,
+        min(1e-8, 0.01 * tolerance * extent), first, longest, most, OVERSAMPLING, coordinates, velocities,
+        accelerations, outcome, reached, accepted,
+    )  # fmt: skip
+    spent = (time.process_time() - began) / len(cases)
+    for i, case in enumerate(cases):
+        samples = int(reached[i])
+        whole = -(-samples // OVERSAMPLING)
+        z, v, a = coordinates[i, :, :whole], velocities[i, :, :samples], accelerations[i, :, :whole]
+        status, message = Status.OK, ""
+        if outcome[i] != adaptive.OK:
+            diverged = outcome[i] == adaptive.DIVERGING
+            status = Status.DIVERGED if diverged else Status.STEP_TOO_SMALL
+            what = "diverged" if diverged else "no step was small enough"
+            message = f"{what} at {samples / rate:.6g} s; try another tolerance, or `gill` with a small step"
+        yield Run(case, status, message, z, v, a, samples / rate / max(int(accepted[i]), 1), spent)

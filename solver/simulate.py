@@ -1,0 +1,139 @@
+"""A table of cases to histories of the frame: grouped by model, eight lanes at a time."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver import sampling
+from solver.case_numbers import full_paths
+from solver.errors import AssemblyError
+from solver.fault import check_fault
+from solver.history import Case, History, Settings, Status
+from solver.links import link_motion
+from solver.machine import Machine
+from solver.model import Model
+from solver.numbers import contact_paths
+from solver.preparation import Prepared, mobility_of, model_of, prepare
+from solver.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
+
+Array = NDArray[np.float64]
+
+__all__ = ["Case", "History", "Settings", "Status", "check_assembly", "simulate", "simulate_batch"]
+
+
+def check_assembly(machine: Machine) -> None:
+    """Refuse a machine that cannot be assembled at some angle of its drive.
+
+    Raises
+    ------
+    AssemblyError
+        Names the angle and the joint that stays open.
+    """
+    mobility_of(machine, ())
+
+
+def simulate(machine: Machine, case: Case | None = None, settings: Settings | None = None) -> History:
+    """Simulate one case; see :func:`simulate_batch`."""
+    return simulate_batch(machine, [case or Case()], settings)[0]
+
+
+def simulate_batch(
+    machine: Machine, cases: Sequence[Case], settings: Settings | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[History]:  # fmt: skip
+    """Simulate a table of cases.
+
+    Parameters
+    ----------
+    machine : Machine
+    cases : sequence of Case
+        Any mixture of fault states and parameters; grouped by clearance joints and by step inside.
+    settings : Settings, optional
+    progress : callable, optional
+        Called with the number of cases done after each of them.
+
+    Returns
+    -------
+    list of History
+        In the order of the cases. What fails numerically has a status, not an exception.
+
+    Raises
+    ------
+    MachineError
+        A fault or a parameter that the machine does not have, or something the solver does not model.
+    SettingsError
+        Settings that cannot be met.
+    """
+    settings = settings or Settings()
+    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple[int, dict[str, float]]]] = defaultdict(list)
+    for index, case in enumerate(cases):
+        check_fault(case.fault, machine)
+        values = full_paths(machine, case)
+        contact = {path for joint in case.fault.joints for path in contact_paths(machine, joint)}
+        varying = tuple(sorted(path for path in values if path not in contact and path != "drive.speed"))
+        groups[case.fault.joints, varying].append((index, values))
+    results: dict[int, History] = {}
+    for (joints, varying), members in groups.items():
+        try:
+            mobility = mobility_of(machine, joints)
+        except AssemblyError as error:
+            for index, _ in members:
+                results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+            continue
+        model = model_of(machine, joints, varying)
+        ready: list[Prepared] = []
+        for index, values in members:
+            try:
+                ready.append(prepare(machine, model, mobility, index, values, varying, settings))
+            except AssemblyError as error:
+                results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+        recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
+        runs = gill_runs if settings.integrator == "gill" else adaptive_runs
+        for run in runs(machine, model, varying, ready, recorded, settings):
+            index = run.case.index
+            results[index] = _history(cases[index], model, run, recorded, settings)
+            if progress is not None:
+                progress(len(results))
+    return [results[index] for index in range(len(cases))]
+
+
+def _failed(case: Case, status: Status, message: str, settings: Settings) -> History:
+    empty = np.zeros((0, 3))
+    return History(
+        case, status, message, np.zeros(0), empty, empty, empty, empty, settings.sample_rate, 0.0, 0.0, 0.0, 0.0
+    )
+
+
+def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: Settings) -> History:
+    """Frame motion at the sample rate from what was recorded above it."""
+    wanted = round(run.case.duration * settings.sample_rate) + 1
+    count = min(wanted, run.z.shape[1])
+    rows = [(column, recorded.index(i)) for column, i in enumerate(model.frame_indices) if i is not None]
+    motions = []
+    for motion in (run.z, run.v[:, ::OVERSAMPLING], run.a):
+        columns = np.zeros((count, 3))
+        for column, row in rows:
+            columns[:, column] = motion[row, :count]
+        motions.append(columns)
+    smooth = np.zeros((count, 3))
+    if count and rows:
+        needed = (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
+        velocity = run.v[[row for _, row in rows], :needed]
+        if velocity.shape[1] < needed:  # a failed case ends early: hold its last velocity
+            velocity = np.pad(velocity, ((0, 0), (0, needed - velocity.shape[1])), mode="edge")
+        rate = settings.sample_rate * OVERSAMPLING
+        limited = sampling.band_limited_acceleration(velocity, rate, OVERSAMPLING)
+        smooth[:, [column for column, _ in rows]] = limited.T[:count]
+    t = np.arange(count) / settings.sample_rate
+    links = None
+    if settings.links:
+        z, v = run.z[:, :count].T, run.v[:, ::OVERSAMPLING][:, :count].T
+        links = link_motion(model, run.case.vector, t, z, v)
+    return History(
+        case, run.status, run.message or run.case.remark, t, motions[0], motions[1], motions[2], smooth,
+        settings.sample_rate, run.case.transient, run.case.speed, run.step, run.seconds, links,
+    )  # fmt: skip

@@ -1,0 +1,58 @@
+"""A small real catalogue of the slider-crank, built once, and a service over it."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from filelock import FileLock
+from small_service import PLAN, serving
+
+from app.settings import Settings
+from catalogue.build import build
+from catalogue.plan import parse_plan
+from solver.machine import shipped_machine
+
+RECORDINGS = Path(__file__).parent.parent / "data" / "recordings"
+
+
+@pytest.fixture(scope="session")
+def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder that holds one catalogue, ``slider-crank``; test processes share it."""
+    folder = tmp_path_factory.getbasetemp()
+    if folder.name.startswith("popen-"):
+        folder = folder.parent
+    folder = folder / "shelf"
+    with FileLock(folder.with_suffix(".lock")):
+        build(shipped_machine("slider-crank"), parse_plan(PLAN), folder / "slider-crank", workers=2)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def settings(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Settings:
+    """Settings of a small service."""
+    data = tmp_path_factory.mktemp("data")
+    return Settings(catalogues=shelf, data=data, max_upload_mb=3.0, time_limit_s=60.0, workers=1)
+
+
+@pytest.fixture(scope="session")
+def server(settings: Settings) -> Iterator[str]:
+    """Address of the running service."""
+    with serving(settings) as address:
+        yield address
+
+
+@pytest.fixture(scope="session")
+def client(server: str) -> Iterator[httpx.Client]:
+    """A client of the running service."""
+    with httpx.Client(base_url=server, timeout=90) as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def worn() -> bytes:
+    """A recording, as CSV, of a slider-crank whose joint B has 150 um of radial clearance."""
+    return gzip.decompress((RECORDINGS / "slider-crank-02.csv.gz").read_bytes())

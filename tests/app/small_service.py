@@ -1,0 +1,54 @@
+"""A service over a small catalogue, and recordings with something wrong in them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import uvicorn
+
+from app.main import create_app
+from app.settings import Settings
+
+PLAN = {
+    "name": "tests",
+    "clearance": {"low": "30 um", "high": "0.8 mm", "count": 12, "jitter": 1.0},
+    "draws": 6,
+    "healthy_draws": 36,
+    "seconds": 1.0,
+}
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[str]:
+    """Run a real server in a thread; gives its address."""
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), port=0, log_level="warning"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    deadline = time.monotonic() + 30
+    while not server.started:
+        assert thread.is_alive() and time.monotonic() < deadline, "the server did not start"
+        time.sleep(0.02)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    try:
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        server.should_exit = True
+        thread.join(30)
+
+
+def spoiled(recording: bytes, kind: str) -> bytes:
+    """A recording with something wrong in it."""
+    lines = recording.decode().splitlines()
+    if kind == "short":
+        return "\n".join(lines[:40]).encode()
+    if kind == "slow":
+        return "\n".join([lines[0], *lines[1::200]]).encode()
+    if kind == "spectrum":
+        return "\n".join(["frequency [Hz],s1-x [m/s2]", *(f"{k},{0.001 * k}" for k in range(1, 2000))]).encode()
+    fields = lines[300].split(",")
+    fields[2] = {"no number": "abc", "nan": "nan"}[kind]
+    lines[300] = ",".join(fields)
+    return "\n".join(lines).encode()

@@ -1,0 +1,192 @@
+"""The page in a real browser: from an upload to a verdict, on a wide and a narrow screen."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, Response, expect, sync_playwright
+from small_service import spoiled
+
+CHROMIUM = "/usr/bin/chromium"
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+SECONDS = 60_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield running
+        running.close()
+
+
+class Visit:
+    """A page under watch: whatever its console complains of, and whatever it loads from elsewhere, fails the test."""
+
+    def __init__(self, context: BrowserContext, server: str) -> None:
+        self.complaints: list[str] = []
+        self.hosts: set[str] = set()
+        self.page: Page = context.new_page()
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", lambda message: self._heard(message.type, message.text))
+        self.page.on("response", self._loaded)
+        self.page.goto(server)
+
+    def _heard(self, kind: str, text: str) -> None:
+        # The browser itself notes every answer with an error status; the tests ask about those on purpose.
+        if kind in ("error", "warning") and "responded with a status of" not in text:
+            self.complaints.append(text)
+
+    def _loaded(self, response: Response) -> None:
+        self.hosts.add(urlsplit(response.url).netloc)
+
+
+@pytest.fixture(params=[(1280, 900, "light"), (360, 740, "dark")], ids=["wide", "narrow"])
+def visit(request: pytest.FixtureRequest, browser: Browser, server: str) -> Iterator[Visit]:
+    width, height, scheme = request.param
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+    context.set_default_timeout(SECONDS)
+    visit = Visit(context, server)
+    yield visit
+    assert visit.complaints == []
+    assert visit.hosts == {urlsplit(server).netloc}
+    context.close()
+
+
+@pytest.fixture(scope="module")
+def recording(worn: bytes, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("upload") / "worn.csv"
+    path.write_bytes(worn)
+    return path
+
+
+def is_within_screen(page: Page) -> bool:
+    wide: bool = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    return wide
+
+
+def test_from_upload_to_verdict(visit: Visit, recording: Path) -> None:
+    page = visit.page
+    assert is_within_screen(page)
+    page.get_by_label("Recording", exact=True).set_input_files(recording)
+    page.get_by_label("Effort").select_option("fast")
+    page.get_by_role("button", name="Diagnose").click()
+    expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
+    expect(page).to_have_url(re.compile(r"/diagnoses/[0-9a-f]{32}$"))
+    assert is_within_screen(page)
+    assert page.locator("#result tbody th").first.inner_text() == "B"
+    coloured = page.locator("#result .joint-B [fill^='rgb']")
+    expect(coloured).to_have_count(1)
+    charts = page.locator(".chart canvas")
+    expect(charts).to_have_count(3)
+    drawn = "canvas => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(v => v > 0)"
+    assert all(canvas.evaluate(drawn) for canvas in charts.all())
+    assert page.evaluate("document.activeElement.id") == "result"
+    expect(page.get_by_role("button", name="Diagnose")).to_be_enabled()
+    verdict = page.locator(".verdict h2").inner_text()
+    page.reload()
+    expect(page.locator(".verdict h2")).to_have_text(verdict)
+    expect(page.locator(".chart canvas")).to_have_count(3)
+
+
+def test_back_and_forth_in_the_history(visit: Visit, recording: Path) -> None:
+    page = visit.page
+    for _ in range(2):
+        page.get_by_label("Recording", exact=True).set_input_files(recording)
+        page.get_by_label("Effort").select_option("fast")
+        page.get_by_role("button", name="Diagnose").click()
+        expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
+        page.go_back()
+        expect(page.locator(".verdict")).to_have_count(0)
+        expect(page.get_by_role("button", name="Diagnose")).to_be_enabled()
+    page.go_forward()
+    expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
+    expect(page.locator(".chart canvas")).to_have_count(3)
+
+
+def test_a_service_that_is_gone_is_noticed(visit: Visit, recording: Path) -> None:
+    page = visit.page
+    page.route("**/diagnose", lambda route: route.abort())
+    page.get_by_label("Recording", exact=True).set_input_files(recording)
+    page.get_by_role("button", name="Diagnose").click()
+    expect(page.get_by_role("alert")).to_contain_text("did not answer")
+    # The console notes the failed request, and so does htmx; nothing else may be there.
+    visit.complaints = [text for text in visit.complaints if not re.search("net::ERR_FAILED|Failed to fetch", text)]
+
+
+def test_a_wrong_field_is_told_beside_it_and_put_right(visit: Visit, recording: Path) -> None:
+    page = visit.page
+    button = page.get_by_role("button", name="Diagnose")
+    button.click()
+    expect(page.locator("#error-file")).to_have_text("choose a recording")
+    assert page.evaluate("document.activeElement.id") == "file"
+    page.get_by_label("Recording", exact=True).set_input_files(recording)
+    page.get_by_label("Drive speed").fill("fast")
+    button.click()
+    expect(page.locator("#error-speed")).to_contain_text("speed: fast")
+    expect(page.get_by_label("Drive speed")).to_have_attribute("aria-invalid", "true")
+    expect(page.locator("#error-file")).to_have_text("")
+    page.get_by_label("Drive speed").fill("606.8")
+    page.get_by_label("Effort").select_option("fast")
+    button.click()
+    expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
+    expect(page.locator("#error-speed")).to_have_text("")
+    assert page.get_by_label("Drive speed").get_attribute("aria-invalid") is None
+
+
+def test_what_is_wrong_with_a_recording_is_told_beside_it(visit: Visit, worn: bytes, tmp_path: Path) -> None:
+    page = visit.page
+    bad = tmp_path / "bad.csv"
+    bad.write_bytes(spoiled(worn, "no number"))
+    page.get_by_label("Recording", exact=True).set_input_files(bad)
+    page.get_by_role("button", name="Diagnose").click()
+    expect(page.locator("#error-file")).to_contain_text("bad.csv: line 301", timeout=SECONDS)
+    expect(page.locator(".verdict")).to_have_count(0)
+
+
+def test_a_file_that_is_too_large_is_not_even_sent(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    large = tmp_path / "large.csv"
+    large.write_bytes(b"0" * 3_100_000)
+    page.get_by_label("Recording", exact=True).set_input_files(large)
+    expect(page.locator("#error-file")).to_contain_text("at most 3 MB")
+    sent: list[str] = []
+    page.on("request", lambda request: sent.append(request.url))
+    page.get_by_role("button", name="Diagnose").click()
+    page.wait_for_timeout(300)
+    assert sent == []
+
+
+def test_a_dropped_file_is_taken(visit: Visit, recording: Path) -> None:
+    page = visit.page
+    transfer = page.evaluate_handle(
+        "text => { const held = new DataTransfer(); held.items.add(new File([text], 'dropped.csv')); return held; }",
+        recording.read_text(),
+    )
+    page.locator("#drop").dispatch_event("drop", {"dataTransfer": transfer})
+    assert page.evaluate("document.getElementById('file').files[0].name") == "dropped.csv"
+    page.get_by_label("Effort").select_option("fast")
+    page.get_by_role("button", name="Diagnose").click()
+    expect(page.locator(".verdict")).to_contain_text("dropped.csv", timeout=SECONDS)
+
+
+def test_the_form_can_be_used_by_keyboard(visit: Visit) -> None:
+    page = visit.page
+    reached = []
+    for _ in range(9):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.id || document.activeElement.tagName"))
+    assert [name for name in reached if name in ("catalogue", "file", "speed", "effort", "submit")] == [
+        "catalogue", "file", "speed", "effort", "submit",
+    ]  # fmt: skip

@@ -1,0 +1,361 @@
+"""What the command line prints, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from small_service import spoiled
+
+from app.cli import COMMANDS, main
+from catalogue.hdf5 import read_arrays
+from solver.machine import parse_machine
+
+JOINTPLAY = [sys.executable, "-m", "app.cli"]
+
+
+def invoke(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def assert_refused(result: Result, status: int, text: str) -> None:
+    assert result.exit_code == status
+    assert result.stdout == ""
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("jointplay: ")
+    assert text in lines[0]
+
+
+def unpacked(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path) as packed:
+        return dict(packed)
+
+
+def test_help_lists_every_command_and_is_quick() -> None:
+    result = invoke("--help")
+    assert result.exit_code == 0
+    assert all(name in result.stdout for name in COMMANDS)
+    began = time.monotonic()
+    subprocess.run([*JOINTPLAY, "--help"], check=True, capture_output=True)
+    assert time.monotonic() - began < 2.0  # 0.1 s on an idle computer
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ("numpy", "scipy", "casadi", "numba", "matplotlib", "fastapi", "sqlalchemy", "pydantic", "h5py")
+    code = f"import sys, app.cli; print([name for name in {heavy!r} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_explains_itself(name: str) -> None:
+    result = invoke(name, "--help")
+    assert result.exit_code == 0
+    assert "Usage:" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["nonsense"], "No such command 'nonsense'"),
+        (["machines", "--nonsense"], "No such option '--nonsense'"),
+        (["machines", "quick-retrun"], "did you mean"),
+        (["check", "nowhere.yaml"], "is neither a file nor a shipped machine"),
+        (["check", "quick-return", "--fault", "Z=1mm"], "fault.Z"),
+        (["check", "quick-return", "--fault", "A=1kg"], "must be a length"),
+        (["check", "quick-return", "--drawing", "x.gif"], "must end in .svg or .png"),
+        (["simulate", "quick-return"], "Missing option"),
+        (["simulate", "quick-return", "-o", "x.txt"], "must end in .h5, .csv or .npz"),
+        (["simulate", "quick-return", "-o", "nowhere/x.h5"], "the folder nowhere does not exist"),
+        (["simulate", "quick-return", "-o", "x.h5", "--speed", "3 kg"], "must be a speed of rotation"),
+        (["simulate", "quick-return", "-o", "x.h5", "--duration", "-1"], "must be greater than 0"),
+        (["simulate", "quick-return", "-o", "x.h5", "--accuracy", "best"], "best"),
+        (["build", "quick-return", "--catalogue", "c", "--plan", "nonsense"], "nonsense"),
+        (["diagnose", "x.csv", "--catalogue", "c", "--map", "left"], "must be COLUMN=SENSOR"),
+        (["diagnose", "x.csv", "--catalogue", "c", "--speed", "0 rpm"], "must be greater than 0"),
+        (["serve", "--port", "99999"], "99999"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert_refused(invoke(*arguments), 2, text)
+
+
+def test_machines() -> None:
+    listed = invoke("machines")
+    assert {"slider-crank", "four-bar", "quick-return"} <= {line.split()[0] for line in listed.stdout.splitlines()}
+    names = [item["name"] for item in json.loads(invoke("machines", "--json").stdout)]
+    for name in names:
+        machine = parse_machine(invoke("machines", name).stdout, name)
+        again = parse_machine(json.loads(invoke("machines", name, "--json").stdout), name)
+        assert again.turning_joints == tuple(sorted(machine.turning_joints))
+
+
+def test_check_shows_the_sizes_of_the_model() -> None:
+    shown = invoke("check", "quick-return", "--fault", "A=0.2mm").stdout
+    assert "F = 6, of which 5 are integrated" in shown
+    assert "3N + 2J = 32 unknowns" in shown
+    assert "200 um" in shown
+    document = json.loads(invoke("check", "quick-return", "--fault", "A=0.2mm", "--json").stdout)
+    assert document["degrees_of_freedom"] == 6
+    assert document["fault_um"] == {"A": pytest.approx(200)}
+    assert document["mechanism_matrix"]["rows"][2][1] == "C"
+    assert document["left_out"]
+
+
+@pytest.mark.parametrize("name", ["machine.svg", "machine.png"])
+def test_check_draws(name: str, tmp_path: Path) -> None:
+    result = invoke("check", "slider-crank", "--fault", "B=0.1mm", "--drawing", tmp_path / name)
+    assert result.exit_code == 0
+    content = (tmp_path / name).read_bytes()
+    assert b"<svg" in content if name.endswith("svg") else content.startswith(b"\x89PNG")
+
+
+def test_simulate_writes_the_same_in_every_format(tmp_path: Path) -> None:
+    common = (
+        "slider-crank",
+        "--fault",
+        "B=0.2mm",
+        "--accuracy",
+        "draft",
+        "--sample-rate",
+        "5 kHz",
+        "--duration",
+        "1.5 s",
+    )
+    for ending in ("h5", "npz", "csv"):
+        result = invoke("simulate", *common, "-o", tmp_path / f"out.{ending}", "--plot", tmp_path / "plot.png")
+        assert result.exit_code == 0, result.stderr
+    arrays, attributes = read_arrays(tmp_path / "out.h5")
+    expected = {"t", "frame_displacement", "frame_velocity", "frame_acceleration", "f", "psd_frame"}
+    expected |= {"orders", "order_level_frame"}
+    sensors = {name for name in arrays if name.startswith("sensor_")}
+    assert sensors
+    assert set(arrays) == expected | sensors | {f"psd_{name}" for name in sensors}
+    assert arrays["frame_acceleration"].shape == (len(arrays["t"]), 3)
+    assert attributes["status"] == "ok"
+    assert attributes["fault"] == "B=0.2mm"
+    assert float(arrays["f"][-1]) <= 0.4 * 5000
+    packed = unpacked(tmp_path / "out.npz")
+    assert set(packed) == set(arrays) | {"units", "attributes"}
+    assert all(np.array_equal(packed[name], arrays[name]) for name in arrays)
+    assert json.loads(str(packed["units"]))["frame_velocity"] == "m/s,m/s,rad/s"
+    head, *rows = (tmp_path / "out.csv").read_text().splitlines()
+    assert head.startswith("t [s],frame_displacement_x [m]")
+    assert len(rows) == len(arrays["t"])
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_level_by_order_is_what_the_density_holds(tmp_path: Path) -> None:
+    invoke("simulate", "slider-crank", "--accuracy", "draft", "--sample-rate", "5kHz", "-o", tmp_path / "o.h5")
+    arrays, attributes = read_arrays(tmp_path / "o.h5")
+    base = float(attributes["drive_speed_rad_per_s"]) / (2 * np.pi)
+    line = (arrays["f"] > 1.5 * base) & (arrays["f"] < 2.5 * base)
+    power = arrays["psd_frame"][line].sum(axis=0) * float(attributes["psd_resolution_hz"])
+    assert arrays["order_level_frame"][1] == pytest.approx(np.sqrt(power), rel=0.02)
+
+
+@pytest.mark.parametrize("command", ["check", "simulate"])
+def test_a_machine_that_cannot_be_assembled_is_bad_input(command: str, tmp_path: Path) -> None:
+    text = invoke("machines", "quick-return").stdout
+    moved = text.replace(
+        "C:  {kind: turning, links: [rocker, frame], at: [0.0, -0.15]",
+        "C:  {kind: turning, links: [rocker, frame], at: [0.0, 0.05]",
+    )
+    assert moved != text
+    (tmp_path / "m.yaml").write_text(moved)
+    more = ("-o", tmp_path / "o.csv", "--accuracy", "draft", "--duration", "0.1 s") if command == "simulate" else ()
+    assert_refused(invoke(command, tmp_path / "m.yaml", *more), 2, "cannot be assembled at a drive angle of")
+
+
+def test_a_short_simulation_says_that_it_has_no_spectra(tmp_path: Path) -> None:
+    result = invoke(
+        "simulate", "slider-crank", "--accuracy", "draft", "--duration", "50 ms", "-o", tmp_path / "o.h5",
+        "--plot", tmp_path / "o.svg",
+    )  # fmt: skip
+    assert result.exit_code == 0
+    assert "no levels, no spectra" in result.stdout and "rms" not in result.stdout
+    arrays, attributes = read_arrays(tmp_path / "o.h5")
+    assert "f" not in arrays
+    assert str(attributes["spectra"]).startswith("none: ")
+
+
+def test_build_and_verify(shelf: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(
+        "{clearance: {low: 30 um, high: 0.8 mm, count: 12, jitter: 1.0}, draws: 6, healthy_draws: 36, seconds: 1}"
+    )
+    result = invoke("build", "slider-crank", "--catalogue", shelf / "slider-crank", "--plan", plan, "--json")
+    assert result.exit_code == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert report["added"] == 0
+    assert report["present"] == 36 + 3 * 12 * 6
+    verified = invoke("verify", "--catalogue", shelf / "slider-crank")
+    assert verified.exit_code == 0
+    assert "in order: 252 cases" in verified.stdout
+
+
+def test_verify_refuses_what_is_no_catalogue(tmp_path: Path) -> None:
+    assert_refused(invoke("verify", "--catalogue", tmp_path), 2, "is not a catalogue")
+
+
+def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
+    arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "thorough"]
+    with subprocess.Popen([*JOINTPLAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        first = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+        assert first.startswith("building: 0 of ")
+        assert process.stderr.read().splitlines()[-1] == "jointplay: interrupted"
+
+
+def test_a_closed_pipe_is_no_error() -> None:
+    command = f"{sys.executable} -m app.cli machines quick-return | head -n 1"
+    result = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)
+    assert len(result.stdout.splitlines()) == 1
+    assert result.stderr == ""
+
+
+@pytest.fixture
+def recording(worn: bytes, tmp_path: Path) -> Path:
+    path = tmp_path / "worn.csv"
+    path.write_bytes(worn)
+    return path
+
+
+def test_diagnose_finds_the_worn_joint(shelf: Path, recording: Path, tmp_path: Path) -> None:
+    catalogue = shelf / "slider-crank"
+    result = invoke("diagnose", recording, "--catalogue", catalogue, "--plot", tmp_path / "plot.png")
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout.startswith("Joint B is worn: radial clearance ")
+    assert "hypothesis  probability" in result.stdout
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+    document = json.loads(invoke("diagnose", recording, "--catalogue", catalogue, "--json").stdout)
+    assert document["verdict"] == "fault"
+    assert document["hypotheses"][0]["joints"].keys() == {"B"}
+
+
+def test_diagnose_takes_columns_units_and_rate(shelf: Path, recording: Path, tmp_path: Path) -> None:
+    rows = recording.read_text().splitlines()[1:]
+    bare = tmp_path / "bare.csv"
+    bare.write_text("left,right,three,four\n" + "\n".join(row.partition(",")[2] for row in rows))
+    sensors = [sensor["name"] for sensor in sensors_of("slider-crank")]
+    columns = ["left", "right", "three", "four"]
+    options = [f"--map={column}={sensor}" for column, sensor in zip(columns, sensors, strict=True)]
+    options += [f"--unit={column}=m/s2" for column in columns]
+    result = invoke(
+        "diagnose", bare, "--catalogue", shelf / "slider-crank", "--sample-rate", "10 kHz", "--speed", "606.8 rpm",
+        "--effort", "fast", *options,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert result.stdout.startswith("Joint B is worn")
+
+
+def sensors_of(name: str) -> list[dict[str, str]]:
+    sensors: list[dict[str, str]] = json.loads(invoke("machines", name, "--json").stdout)["sensors"]
+    return sensors
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [("no number", "line 301"), ("nan", "line 301"), ("short", "samples"), ("missing", "cannot be read")],
+)
+def test_diagnose_refuses_bad_recordings(kind: str, text: str, shelf: Path, worn: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    if kind != "missing":
+        path.write_bytes(spoiled(worn, kind))
+    assert_refused(invoke("diagnose", path, "--catalogue", shelf / "slider-crank"), 2, text)
+
+
+def test_evaluate_prints_figures_and_confusion(shelf: Path) -> None:
+    arguments = [
+        "evaluate",
+        "--catalogue",
+        shelf / "slider-crank",
+        "--protocol",
+        "matched",
+        "--count",
+        "8",
+        "--seed",
+        "3",
+    ]
+    document = json.loads(invoke(*arguments, "--json").stdout)
+    assert document["count"] == 8
+    assert sum(map(sum, document["confusion"])) == 8
+    assert document["top1"] >= 0.75  # three joints of a machine that is told apart nearly always
+    printed = invoke(*arguments).stdout
+    assert "8 recordings, protocol matched, seed 3, effort standard" in printed
+    assert f"right hypothesis first            {100 * document['top1']:.1f} %" in printed
+
+
+def test_evaluate_refuses_what_means_nothing(shelf: Path, tmp_path: Path) -> None:
+    assert_refused(invoke("evaluate", "--catalogue", tmp_path), 2, "is not a catalogue")
+    catalogue = shelf / "slider-crank"
+    assert_refused(invoke("evaluate", "--catalogue", catalogue, "--count", "1"), 2, "count: 1: must be at least")
+    assert_refused(invoke("evaluate", "--catalogue", catalogue, "--protocol", "soft"), 2, "soft")
+
+
+@pytest.mark.parametrize("option", ["--map", "--unit"])
+def test_diagnose_refuses_a_column_named_twice(option: str, shelf: Path, recording: Path) -> None:
+    arguments = ["diagnose", recording, "--catalogue", shelf / "slider-crank", option, "a=s1-x", option, "a=s1-y"]
+    assert_refused(invoke(*arguments), 2, f"'{option}': a: is given twice")
+
+
+def test_diagnose_refuses_what_is_no_catalogue(recording: Path, tmp_path: Path) -> None:
+    assert_refused(invoke("diagnose", recording, "--catalogue", tmp_path), 2, "is not a catalogue")
+
+
+def test_links_and_reactions(tmp_path: Path) -> None:
+    common = ["slider-crank", "--fault=B=0.2mm", "--rtol=1e-4", "--sample-rate=5 kHz", "--duration=0.2 s", "--links"]
+    for ending in ("h5", "npz"):
+        result = invoke("simulate", *common, "-o", tmp_path / f"out.{ending}")
+        assert result.exit_code == 0, result.stderr
+    arrays, attributes = read_arrays(tmp_path / "out.h5")
+    packed = unpacked(tmp_path / "out.npz")
+    links = [str(name) for name in arrays["links"]]
+    assert links == [str(name) for name in packed["links"]]
+    samples = len(arrays["t"])
+    for name in ("displacement", "velocity", "acceleration"):
+        assert arrays[f"link_{name}"].shape == (samples, len(links), 3)
+    frame = links.index(str(attributes["frame"]))
+    assert arrays["link_displacement"][:, frame] == pytest.approx(arrays["frame_displacement"], abs=1e-9)
+    assert arrays["link_velocity"][:, frame] == pytest.approx(arrays["frame_velocity"], abs=1e-6)
+    assert arrays["force_B_on_pin"].shape == (samples, 2)
+    assert arrays["force_O"].shape == (samples, 2)
+    assert arrays["normal_G1"].shape == arrays["couple_G1"].shape == arrays["drive_effort"].shape == (samples,)
+    units = json.loads(str(packed["units"]))
+    assert units["drive_effort"] == units["couple_G1"] == "N m"
+    assert units["force_O"] == "N,N"
+
+
+def test_accuracy_and_tolerance_exclude_each_other(tmp_path: Path) -> None:
+    result = invoke("simulate", "slider-crank", "--accuracy=draft", "--rtol=1e-4", "-o", tmp_path / "o.h5")
+    assert_refused(result, 2, "not both")
+
+
+def test_serve_runs_until_ctrl_c(tmp_path: Path) -> None:
+    command = [*JOINTPLAY, "serve", "--port", "0", "--data", str(tmp_path / "data"), "--catalogues", str(tmp_path)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        lines = iter(process.stderr.readline, "")
+        address = next(line for line in lines if "serving" in line).split()[-1]
+        assert next(line for line in lines if "startup complete" in line)
+        assert httpx.get(f"{address}/healthz").json() == {"status": "ok"}
+        taken = subprocess.run(
+            [*JOINTPLAY, "serve", "--port", address.rpartition(":")[2]], capture_output=True, text=True, cwd=tmp_path
+        )
+        assert taken.returncode == 1
+        assert "in use" in taken.stderr.splitlines()[-1]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130

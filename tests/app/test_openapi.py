@@ -1,0 +1,61 @@
+"""The committed OpenAPI document is the one the service gives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.main import create_app
+from app.openapi import REFERENCE
+from app.problems import MEDIA_TYPE
+from app.settings import Settings
+
+COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return create_app(Settings(data=tmp_path_factory.mktemp("unused"))).openapi()
+
+
+def test_the_committed_document_is_up_to_date(document: dict[str, Any]) -> None:
+    written = json.loads(COMMITTED.read_text(encoding="utf-8"))
+    assert written == document, "run `python -m app.openapi > docs/openapi.json`, and raise API_VERSION if it changed"
+
+
+def test_every_error_is_a_problem(document: dict[str, Any]) -> None:
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            assert "default" in operation["responses"], (method, path)
+            for status, response in operation["responses"].items():
+                if status == "default" or status.startswith(("4", "5")):
+                    assert response["content"] == {MEDIA_TYPE: {"schema": REFERENCE}}, (method, path, status)
+
+
+def test_nothing_of_the_frameworks_error_shape_remains(document: dict[str, Any]) -> None:
+    text = json.dumps(document)
+    assert "HTTPValidationError" not in text
+    assert "ValidationError" not in text
+
+
+def test_every_reference_leads_somewhere(document: dict[str, Any]) -> None:
+    schemas = document["components"]["schemas"]
+
+    def references(node: Any) -> list[str]:
+        if isinstance(node, dict):
+            own = [node["$ref"]] if isinstance(node.get("$ref"), str) else []
+            return own + [found for child in node.values() for found in references(child)]
+        return [found for child in node for found in references(child)] if isinstance(node, list) else []
+
+    for reference in references(document):
+        assert reference.removeprefix("#/components/schemas/") in schemas, reference
+
+
+def test_every_operation_says_what_it_does(document: dict[str, Any]) -> None:
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            assert operation["summary"]
+            assert operation["description"]

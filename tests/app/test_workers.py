@@ -1,0 +1,105 @@
+"""Workers end what takes too long or dies, and go on with the next task."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+
+import pytest
+
+from app.errors import BusyError, TimeLimitError, WorkerDiedError
+from app.workers import TaskFailedError, WorkerPool
+from solver.errors import MachineError
+
+
+def double(value: int) -> int:
+    return 2 * value
+
+
+def sleep(seconds: float) -> None:
+    time.sleep(seconds)
+
+
+def fail() -> None:
+    raise MachineError("m.yaml", "joints.A", "x", "must be a joint")
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def pid() -> int:
+    return os.getpid()
+
+
+async def gone(process: int) -> bool:
+    for _ in range(100):
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return True
+        await asyncio.sleep(0.05)
+    return False
+
+
+def test_values_and_exceptions_come_back() -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 60.0)
+        try:
+            assert await pool.run(double, 21) == 42
+            with pytest.raises(TaskFailedError) as caught:
+                await pool.run(fail)
+            assert caught.value.problem.status == 422
+            assert caught.value.problem.detail == "m.yaml: joints.A: x: must be a joint"
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_a_task_over_the_limit_is_ended_and_its_worker_replaced() -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 6.0)
+        try:
+            first = await pool.run(pid)
+            with pytest.raises(TimeLimitError, match="stopped after 6 s"):
+                await pool.run(sleep, 60.0)
+            assert await pool.run(pid) != first
+            assert await gone(first)
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_a_worker_that_dies_is_replaced() -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 60.0)
+        try:
+            with pytest.raises(WorkerDiedError):
+                await pool.run(die)
+            assert await pool.run(double, 1) == 2
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_too_many_waiting_tasks_are_refused() -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 1, 60.0)
+        try:
+            await pool.run(pid)
+            running = asyncio.create_task(pool.run(sleep, 1.0))
+            waiting = asyncio.create_task(pool.run(double, 3))
+            await asyncio.sleep(0.1)
+            with pytest.raises(BusyError, match="wait for a worker"):
+                await pool.run(double, 4)
+            await running
+            assert await waiting == 6
+        finally:
+            pool.close()
+
+    asyncio.run(story())

@@ -1,0 +1,73 @@
+"""A stand-in for the simulation of a chunk: spectra that follow from the key alone, at once, with trouble on demand.
+
+Trouble comes through environment variables, so that it reaches worker processes: ``FAKE_SECONDS`` (time of a chunk),
+``FAKE_LOG`` (file to which computed keys are appended), ``FAKE_DEADLY`` (beginning of the key whose case kills the
+worker), ``FAKE_RAISES`` (the same, by an exception).
+
+Run as a program it builds a catalogue in the folder that is its argument, and prints a line after every chunk.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+
+from catalogue.build import Progress, build
+from catalogue.chunk import Chunk
+from catalogue.plan import Plan, parse_plan
+from catalogue.shard import OK, Outcome
+from solver.machine import shipped_machine
+
+MACHINE = shipped_machine("slider-crank")
+
+PLAN: Plan = parse_plan(
+    {
+        "name": "small",
+        "clearance": {"low": "50 um", "high": "0.5 mm", "count": 3},
+        "draws": 4,
+        "healthy_draws": 6,
+        "bands": {"orders": 5, "per_octave": 3, "f_max": "500 Hz"},
+    }
+)
+
+
+def diverges(key: str) -> bool:
+    """One case in sixteen fails."""
+    return key.startswith("7")
+
+
+def compute(chunk: Chunk) -> tuple[Outcome, ...]:
+    """Make up one outcome a case."""
+    time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
+    outcomes = tuple(_outcome(entry.key, chunk.recipe.scheme.count) for entry in chunk.entries)
+    if "FAKE_LOG" in os.environ:
+        with open(os.environ["FAKE_LOG"], "a", encoding="ascii") as log:
+            log.writelines(f"{entry.key}\n" for entry in chunk.entries)
+    return outcomes
+
+
+def _outcome(key: str, bands: int) -> Outcome:
+    if key.startswith(os.environ.get("FAKE_DEADLY", "none")):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if key.startswith(os.environ.get("FAKE_RAISES", "none")):
+        raise ArithmeticError(f"case {key[:8]}\nis too hard")
+    if diverges(key):
+        return Outcome("diverged", "left the range at t = 0.1 s", 60.0, 0.0, 0, 0.5)
+    random = np.random.default_rng(int(key[:8], 16))
+    root = random.normal(size=(bands, 3, 3)) + 1j * random.normal(size=(bands, 3, 3))
+    power = (root @ root.conj().swapaxes(1, 2)).astype(np.complex64)
+    spread = random.random((bands, 3)).astype(np.float32)
+    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, spread)
+
+
+def _tell(progress: Progress) -> None:
+    print(progress.done, progress.total, progress.failed, progress.lost, flush=True)
+
+
+if __name__ == "__main__":
+    report = build(MACHINE, PLAN, sys.argv[1], workers=2, compute=compute, chunk_size=4, progress=_tell)
+    print(f"added {report.added} lost {len(report.lost)} workers {report.workers_lost}", flush=True)

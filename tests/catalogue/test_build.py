@@ -1,0 +1,491 @@
+"""Building: nothing twice, nothing lost, whoever is killed when."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import fake_simulator
+import numpy as np
+import pytest
+from fake_simulator import MACHINE, PLAN, compute, diverges
+
+from catalogue import build as build_module
+from catalogue import executors
+from catalogue.build import BuildReport, Progress, build
+from catalogue.directory import CatalogueDirectory
+from catalogue.errors import (
+    BuildError,
+    CatalogueBusyError,
+    CatalogueFileError,
+    CatalogueMismatchError,
+    PlanError,
+)
+from catalogue.executors import InProcess
+from catalogue.index import ChunkStatus, Index
+from catalogue.plan import Plan, parse_plan
+from catalogue.store import Catalogue
+from catalogue.verify import verify
+from solver.errors import AssemblyError, MachineError
+from solver.machine import parse_machine, shipped_machine, shipped_machine_text
+
+KEYS = [entry.key for entry in PLAN.entries(MACHINE)]
+FAILING = {key for key in KEYS if diverges(key)}
+
+
+def quick_build(directory: Path, plan: Plan = PLAN, **options: Any) -> BuildReport:
+    options = {"workers": 0, "compute": compute, "chunk_size": 4, **options}
+    return build(MACHINE, plan, directory, **options)
+
+
+def assert_complete(directory: Path, plan: Plan = PLAN) -> None:
+    """The catalogue holds exactly the plan, each entry once, and is sound."""
+    catalogue = Catalogue.open(directory)
+    keys = {entry.key for entry in plan.entries(MACHINE)}
+    assert sorted([*catalogue.entries.key, *catalogue.failed.key]) == sorted(keys)
+    assert set(catalogue.failed.key) == {key for key in keys if diverges(key)}
+    for key, power in zip(catalogue.entries.key, catalogue.power(), strict=True):
+        made = fake_simulator._outcome(str(key), catalogue.scheme.count).power
+        assert made is not None
+        assert np.allclose(power, made, rtol=1e-6)
+    report = verify(directory)
+    assert report.is_sound, report.findings
+    assert report.entries == len(keys)
+
+
+def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE_LOG", str(tmp_path / "log"))
+    directory = tmp_path / "catalogue"
+    assert FAILING
+    told: list[Progress] = []
+    report = quick_build(directory, progress=told.append)
+    assert (report.added, report.present, report.adopted) == (len(KEYS), 0, 0)
+    assert report.failed == {"diverged": len(FAILING)}
+    assert [told[0].done, told[-1].done, told[-1].total] == [0, len(KEYS), len(KEYS)]
+    assert told[-1].failed == len(FAILING)
+    assert told[-1].rate > 0
+    assert told[-1].eta == 0
+    assert [p.done for p in told] == sorted(p.done for p in told)
+
+    before = sorted(path.name for path in (directory / "shards").iterdir())
+    again = quick_build(directory)
+    assert (again.added, again.present) == (0, len(KEYS))
+    assert again.failed == {"diverged": len(FAILING)}
+    assert sorted(path.name for path in (directory / "shards").iterdir()) == before
+    assert sorted((tmp_path / "log").read_text().split()) == sorted(KEYS)
+    assert_complete(directory)
+
+
+def test_chunks_have_one_set_of_joints_and_their_state_is_kept(tmp_path: Path) -> None:
+    quick_build(tmp_path)
+    with Index(tmp_path / "index.sqlite") as index:
+        chunks = index.chunks()
+        assert all(chunk.status is ChunkStatus.DONE and chunk.attempts == 1 for chunk in chunks)
+        assert [chunk.joints for chunk in chunks[:4]] == ["", "A", "B", "O"]
+        assert sum(chunk.entries for chunk in chunks) == len(KEYS)
+        assert index.counts()["healthy", "ok"] + index.counts().get(("healthy", "diverged"), 0) == 6
+
+
+def test_two_builds_give_the_same_bytes(tmp_path: Path) -> None:
+    quick_build(tmp_path / "a")
+    quick_build(tmp_path / "b")
+    assert Catalogue.open(tmp_path / "a").id == Catalogue.open(tmp_path / "b").id
+
+
+@pytest.mark.parametrize(
+    "larger",
+    [
+        {"draws": 6},
+        {"clearance": {"low": "50 um", "high": "0.5 mm", "count": 5}},
+        {"hypotheses": ["healthy", "singles", "pairs", "as-new"], "pairs": {"count": 2, "draws": 1}},
+    ],
+)
+def test_a_larger_plan_adds_what_is_missing(
+    tmp_path: Path, larger: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_LOG", str(tmp_path / "log"))
+    directory = tmp_path / "catalogue"
+    quick_build(directory)
+    before = {path.name: path.read_bytes() for path in (directory / "shards").iterdir()}
+    plan = parse_plan({**PLAN.content, **larger, "name": "large"})
+    report = quick_build(directory, plan)
+    total = len(plan.entries(MACHINE))
+    assert (report.added, report.present) == (total - len(KEYS), len(KEYS))
+    assert len((tmp_path / "log").read_text().split()) == total
+    assert all((directory / "shards" / name).read_bytes() == content for name, content in before.items())
+    assert Catalogue.open(directory).plan == plan
+    assert_complete(directory, plan)
+    smaller = quick_build(directory)
+    assert (smaller.added, smaller.present) == (0, len(KEYS))
+    assert Catalogue.open(directory).plan == plan
+
+
+def test_interrupt_leaves_what_is_done(tmp_path: Path) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.done >= 12:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        quick_build(tmp_path, progress=stop)
+    done = len(Catalogue.open(tmp_path).entries) + len(Catalogue.open(tmp_path).failed)
+    assert 12 <= done < len(KEYS)
+    report = quick_build(tmp_path)
+    assert (report.present, report.added) == (done, len(KEYS) - done)
+    assert_complete(tmp_path)
+
+
+def test_death_between_shard_and_index_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shard is there, the index does not know it: it is adopted, not computed again."""
+    real = Index.add_shard
+
+    def dying(index: Index, *args: Any, **options: Any) -> int:
+        if len(index.shards()) == 3:
+            raise KeyboardInterrupt
+        return real(index, *args, **options)
+
+    monkeypatch.setattr(Index, "add_shard", dying)
+    with pytest.raises(KeyboardInterrupt):
+        quick_build(tmp_path)
+    monkeypatch.undo()
+    layout = CatalogueDirectory(tmp_path)
+    assert len(layout.shard_names()) == 4
+    (layout.shards / ".tmp-123-abc").write_bytes(b"half a shard")
+    report = quick_build(tmp_path)
+    assert report.adopted == 4
+    assert report.added + report.present == len(KEYS)
+    assert not list(layout.shards.glob(".tmp*"))
+    assert_complete(tmp_path)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"this is no database" * 100])
+def test_build_goes_on_without_its_index(tmp_path: Path, content: bytes | None) -> None:
+    quick_build(tmp_path)
+    (tmp_path / "index.sqlite").unlink()
+    if content is not None:
+        (tmp_path / "index.sqlite").write_bytes(content)
+    report = quick_build(tmp_path)
+    assert (report.added, report.present, report.adopted) == (0, len(KEYS), len(KEYS))
+    assert_complete(tmp_path)
+
+
+def test_shards_that_are_gone_are_computed_again(tmp_path: Path) -> None:
+    quick_build(tmp_path)
+    layout = CatalogueDirectory(tmp_path)
+    layout.shard(layout.shard_names()[0]).unlink()
+    report = quick_build(tmp_path)
+    assert 0 < report.added <= 4
+    assert_complete(tmp_path)
+
+
+def test_other_machines_are_refused(tmp_path: Path) -> None:
+    quick_build(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(CatalogueMismatchError, match=r"is a catalogue of another machine: slider-crank, not four-bar$"):
+        build(shipped_machine("four-bar"), PLAN, tmp_path, workers=0, compute=compute)
+    tree = MACHINE.model_dump()
+    tree["gravity"] = 9.8
+    with pytest.raises(CatalogueMismatchError, match=r"slider-crank with gravity 9\.81, not 9\.8$"):
+        build(parse_machine(tree), PLAN, tmp_path, workers=0, compute=compute)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ({"sample_rate": 14000}, r"was built with sample_rate 10000\.0, not 14000\.0: build into another folder"),
+        ({"accuracy": "standard"}, "was built with accuracy draft, not standard"),
+        ({"uncertain": {"contact.friction": {"uniform": [0, 0.3]}}}, r"with another uncertain\.contact\.damping"),
+    ],
+)
+def test_other_settings_are_refused(tmp_path: Path, change: dict[str, Any], rule: str) -> None:
+    quick_build(tmp_path)
+    with pytest.raises(CatalogueMismatchError, match=rule) as caught:
+        quick_build(tmp_path, parse_plan({**PLAN.content, **change}))
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path))
+
+
+def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_build(tmp_path)
+    monkeypatch.setattr("solver.__version__", "9.9.9")
+    with pytest.raises(CatalogueMismatchError, match=r"was built by solver .*, this is 9\.9\.9"):
+        quick_build(tmp_path)
+    monkeypatch.undo()
+    manifest = tmp_path / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"schema_version": 1', '"schema_version": 99'))
+    for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
+        with pytest.raises(CatalogueMismatchError, match=r"has schema version 99; this program reads and writes 1$"):
+            use()
+
+
+def test_folders_that_are_no_catalogue_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.docx").write_text("five years")
+    with pytest.raises(CatalogueFileError, match="holds files but no catalogue"):
+        quick_build(tmp_path)
+    with pytest.raises(CatalogueFileError, match="cannot be created"):
+        quick_build(tmp_path / "thesis.docx")
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.docx"]
+
+
+def test_plan_that_does_not_fit_touches_nothing(tmp_path: Path) -> None:
+    plan = parse_plan({"uncertain": {"joints.Z.pin_radius": {"lognormal": 0.1}}})
+    with pytest.raises(PlanError):
+        quick_build(tmp_path / "new", plan)
+    assert not (tmp_path / "new").exists()
+
+
+def test_machine_that_cannot_be_assembled_touches_nothing(tmp_path: Path) -> None:
+    text = shipped_machine_text("slider-crank")
+    moved = text.replace("links: [rod, slider], at: [0.2, 0.05]", "links: [rod, slider], at: [0.07, 0.05]")
+    assert moved != text
+    with pytest.raises(AssemblyError, match="cannot be assembled at a drive angle of"):
+        build(parse_machine(moved), PLAN, tmp_path / "c", workers=0, compute=compute)
+    assert not (tmp_path / "c").exists()
+
+
+def test_second_builder_is_refused(tmp_path: Path) -> None:
+    refused: list[str] = []
+
+    def second(progress: Progress) -> None:
+        if progress.done:
+            for use in (lambda: quick_build(tmp_path), lambda: verify(tmp_path)):
+                with pytest.raises(CatalogueBusyError) as caught:
+                    use()
+                refused.append(str(caught.value))
+
+    quick_build(tmp_path, progress=second)
+    assert set(refused) == {f"{tmp_path}: another build or verify is running here; wait for its end or stop it"}
+    assert_complete(tmp_path)
+
+
+def test_readers_read_while_a_build_goes_on(tmp_path: Path) -> None:
+    sizes: list[int] = []
+
+    def read(progress: Progress) -> None:
+        catalogue = Catalogue.open(tmp_path)
+        assert len(catalogue.entries) == len(catalogue.power())
+        sizes.append(len(catalogue.entries) + len(catalogue.failed))
+        assert sizes[-1] == progress.done
+
+    quick_build(tmp_path, progress=read)
+    assert sizes == sorted(sizes)
+
+
+def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_build(tmp_path, with_draws(1))
+    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.joints and entry.draw == 2)
+    monkeypatch.setenv("FAKE_RAISES", victim)
+    report = quick_build(tmp_path)
+    assert report.lost == (victim,)
+    assert report.lost_reason == f"ArithmeticError: case {victim[:8]} is too hard"
+    assert report.added + report.present == len(KEYS) - 1
+    with Index(tmp_path / "index.sqlite") as index:
+        lost = [chunk for chunk in index.chunks() if chunk.status is ChunkStatus.LOST]
+        assert [(chunk.entries, chunk.message) for chunk in lost] == [(1, report.lost_reason)]
+    monkeypatch.undo()
+    assert quick_build(tmp_path).added == 1
+    assert_complete(tmp_path)
+
+
+def test_trouble_with_every_case_ends_the_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(chunk: object) -> Any:
+        raise ZeroDivisionError("float division by zero")
+
+    with pytest.raises(BuildError, match="nothing could be computed in 10 attempts, the last: ZeroDivisionError") as e:
+        quick_build(tmp_path, compute=broken)
+    assert "\n" not in str(e.value)
+
+
+def test_refusal_by_the_solver_is_passed_on(tmp_path: Path) -> None:
+    def refuse(chunk: object) -> Any:
+        raise MachineError("machine", "drive.speed", 1e9, "must be less")
+
+    with pytest.raises(MachineError, match=r"machine: drive\.speed: "):
+        quick_build(tmp_path, compute=refuse)
+
+
+def refuse_in_worker(chunk: object) -> Any:
+    raise MachineError("machine", "drive.speed", 1e9, "must be less")
+
+
+def test_refusal_by_the_solver_comes_out_of_a_worker_as_it_was(tmp_path: Path) -> None:
+    with pytest.raises(MachineError) as caught:
+        quick_build(tmp_path, workers=1, compute=refuse_in_worker)
+    assert (caught.value.path, caught.value.value) == ("drive.speed", 1e9)
+
+
+def test_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    quick_build(tmp_path, with_draws(1))
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(CatalogueFileError, match=r"manifest\.json: cannot be written \(No space left on device\)$"):
+        quick_build(tmp_path)
+    monkeypatch.undo()
+    assert not list(tmp_path.rglob(".tmp*"))
+    quick_build(tmp_path)
+    assert_complete(tmp_path)
+
+
+def test_caller_may_bring_an_executor(tmp_path: Path) -> None:
+    class Counting(InProcess):
+        submitted = closed = 0
+
+        def submit(self, task: Any, argument: Any) -> Future[Any]:
+            self.submitted += 1
+            return super().submit(task, argument)
+
+        def close(self, *, at_once: bool = False) -> None:
+            self.closed += 1
+
+    executor = Counting()
+    quick_build(tmp_path, executor=executor)
+    assert executor.submitted > 4
+    assert executor.closed == 0
+    assert_complete(tmp_path)
+
+
+def with_draws(draws: int) -> Plan:
+    return parse_plan({**PLAN.content, "draws": draws})
+
+
+# With real processes, which are killed.
+
+
+def start(directory: Path, **environment: str) -> subprocess.Popen[str]:
+    paths = [str(Path(__file__).parent), *sys.path]
+    return subprocess.Popen(
+        [sys.executable, str(Path(fake_simulator.__file__)), str(directory)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "FAKE_SECONDS": "0.05", **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def children(pid: int) -> list[int]:
+    """Worker processes of a builder."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                found.append(int(child))
+    return found
+
+
+def ended(pid: int, seconds: float = 10.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        try:
+            if Path(f"/proc/{pid}/stat").read_text().rsplit(")")[-1].split()[0] == "Z":
+                return True
+        except OSError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.timeout(240)
+def test_builder_and_workers_killed_at_random_moments(tmp_path: Path) -> None:
+    """Kill -9 two builders and a worker of a third; the fourth finds everything done, and nothing was twice."""
+    directory, log = tmp_path / "catalogue", tmp_path / "log"
+    moments = random.Random(20)
+    done = 0
+    for _ in range(2):
+        with start(directory, FAKE_LOG=str(log)) as builder:
+            assert builder.stdout is not None
+            assert int(builder.stdout.readline().split()[0]) >= done  # nothing that was there is gone
+            for _ in range(moments.randint(1, 3)):
+                line = builder.stdout.readline()
+            time.sleep(moments.uniform(0.0, 0.06))
+            workers = children(builder.pid)
+            builder.kill()
+            assert all(ended(worker) for worker in workers)
+        done = int(line.split()[0])
+        assert done < len(KEYS)
+
+    with start(directory, FAKE_LOG=str(log)) as builder:
+        assert builder.stdout is not None
+        for _ in range(3):
+            builder.stdout.readline()
+        victim = moments.choice(children(builder.pid))
+        os.kill(victim, signal.SIGKILL)
+        output = builder.stdout.read().splitlines()
+    assert builder.returncode == 0
+    assert output[-1].split()[-1] in ("0", "1")  # deaths with a chunk in hand: this one may have been between two
+    assert output[-1].split()[3] == "0"  # but no entry
+    assert_complete(directory)
+    # Chunks in hand at each of the three deaths may have been computed twice; more must not.
+    assert len(log.read_text().split()) <= len(KEYS) + 3 * 2 * 4
+    with start(directory) as builder:
+        assert builder.communicate()[0].splitlines()[-1].startswith("added 0 ")
+
+
+@pytest.mark.timeout(120)
+def test_case_that_kills_its_worker_is_found_and_the_others_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build_module, "ATTEMPTS", 1)
+    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.draw == 3)
+    monkeypatch.setenv("FAKE_DEADLY", victim)
+    report = quick_build(tmp_path, workers=1)
+    assert report.lost == (victim,)
+    assert report.workers_lost == 3  # the chunk of four, its half, the case itself
+    assert report.lost_reason == "its worker died, in 1 attempt"
+    assert report.added == len(KEYS) - 1
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("moment", [0.0, 3.0])  # s: while workers start, and when they compute
+def test_interrupt_of_the_builder_ends_workers_at_once(tmp_path: Path, moment: float) -> None:
+    with start(tmp_path / "catalogue", FAKE_SECONDS="60") as builder:
+        assert builder.stdout is not None
+        builder.stdout.readline()
+        while len(workers := children(builder.pid)) < 2:
+            time.sleep(0.01)
+        time.sleep(moment)
+        for process in (*workers, builder.pid):  # as a terminal does it: to all of them
+            os.kill(process, signal.SIGINT)
+        began = time.monotonic()
+        errors = builder.communicate()[1]
+    assert builder.returncode == -signal.SIGINT
+    assert errors.count("Traceback") == 1  # the builder's own, which a command line turns into a status
+    assert time.monotonic() - began < 30
+    assert all(ended(worker) for worker in workers)
+    quick_build(tmp_path / "catalogue")
+    assert_complete(tmp_path / "catalogue")
+
+
+def test_interrupt_while_workers_start_waits_until_they_have_their_orders() -> None:
+    finish = threading.Event()
+    other = threading.Thread(target=finish.wait)  # does not block the signal, as threads of libraries
+    other.start()
+    reached = False
+    try:
+        assert other.ident is not None
+        with pytest.raises(KeyboardInterrupt), executors._interrupts_held():
+            signal.pthread_kill(other.ident, signal.SIGINT)
+            time.sleep(0.1)
+            reached = True
+        assert reached
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        finish.set()
+        other.join()
+
+
+def test_build_runs_in_a_thread(tmp_path: Path) -> None:
+    reports: list[BuildReport] = []
+    thread = threading.Thread(target=lambda: reports.append(quick_build(tmp_path, workers=1, chunk_size=64)))
+    thread.start()
+    thread.join()
+    assert reports[0].added == len(KEYS)

@@ -1,0 +1,94 @@
+"""Chunks with the real simulation: what is stored is what the solver gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalogue.build import build
+from catalogue.chunk import Chunk, chunked, simulate_chunk
+from catalogue.plan import parse_plan
+from catalogue.store import Catalogue
+from solver.bands import band_matrix
+from solver.errors import AssemblyError
+from solver.machine import parse_machine, shipped_machine
+from solver.simulate import Case, Settings, simulate_batch
+
+MACHINE = shipped_machine("slider-crank")
+PLAN = parse_plan(
+    {
+        "clearance": {"low": "0.1 mm", "high": "0.4 mm", "count": 2},
+        "draws": 2,
+        "healthy_draws": 2,
+        "seconds": 0,
+        "revolutions": 4,
+        "bands": {"f_max": "1 kHz"},
+        "sample_rate": "4 kHz",
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
+    directory = tmp_path_factory.mktemp("catalogue")
+    report = build(MACHINE, PLAN, directory, workers=1)
+    assert report.failed == {}
+    assert report.lost == ()
+    return Catalogue.open(directory)
+
+
+def test_all_hypotheses_have_spectra(catalogue: Catalogue) -> None:
+    assert catalogue.hypotheses == ("healthy", "A", "B", "O")
+    assert len(catalogue.entries) == 2 + 3 * 2 * 2
+    assert set(catalogue.entries.segments) == {2}  # windows of three revolutions, one apart, in four
+    auto = np.einsum("nbii->nbi", catalogue.power()).real
+    assert (auto >= 0).all()
+    worn = auto[catalogue.entries.hypothesis == "A", -1, 1]
+    healthy = auto[catalogue.entries.hypothesis == "healthy", -1, 1]
+    assert worn.min() > 1e3 * healthy.max()  # impacts, and nothing else, sound at 1 kHz
+
+
+def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
+    wanted = [entry for entry in PLAN.entries(MACHINE) if entry.joints == ("A",)]
+    settings = Settings(sample_rate=4000.0, accuracy="draft", revolutions=4.01)
+    histories = simulate_batch(MACHINE, [Case(entry.fault, entry.parameters) for entry in wanted], settings)
+    for case, history in zip(wanted, histories, strict=True):
+        entry = catalogue.entry(case.key)
+        assert entry.drive_speed == history.drive_speed == case.parameters["drive.speed"]
+        assert entry.transient == history.transient
+        signal = history.band_limited_acceleration[history.t >= history.transient]
+        bands = band_matrix(signal, 4000.0, history.drive_speed, catalogue.scheme)
+        assert entry.power is not None
+        assert entry.spread_db is not None
+        assert np.allclose(entry.power, bands.power, rtol=1e-5, atol=0)
+        assert np.allclose(entry.spread_db, bands.spread_db, rtol=1e-5)
+
+
+def test_machine_that_cannot_be_assembled_is_refused_before_anything_is_stored(tmp_path: Path) -> None:
+    tree = MACHINE.model_dump()
+    for joint in ("O", "A"):  # a crank longer than the rod
+        tree["joints"][joint]["at"] = [0.0, 0.0] if joint == "O" else [0.9 * MACHINE.joints["B"].at[0], 0.5]
+    with pytest.raises(AssemblyError, match=r"joints\.G1: cannot be assembled at a drive angle of"):
+        build(parse_machine(tree), PLAN, tmp_path / "catalogue", workers=0)
+    assert not (tmp_path / "catalogue").exists()
+
+
+def test_chunks_share_joints_and_take_turns() -> None:
+    entries = PLAN.entries(MACHINE)
+    chunks = chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)
+    assert [chunk.joints for chunk in chunks] == [(), ("A",), ("B",), ("O",), ("A",), ("B",), ("O",)]
+    assert sorted(entry.key for chunk in chunks for entry in chunk.entries) == sorted(entry.key for entry in entries)
+    assert [chunk.id for chunk in chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)] == [chunk.id for chunk in chunks]
+    first, second = chunks[1].halves()
+    assert first.entries + second.entries == chunks[1].entries
+    assert len({chunks[1].id, first.id, second.id}) == 3
+
+
+def test_outcomes_are_in_the_order_of_the_entries() -> None:
+    recipe = PLAN.recipe(MACHINE)
+    entries = [entry for entry in PLAN.entries(MACHINE) if entry.joints == ("A",)]
+    entries = [entries[i] for i in (2, 0, 3, 1)]
+    outcomes = simulate_chunk(Chunk(MACHINE.canonical_json(), recipe, tuple(entries)))
+    assert [outcome.drive_speed for outcome in outcomes] == [entry.parameters["drive.speed"] for entry in entries]

@@ -1,0 +1,192 @@
+"""Diagnosis from end to end: recordings of independent code against a catalogue of real simulations."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalogue.build import build
+from catalogue.diagnosis import Diagnosis, diagnose, judged
+from catalogue.errors import DiagnosisError, MeasurementError
+from catalogue.gaussian import GaussianAlongClearance
+from catalogue.learning import MatcherCache
+from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
+from catalogue.measurement import Measurement, read_measurement
+from catalogue.plan import parse_plan
+from catalogue.store import Catalogue
+from solver.machine import shipped_machine
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+TRUTH = json.loads((RECORDINGS / "truth.json").read_text())
+CACHE = MatcherCache()
+
+
+def recording(number: int) -> Measurement:
+    return read_measurement(RECORDINGS / f"slider-crank-{number:02}.csv.gz")
+
+
+def disturbed(measurement: Measurement, added: FloatArray) -> Measurement:
+    signal = measurement.signal + added
+    return replace(measurement, signal=signal, sha256=hashlib.sha256(signal.tobytes()).hexdigest())
+
+
+@pytest.fixture(scope="module")
+def worn(small_catalogue: Catalogue) -> Diagnosis:
+    return diagnose(recording(2), small_catalogue, cache=CACHE)
+
+
+@pytest.mark.parametrize("number", [2, 3, 4])
+def test_finds_the_worn_joint_in_recordings_of_other_code(number: int, small_catalogue: Catalogue) -> None:
+    truth = TRUTH[f"slider-crank-{number:02}"]
+    ((joint, clearance_um),) = truth["worn_um"].items()
+    answer = diagnose(recording(number), small_catalogue, cache=CACHE)
+    assert answer.verdict == "fault"
+    best = answer.hypotheses[0]
+    assert best.label == joint
+    assert best.probability > 0.9
+    assert answer.candidate_set == (joint,)
+    assert best.joints[joint].clearance_um == pytest.approx(clearance_um, rel=0.35)
+    assert answer.drive_speed_rpm == pytest.approx(truth["speed_rpm"], rel=2e-3)
+
+
+def test_commissioning_record_is_healthy(small_catalogue: Catalogue) -> None:
+    answer = diagnose(recording(1), small_catalogue, cache=CACHE)
+    assert answer.verdict == "healthy"
+    assert answer.hypotheses[0].label == "healthy"
+    assert answer.hypotheses[0].joints == {}
+    assert sum(answer.joint_probabilities.values()) < 0.1
+
+
+def test_foreign_force_is_unknown(small_catalogue: Catalogue) -> None:
+    healthy = recording(1)
+    speed = TRUTH["slider-crank-01"]["speed_rpm"] * np.pi / 30.0
+    time = np.arange(len(healthy.signal)) / healthy.sample_rate
+    rocking = 30.0 * np.sin(3.0 * speed * time)[:, None] * np.array([1.0, 0.3, 1.0, 0.3])
+    answer = diagnose(disturbed(healthy, rocking), small_catalogue, cache=CACHE)
+    assert answer.verdict == "unknown"
+    assert answer.goodness_of_fit.p_value < 0.02
+    worst = max(answer.evidence.orders, key=lambda item: abs(item.z))
+    assert worst.order == 3.0
+
+
+def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalogue) -> None:
+    content = json.loads(worn.to_json())
+    documented = {
+        "id", "machine", "catalogue", "drive_speed_rpm", "effort", "verdict", "hypotheses", "joint_probabilities",
+        "candidate_set", "coverage", "goodness_of_fit", "evidence", "warnings",
+    }  # fmt: skip
+    assert set(content) == documented | {"provenance", "hash"}
+    first = content["hypotheses"][0]
+    assert set(first) == {"label", "joints", "probability", "distance_db"}
+    assert set(first["joints"]["B"]) == {"clearance_um", "interval_um"}
+    low, high = first["joints"]["B"]["interval_um"]
+    assert low < first["joints"]["B"]["clearance_um"] < high
+    assert set(content["evidence"]) == {"orders", "bands"}
+    assert set(content["evidence"]["bands"][0]) == {
+        "order", "low_hz", "high_hz", "channel", "measured_db", "predicted_db", "spread_db", "z",
+    }  # fmt: skip
+    assert [item["order"] for item in content["evidence"]["orders"][:6]] == [1, 1, 1, 2, 2, 2]
+    assert {item["channel"] for item in content["evidence"]["bands"]} == {"x", "y", "theta"}
+    assert content["machine"] == "slider-crank"
+    assert content["catalogue"] == "slider-crank"
+    assert set(content["joint_probabilities"]) == {"A", "B", "O"}
+    probabilities = [item["probability"] for item in content["hypotheses"]]
+    assert sum(probabilities) == pytest.approx(1.0)
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert content["provenance"]["measurement_sha256"] == recording(2).sha256
+    assert content["provenance"]["catalogue_sha256"] == small_catalogue.id
+    assert content["provenance"]["matcher"]["name"] == GaussianAlongClearance().name
+    assert Diagnosis.model_validate_json(worn.to_json()) == worn
+
+
+def test_same_question_same_answer_whatever_was_asked_before(worn: Diagnosis, small_catalogue: Catalogue) -> None:
+    cache = MatcherCache()
+    diagnose(recording(3), small_catalogue, cache=cache)
+    again = diagnose(recording(2), small_catalogue, cache=cache)
+    assert again == worn
+    content = worn.model_dump(mode="json", exclude={"hash"})
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    assert worn.hash == hashlib.sha256(text.encode()).hexdigest()
+    other = diagnose(recording(2), small_catalogue, coverage=0.9, cache=cache)
+    assert other.id != worn.id
+
+
+def test_more_noise_makes_less_sure(worn: Diagnosis, small_catalogue: Catalogue) -> None:
+    loud = np.random.default_rng(1).normal(0.0, 3.0, recording(2).signal.shape)
+    answer = diagnose(disturbed(recording(2), loud), small_catalogue, cache=CACHE)
+    assert answer.hypotheses[0].label == "B"
+
+    def width(diagnosis: Diagnosis) -> float:
+        low, high = next(h for h in diagnosis.hypotheses if h.label == "B").joints["B"].interval_um
+        return float(np.log(high / low))
+
+    assert width(answer) > width(worn)
+
+
+def test_one_corner_or_one_sensor_is_enough_to_be_compared(small_catalogue: Catalogue) -> None:
+    whole = recording(2)
+    corner = replace(whole, signal=whole.signal[:, :2], channels=whole.channels[:2])
+    answer = diagnose(corner, small_catalogue, cache=CACHE)
+    assert answer.hypotheses[0].label == "B"
+    assert {item.channel for item in answer.evidence.orders} == {"s1-x", "s1-y"}
+    assert any("one by one" in line for line in answer.warnings)
+    renamed = replace(whole, signal=whole.signal[:, :1], channels=(replace(whole.channels[0], name="channel 7"),))
+    single = diagnose(renamed, small_catalogue, mapping={"channel 7": "s1-x"}, cache=CACHE)
+    assert {item.channel for item in single.evidence.orders} == {"s1-x"}
+    with pytest.raises(MeasurementError, match="no column is a sensor"):
+        diagnose(renamed, small_catalogue)
+
+
+def test_effort_is_reported_as_used(small_catalogue: Catalogue, worn: Diagnosis) -> None:
+    fast = diagnose(recording(2), small_catalogue, effort="fast", cache=CACHE)
+    assert fast.effort == "fast"
+    assert fast.hypotheses[0].label == "B"
+    assert fast.provenance.matcher.name == "nearest-entry"
+    thorough = diagnose(recording(2), small_catalogue, effort="thorough", cache=CACHE)
+    assert thorough.effort == "standard"
+    assert any("effort thorough" in line for line in thorough.warnings)
+    assert thorough.hypotheses == worn.hypotheses
+
+
+def test_warns_of_what_the_catalogue_does_not_cover(small_catalogue: Catalogue) -> None:
+    measurement = recording(4)
+    speed = TRUTH["slider-crank-04"]["speed_rpm"] * np.pi / 30.0
+    faster = replace(measurement, sample_rate=measurement.sample_rate * 1.05)
+    answer = diagnose(faster, small_catalogue, speed=1.05 * speed, cache=CACHE)
+    assert any("outside the catalogue's" in line for line in answer.warnings)
+    assert answer.drive_speed_rpm == pytest.approx(1.05 * TRUTH["slider-crank-04"]["speed_rpm"])
+
+
+def test_refuses_settings_and_catalogues_it_cannot_use(small_catalogue: Catalogue, tmp_path: Path) -> None:
+    with pytest.raises(DiagnosisError, match=r"coverage: 1\.0: must be between 0 and 1"):
+        diagnose(recording(2), small_catalogue, coverage=1.0)
+    with pytest.raises(DiagnosisError, match="effort: most: must be fast, standard or thorough"):
+        diagnose(recording(2), small_catalogue, effort="most")  # type: ignore[arg-type]
+    plan = parse_plan({"hypotheses": ["healthy"], "healthy_draws": 2, "seconds": 0.5})
+    build(shipped_machine("slider-crank"), plan, tmp_path / "sparse", workers=0)
+    with pytest.raises(DiagnosisError, match="2 entries of hypothesis healthy: at least 3 needed"):
+        diagnose(recording(2), Catalogue.open(tmp_path / "sparse"))
+
+
+def answer_of(**hypotheses: tuple[float, float]) -> MatchResult:
+    nothing = np.zeros(1)
+    matches = [
+        HypothesisMatch(label.replace("_", "-"), (), probability, (), 1.0, p_value, nothing, nothing)
+        for label, (probability, p_value) in hypotheses.items()
+    ]
+    return MatchResult(tuple(sorted(matches, key=lambda match: -match.probability)))
+
+
+def test_rules_of_the_verdict() -> None:
+    assert judged(answer_of(A=(0.98, 0.3), healthy=(0.02, 0.001)), 0.95) == (0.3, "fault")
+    assert judged(answer_of(A=(0.02, 0.3), healthy=(0.98, 0.5)), 0.95) == (0.5, "healthy")
+    # The healthy and the as-new machine together are likelier than any fault.
+    assert judged(answer_of(A=(0.4, 0.3), healthy=(0.3, 0.5), as_new=(0.3, 0.2)), 0.95) == (0.5, "healthy")
+    assert judged(answer_of(A=(0.99, 0.002), B=(0.01, 0.9)), 0.95) == (0.002, "unknown")
+    # One likely explanation that fits is enough.
+    assert judged(answer_of(A=(0.7, 0.002), B=(0.3, 0.2)), 0.95) == (0.2, "fault")

@@ -1,0 +1,178 @@
+"""The probabilistic matcher on feature models whose posterior is known."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from feature_model import HIGH, LOW, FeatureModel
+
+from catalogue.calibration import calibration_error, log_loss
+from catalogue.errors import MatchingError
+from catalogue.gaussian import FittedGaussian, GaussianAlongClearance
+from catalogue.matching import Draws, TrainingSet
+
+MODEL = FeatureModel()
+DRAWS = 160
+
+
+@cache
+def fitted(noise: float = MODEL.noise, separation: float = 1.0) -> FittedGaussian:
+    model = FeatureModel(noise=noise, separation=separation)
+    return GaussianAlongClearance().fit(model.training(DRAWS, np.random.default_rng(1)))
+
+
+def test_posterior_is_near_the_exact_one_and_calibrated() -> None:
+    model = FeatureModel(noise=4.0, separation=0.25)
+    features, truth, _ = model.queries(250, np.random.default_rng(2))
+    found = fitted(4.0, 0.25).posterior(features)
+    exact = model.posterior(features)
+    assert np.allclose(found.sum(axis=1), 1.0)
+    top = (found.argmax(axis=1) == truth).mean()
+    best = (exact.argmax(axis=1) == truth).mean()
+    assert best < 0.98, "the task must not be trivial"
+    assert top > best - 0.06
+    assert log_loss(found, truth) < log_loss(exact, truth) + 0.15
+    assert calibration_error(found, truth) < 0.04
+
+
+def test_clearance_is_found_and_its_interval_covers_nine_in_ten() -> None:
+    generator = np.random.default_rng(3)
+    inside, errors = [], []
+    for value in generator.uniform(LOW + 0.2, HIGH - 0.2, 150):
+        feature = MODEL.draw("B", np.array([value]), generator)[0]
+        estimate = next(m for m in fitted().match(feature).hypotheses if m.label == "B").clearances[0]
+        assert estimate.joint == "B"
+        assert estimate.low < estimate.median < estimate.high
+        inside.append(estimate.low <= np.exp(value) <= estimate.high)
+        errors.append(abs(np.log(estimate.median) - value))
+    assert 0.83 <= np.mean(inside) <= 0.98
+    assert np.median(errors) < 0.08
+
+
+def test_more_noise_gives_wider_intervals() -> None:
+    clearance = np.full(40, 0.5 * (LOW + HIGH))
+
+    def width(noise: float) -> float:
+        rows = FeatureModel(noise=noise).draw("A", clearance, np.random.default_rng(4))
+        matches = [next(m for m in fitted(noise).match(row).hypotheses if m.label == "A") for row in rows]
+        return float(np.mean([np.log(m.clearances[0].high / m.clearances[0].low) for m in matches]))
+
+    assert width(1.0) < width(2.0) < width(6.0)
+
+
+def test_an_unknown_pattern_gets_a_small_p_value_and_known_ones_do_not() -> None:
+    features, truth, _ = MODEL.queries(60, np.random.default_rng(5))
+    labels = fitted().labels
+    known = [
+        next(m for m in fitted().match(row).hypotheses if m.label == labels[index]).p_value
+        for row, index in zip(features, truth, strict=True)
+    ]
+    assert np.mean(np.array(known) < 0.05) < 0.1
+    strange = np.where(np.arange(MODEL.length) % 2, 12.0, -12.0)
+    assert all(fitted().match(row + strange).best.p_value < 0.02 for row in features[::20])
+    one_order = np.zeros(MODEL.length)
+    one_order[1:4] = 12.0
+    assert all(fitted().match(row + one_order).best.p_value < 0.05 for row in features[::20])
+
+
+def test_order_of_hypotheses_and_of_rows_does_not_matter() -> None:
+    training = MODEL.training(40, np.random.default_rng(6))
+    features, _, _ = MODEL.queries(10, np.random.default_rng(7))
+    turned = TrainingSet(training.hypotheses[::-1], training.watched)
+    settings = GaussianAlongClearance()
+    one, other = settings.fit(training), settings.fit(turned)
+    assert other.labels == one.labels[::-1]
+    # Folds are dealt by a generator running over the hypotheses, so calibration differs in small ways only.
+    assert np.abs(one.posterior(features) - other.posterior(features)[:, ::-1]).max() < 0.05
+    assert np.allclose(
+        one.model.log_evidence(one.model.log_likelihood(features)),
+        other.model.log_evidence(other.model.log_likelihood(features))[:, ::-1],
+    )
+    shuffled = []
+    for draws in training.hypotheses:
+        order = np.random.default_rng(8).permutation(len(draws.features))
+        shuffled.append(
+            Draws(draws.label, draws.joints, draws.features[order], draws.log_clearance[order], draws.entry[order])
+        )
+    again = settings.fit(TrainingSet(tuple(shuffled), training.watched))
+    assert np.allclose(one.posterior(features), again.posterior(features), atol=1e-9)
+
+
+def test_order_of_features_does_not_matter() -> None:
+    training = MODEL.training(40, np.random.default_rng(9))
+    features, _, _ = MODEL.queries(10, np.random.default_rng(10))
+    order = np.random.default_rng(11).permutation(MODEL.length)
+    moved = TrainingSet(
+        tuple(
+            Draws(d.label, d.joints, d.features[:, order], d.log_clearance, d.entry, d.prior)
+            for d in training.hypotheses
+        ),
+        training.watched[order],
+    )
+    settings = GaussianAlongClearance()
+    one, other = settings.fit(training), settings.fit(moved)
+    assert np.allclose(one.posterior(features), other.posterior(features[:, order]), atol=1e-6)
+
+
+def test_block_and_single_answers_agree() -> None:
+    features, _, _ = MODEL.queries(5, np.random.default_rng(12))
+    block = fitted().posterior(features)
+    for row, expected in zip(features, block, strict=True):
+        result = fitted().match(row)
+        assert [result.probability(label) for label in fitted().labels] == pytest.approx(list(expected))
+        assert sum(h.probability for h in result.hypotheses) == pytest.approx(1.0)
+        joints = result.joint_probabilities()
+        assert joints == pytest.approx({joint: result.probability(joint) for joint in MODEL.joints})
+        assert result.candidate_set(0.95)[0] == result.best.label
+        assert set(result.candidate_set(1.1)) == set(fitted().labels)
+
+
+def test_prior_moves_the_answer() -> None:
+    training = MODEL.training(40, np.random.default_rng(13))
+    features, _, _ = FeatureModel(noise=6.0).queries(40, np.random.default_rng(14))
+    first, *rest = training.hypotheses
+    heavy = Draws(first.label, first.joints, first.features, first.log_clearance, first.entry, prior=100.0)
+    plain = GaussianAlongClearance().fit(training).posterior(features)
+    moved = GaussianAlongClearance().fit(TrainingSet((heavy, *rest), training.watched)).posterior(features)
+    assert moved[:, 0].mean() > plain[:, 0].mean()
+
+
+def test_two_joints_are_estimated_together() -> None:
+    generator = np.random.default_rng(15)
+
+    def pair(clearances: np.ndarray) -> np.ndarray:
+        power = [10.0 ** (0.1 * MODEL.mean(j, c)) for j, c in zip("AB", clearances.T, strict=True)]
+        scatter = generator.normal(size=(len(clearances), MODEL.length)) @ np.linalg.cholesky(MODEL.covariance).T
+        level: np.ndarray = 10.0 * np.log10(power[0] + power[1]) + scatter
+        return level
+
+    clearances = generator.uniform(LOW, HIGH, (300, 2))
+    draws = Draws("A+B", ("A", "B"), pair(clearances), clearances, np.arange(300), prior=0.15)
+    singles = MODEL.training(DRAWS, generator)
+    matcher = GaussianAlongClearance().fit(TrainingSet((*singles.hypotheses, draws), singles.watched))
+    truth = generator.uniform(LOW + 0.5, HIGH - 0.5, (30, 2))
+    right, errors = 0, []
+    for feature, value in zip(pair(truth), truth, strict=True):
+        best = matcher.match(feature).best
+        right += best.label == "A+B"
+        if best.label == "A+B":
+            errors.append(np.abs(np.log([c.median for c in best.clearances]) - value))
+    assert right >= 24
+    assert np.median(errors) < 0.3
+
+
+def test_refuses_what_it_cannot_learn_or_match() -> None:
+    training = MODEL.training(40, np.random.default_rng(16))
+    with pytest.raises(MatchingError, match="must be 24 finite numbers"):
+        fitted().match(np.zeros(3))
+    with pytest.raises(MatchingError, match="finite"):
+        fitted().match(np.full(MODEL.length, np.nan))
+    short = training.hypotheses[0].rows(np.arange(40) < 2)
+    with pytest.raises(MatchingError, match="2 draws: must be at least 3"):
+        GaussianAlongClearance().fit(TrainingSet((short, *training.hypotheses[1:]), training.watched))
+    with pytest.raises(MatchingError, match="its own label"):
+        TrainingSet((training.hypotheses[0], training.hypotheses[0]), training.watched)
+    with pytest.raises(MatchingError, match="finite numbers"):
+        Draws("A", ("A",), np.full((3, 2), np.inf), np.zeros((3, 1)), np.arange(3))

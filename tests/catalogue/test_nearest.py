@@ -1,0 +1,96 @@
+"""The nearest-entry matcher, and that it answers through the same interface."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from feature_model import HIGH, LOW, FeatureModel
+
+from catalogue.calibration import Tail, calibration_error, combined, folds
+from catalogue.errors import MatchingError
+from catalogue.gaussian import GaussianAlongClearance
+from catalogue.matching import FittedMatcher, Matcher
+from catalogue.nearest import DecibelDistance, NearestEntry
+
+MODEL = FeatureModel()
+
+
+@cache
+def fitted() -> FittedMatcher:
+    return NearestEntry().fit(MODEL.training(160, np.random.default_rng(1)))
+
+
+def test_pair_is_the_definition_and_block_agrees() -> None:
+    generator = np.random.default_rng(2)
+    first, second = generator.normal(-60.0, 20.0, (7, 30)), generator.normal(-60.0, 20.0, (9, 30))
+    metric = DecibelDistance()
+    block = metric.block(first, second)
+    assert block.shape == (7, 9)
+    for i in range(7):
+        for j in range(9):
+            assert block[i, j] == pytest.approx(metric.pair(first[i], second[j]), rel=1e-9)
+    assert np.allclose(np.diag(metric.block(first, first)), 0.0, atol=1e-5)
+    assert np.allclose(block, metric.block(second, first).T)
+    assert metric.pair(np.zeros(4), np.full(4, 3.0)) == 3.0
+
+
+def test_finds_joint_and_clearance() -> None:
+    features, truth, clearance = MODEL.queries(80, np.random.default_rng(3))
+    posterior = fitted().posterior(features)
+    assert (posterior.argmax(axis=1) == truth).mean() > 0.9
+    assert calibration_error(posterior, truth) < 0.08
+    inside = []
+    for row, index, value in zip(features, truth, clearance, strict=True):
+        result = fitted().match(row)
+        assert [result.probability(label) for label in fitted().labels] == pytest.approx(
+            list(fitted().posterior(row[None, :])[0])
+        )
+        own = next(m for m in result.hypotheses if m.label == fitted().labels[index])
+        if own.clearances and LOW + 0.1 < value < HIGH - 0.1:
+            inside.append(own.clearances[0].low <= np.exp(value) <= own.clearances[0].high)
+    assert 0.8 < np.mean(inside) < 0.99
+
+
+def test_an_unknown_pattern_gets_a_small_p_value() -> None:
+    features, _, _ = MODEL.queries(5, np.random.default_rng(4))
+    assert all(fitted().match(row + 25.0).best.p_value < 0.02 for row in features)
+    assert np.mean([fitted().match(row).best.p_value for row in features]) > 0.1
+
+
+@pytest.mark.parametrize("matcher", [NearestEntry(), GaussianAlongClearance()], ids=lambda m: m.name)
+def test_both_stand_behind_the_same_interface(matcher: Matcher) -> None:
+    known = matcher.fit(MODEL.training(40, np.random.default_rng(5)))
+    feature = MODEL.draw("C", np.array([np.log(3e-4)]), np.random.default_rng(6))[0]
+    result = known.match(feature)
+    assert result.best.label == "C"
+    assert result.best.predicted.shape == result.best.spread.shape == feature.shape
+    assert (result.best.spread > 0.0).all()
+    assert known.match(feature).best.probability == result.best.probability
+    with pytest.raises(MatchingError, match="must be 24 finite numbers"):
+        known.match(feature[:-1])
+
+
+def test_folds_hold_out_every_row_once_and_cases_together() -> None:
+    training = MODEL.training(30, np.random.default_rng(7))
+    parts = [
+        type(draws)(draws.label, draws.joints, draws.features, draws.log_clearance, draws.entry // 3)
+        for draws in training.hypotheses
+    ]
+    training = type(training)(tuple(parts), training.watched)
+    seen = dict.fromkeys(training.labels, 0)
+    for learned, held in folds(training, 4):
+        for a, b in zip(learned.hypotheses, held.hypotheses, strict=True):
+            assert not set(a.entry) & set(b.entry)
+            seen[b.label] += len(b.features)
+    assert seen == dict.fromkeys(training.labels, 30)
+
+
+def test_tail_counts_and_is_never_zero() -> None:
+    tail = Tail.of(np.array([3.0, 1.0, 2.0]))
+    assert tail.p_value(0.0) == 1.0
+    assert tail.p_value(2.0) == 0.75
+    assert tail.p_value(9.0) == 0.25
+    assert combined(0.01, 0.5) == 0.02
+    assert combined(0.9, 0.8) == 1.0

@@ -1,0 +1,103 @@
+"""What is added to a catalogue entry before it is compared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from catalogue.errors import DiagnosisError
+from catalogue.feature_bands import feature_vector
+from catalogue.observation import Discrepancy, Sensing, observe, rounded_up
+from solver.sensor import rigid_body, sensor_transform
+
+NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0)
+TRANSFORM = sensor_transform(
+    [[0.2, -0.1], [0.2, -0.1], [-0.2, 0.1], [-0.2, 0.1]], [[1, 0], [0, 1], [1, 0], [0, 1]], [0.0, 0.0]
+)
+INVERSE = rigid_body(TRANSFORM).inverse
+assert INVERSE is not None
+CUTS = (0, 1, 2, 4, 7)
+BODY = Sensing(TRANSFORM, INVERSE, CUTS, np.full((4, 3), 1e-12), np.full(4, 40.0))
+
+
+def entries(count: int = 5, bands: int = 8) -> np.ndarray:
+    generator = np.random.default_rng(1)
+    motion = generator.normal(size=(count, bands, 3, 6)) + 1j * generator.normal(size=(count, bands, 3, 6))
+    power: np.ndarray = (motion @ np.swapaxes(motion.conj(), -1, -2)).astype(np.complex64)
+    return power
+
+
+def test_without_noise_and_discrepancy_it_is_the_feature_vector() -> None:
+    power = entries()
+    features, entry = observe(power, BODY, NOTHING, np.ones(5, np.int64))
+    assert list(entry) == [0, 1, 2, 3, 4]
+    assert np.allclose(features, feature_vector(power, CUTS), atol=1e-3)
+    corner = Sensing(TRANSFORM[:2], np.eye(2), CUTS, np.full((4, 2), 1e-12), np.full(4, 40.0))
+    features, _ = observe(power, corner, NOTHING, np.ones(5, np.int64))
+    assert np.allclose(features, feature_vector(power, CUTS, TRANSFORM[:2]), atol=1e-3)
+
+
+def test_noise_has_the_stated_mean_and_scatter() -> None:
+    power = entries(1)
+    noisy = replace(BODY, noise=np.full((4, 3), 20.0))
+    features, _ = observe(power, noisy, NOTHING, np.array([20_000]))
+    clean = noisy.powers(power)[0].ravel()
+    measured = 10.0 ** (0.1 * features)
+    # Clipping lifts what falls below the noise; with these powers next to nothing does.
+    assert np.allclose(measured.mean(axis=0), clean + 20.0, rtol=0.02)
+    expected = np.sqrt((20.0**2 + 2.0 * clean * 20.0) / 20.0)
+    assert np.allclose(measured.std(axis=0), expected, rtol=0.1)
+    assert features.min() >= 10.0 * np.log10(20.0) - 1e-9
+
+
+def test_gain_errors_of_sensors_leak_into_rotation() -> None:
+    power = np.zeros((1, 8, 3, 3), np.complex64)
+    power[..., 0, 0] = 1.0  # the frame moves along x only
+    exact, _ = observe(power, BODY, NOTHING, np.array([1]))
+    off, _ = observe(power, BODY, replace(NOTHING, gain=0.03), np.array([500]))
+    x, theta = slice(0, None, 3), slice(2, None, 3)
+    assert exact[:, theta].max() < -110.0
+    assert np.median(off[:, theta]) > -32.0
+    assert off[:, x].std(axis=0).max() < 0.5
+
+
+def test_level_errors_are_smooth_and_as_large_as_stated() -> None:
+    errors = Discrepancy(level_db=1.5).levels(np.random.default_rng(2), (4000, 30, 3))
+    assert errors.std() == pytest.approx(1.5, rel=0.05)
+    flat = errors[:, :, 0]
+    near = np.mean(flat[:, 10] * flat[:, 11]) / 1.5**2
+    far = np.mean(flat[:, 5] * flat[:, 25]) / 1.5**2
+    across = np.mean(errors[:, 10, 0] * errors[:, 10, 2]) / 1.5**2
+    assert near > 0.85
+    assert abs(far) < 0.1
+    assert across == pytest.approx(0.5, abs=0.08)
+
+
+def test_same_seed_same_draws() -> None:
+    power, copies = entries(), np.full(5, 3)
+    first = observe(power, BODY, Discrepancy(), copies, seed=4)
+    again = observe(power, BODY, Discrepancy(), copies, seed=4)
+    other = observe(power, BODY, Discrepancy(), copies, seed=5)
+    assert np.array_equal(first[0], again[0])
+    assert np.array_equal(first[1], np.repeat(np.arange(5), 3))
+    assert not np.array_equal(first[0], other[0])
+
+
+def test_rounding_up_is_to_whole_steps() -> None:
+    values = np.array([1.0, 1.0000001, 1.9, 2.1, 1e-9])
+    rounded = rounded_up(values, 3.0)
+    assert (rounded >= values * (1 - 1e-9)).all()
+    assert (rounded < values * 10**0.3 * (1 + 1e-9)).all()
+    assert rounded[0] == 1.0
+    assert np.array_equal(rounded_up(rounded, 3.0), rounded)
+
+
+def test_refuses_what_does_not_fit_together() -> None:
+    with pytest.raises(DiagnosisError, match="channels of 4 sensors: 2 are there"):
+        Sensing(TRANSFORM[:2], INVERSE, CUTS, BODY.noise, BODY.degrees_of_freedom)
+    with pytest.raises(DiagnosisError, match="must be \\(bands, channels\\)"):
+        replace(BODY, noise=np.ones((3, 3)))
+    with pytest.raises(DiagnosisError, match="greater than 0"):
+        replace(BODY, noise=np.zeros((4, 3)))

@@ -1,0 +1,304 @@
+"""What a catalogue gives back, and that its files are what they are said to be."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from fake_simulator import MACHINE, PLAN, compute, diverges
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from catalogue import hdf5
+from catalogue.build import build
+from catalogue.cross_power import pack, unpack
+from catalogue.directory import publish, sha256_of
+from catalogue.errors import CatalogueFileError, EntryNotFoundError
+from catalogue.plan import parse_plan
+from catalogue.shard import Outcome, Shard
+from catalogue.store import Catalogue
+from solver.machine import parse_machine
+
+ALL = parse_plan(
+    {
+        **PLAN.content,
+        "hypotheses": ["healthy", "singles", "pairs", "as-new"],
+        "pairs": {"count": 2, "draws": 2},
+        "as_new": {"draws": 3},
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("catalogue")
+    build(MACHINE, ALL, path, workers=0, compute=compute, chunk_size=5)
+    return path
+
+
+@pytest.fixture(scope="module")
+def catalogue(directory: Path) -> Catalogue:
+    return Catalogue.open(directory)
+
+
+def test_says_what_it_is_of(catalogue: Catalogue, directory: Path) -> None:
+    assert catalogue.machine.content_key == MACHINE.content_key
+    assert catalogue.plan == ALL
+    assert catalogue.recipe == ALL.recipe(MACHINE)
+    assert catalogue.scheme == catalogue.recipe.scheme
+    assert catalogue.path == directory
+    assert catalogue.hypotheses == ("healthy", "as-new", "A", "B", "O", "A+B", "A+O", "B+O")
+    assert set(catalogue.manifest.versions) >= {"python", "numpy", "scipy", "casadi", "numba"}
+
+
+def test_entries_are_those_of_the_plan_in_a_stated_order(catalogue: Catalogue) -> None:
+    table = catalogue.entries
+    wanted = {entry.key: entry for entry in ALL.entries(MACHINE)}
+    assert set(table.key) == {key for key in wanted if not diverges(key)}
+    for row, key in enumerate(table.key.tolist()):
+        entry = wanted[key]
+        assert table.hypothesis[row] == entry.hypothesis
+        assert table.joints_of(row) == entry.joints
+        assert tuple(table.clearance[row][table.clearance[row] > 0]) == entry.clearances
+        assert {path: numbers[row] for path, numbers in table.parameters.items()} == dict(entry.parameters)
+        assert table.draw[row] == entry.draw
+    labels = list(dict.fromkeys(table.hypothesis.tolist()))
+    assert tuple(labels) == catalogue.hypotheses  # each in one block
+    singles = table.rows(table.hypothesis == "A")
+    assert (np.diff(singles.clearance[:, 0]) >= 0).all()
+    assert (np.diff(singles.draw)[np.diff(singles.clearance[:, 0]) == 0] > 0).all()
+
+
+def test_failed_cases_have_rows_but_no_spectra(catalogue: Catalogue) -> None:
+    assert len(catalogue.failed) > 0
+    assert set(catalogue.failed.status) == {"diverged"}
+    assert set(catalogue.failed.message) == {"left the range at t = 0.1 s"}
+    assert len(catalogue.entries) == len(catalogue.power()) == len(catalogue.spread_db())
+    entry = catalogue.entry(str(catalogue.failed.key[0]))
+    assert (entry.status, entry.power, entry.spread_db) == ("diverged", None, None)
+    assert set(catalogue.entries.status) == {"ok"}
+
+
+def test_spectra_are_those_that_were_computed(catalogue: Catalogue) -> None:
+    power, spread = catalogue.power(), catalogue.spread_db()
+    bands = catalogue.scheme.count
+    assert power.dtype == np.complex64
+    assert power.shape == (len(catalogue.entries), bands, 3, 3)
+    assert spread.shape == (len(catalogue.entries), bands, 3)
+    assert np.array_equal(power, power.conj().swapaxes(2, 3))
+    assert catalogue.power() is power
+    assert not power.flags.writeable
+    key = str(catalogue.entries.key[10])
+    random = np.random.default_rng(int(key[:8], 16))
+    root = random.normal(size=(bands, 3, 3)) + 1j * random.normal(size=(bands, 3, 3))
+    assert np.allclose(power[10], root @ root.conj().swapaxes(1, 2), rtol=1e-5, atol=1e-6)
+    assert np.array_equal(spread[10], random.random((bands, 3)).astype(np.float32))
+
+
+def test_one_entry(catalogue: Catalogue) -> None:
+    row = int(np.flatnonzero(catalogue.entries.hypothesis == "A+O")[0])
+    key = str(catalogue.entries.key[row])
+    entry = catalogue.entry(key[:10])
+    assert entry.key == key
+    assert set(entry.clearances) == {"A", "O"}
+    assert entry.parameters["drive.speed"] == catalogue.entries.parameters["drive.speed"][row]
+    assert entry.power is not None
+    assert np.array_equal(entry.power, catalogue.power()[row])
+    assert (entry.segments, entry.transient, entry.drive_speed) == (4, 0.25, 60.0)
+
+
+@pytest.mark.parametrize("key", ["", "0" * 64, "zzzzzzzz", "a"])
+def test_unknown_keys_are_refused(catalogue: Catalogue, key: str) -> None:
+    with pytest.raises(EntryNotFoundError, match="no such entry in the catalogue"):
+        catalogue.entry(key)
+
+
+def test_id_follows_from_the_content(directory: Path, tmp_path: Path) -> None:
+    first = Catalogue.open(directory).id
+    assert first == Catalogue.open(directory).id
+    build(MACHINE, PLAN, tmp_path, workers=0, compute=compute)
+    before = Catalogue.open(tmp_path)
+    build(MACHINE, ALL, tmp_path, workers=0, compute=compute)
+    after = Catalogue.open(tmp_path)
+    assert len({first, before.id, after.id}) == 3
+    assert len(before.entries) < len(after.entries)  # what was opened stays what it was
+
+
+def test_opens_without_index_and_where_nothing_can_be_written(directory: Path, tmp_path: Path) -> None:
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(directory, copy)
+    (copy / "index.sqlite").unlink()
+    for folder in (copy / "shards", copy):
+        os.chmod(folder, 0o500)
+    try:
+        assert Catalogue.open(copy).id == Catalogue.open(directory).id
+        assert len(Catalogue.open(copy).power()) == len(Catalogue.open(directory).power())
+    finally:
+        for folder in (copy, copy / "shards"):
+            os.chmod(folder, 0o700)
+
+
+def test_folders_that_are_no_catalogue_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "none"):
+        with pytest.raises(CatalogueFileError, match=r"is not a catalogue: it has no manifest\.json$"):
+            Catalogue.open(path)
+
+
+def test_damage_is_never_served(directory: Path, tmp_path: Path) -> None:
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(directory, copy)
+    victim = sorted((copy / "shards").iterdir())[1]
+    content = bytearray(victim.read_bytes())
+    content[len(content) // 2] ^= 1
+    victim.write_bytes(content)
+    with pytest.raises(CatalogueFileError, match=rf"{victim.name}: does not match its checksum"):
+        Catalogue.open(copy).power()
+    victim.unlink()
+    opened = Catalogue(Catalogue.open(directory)._directory, Catalogue.open(copy).manifest, ["f" * 64])
+    with pytest.raises(CatalogueFileError, match="cannot be read"):
+        opened.power()
+
+
+def test_numbers_only_some_entries_vary_have_the_value_of_the_file(tmp_path: Path) -> None:
+    plain = parse_plan({**PLAN.content, "uncertain": {}})
+    faster = parse_plan({**plain.content, "speeds": [1.0, 1.5]})
+    build(MACHINE, plain, tmp_path, workers=0, compute=compute)
+    build(MACHINE, faster, tmp_path, workers=0, compute=compute)
+    speeds = Catalogue.open(tmp_path).entries.parameters["drive.speed"] / MACHINE.drive.speed  # type: ignore[union-attr, operator]
+    assert set(np.round(speeds, 12)) == {1.0, 1.5}
+
+
+# The files.
+
+
+def some_shard() -> Shard:
+    entries = [entry for entry in PLAN.entries(MACHINE) if entry.hypothesis == "A"]
+    from catalogue.chunk import Chunk
+    from catalogue.manifest import Manifest
+
+    manifest = Manifest.of(MACHINE, PLAN)
+    outcomes = compute(Chunk(MACHINE.canonical_json(), manifest.recipe, tuple(entries)))
+    return Shard.of(manifest.header(PLAN), entries, outcomes)
+
+
+def test_shard_reads_back_and_says_all_about_itself() -> None:
+    shard = some_shard()
+    content = hdf5.encode_shard(shard)
+    assert hdf5.encode_shard(shard) == content
+    back = hdf5.decode_shard(content, Path("x.h5"))
+    assert back.header == shard.header
+    assert [back.entry(i) for i in range(back.count)] == [shard.entry(i) for i in range(shard.count)]
+    assert [back.entry(i) for i in range(back.count)] == [e for e in PLAN.entries(MACHINE) if e.hypothesis == "A"]
+    for name in ("status", "message", "hypothesis"):
+        assert getattr(back, name) == getattr(shard, name)
+    for name in ("power", "spread_db", "row", "segments", "drive_speed", "transient", "seconds"):
+        assert np.array_equal(getattr(back, name), getattr(shard, name))
+    assert parse_machine(back.header.machine).content_key == MACHINE.content_key
+    assert parse_plan(back.header.plan) == PLAN
+
+
+def test_other_programs_find_units_and_meaning_in_a_shard(tmp_path: Path) -> None:
+    (tmp_path / "x.h5").write_bytes(hdf5.encode_shard(some_shard()))
+    with h5py.File(tmp_path / "x.h5") as file:
+        assert file["spectra/power"].attrs["columns"].tolist()[3:5] == ["re x y", "im x y"]
+        assert "integrated over each band" in file["spectra/power"].attrs["quantity"]
+        assert file["entries/clearance"].attrs["unit"] == "m"
+        assert file["bands/edges"].attrs["unit"] == "orders"
+        assert len(file["bands/edges"]) == file["spectra/power"].shape[1] + 1
+
+
+def test_shard_of_failed_cases_only() -> None:
+    shard = some_shard()
+    entries = [shard.entry(i) for i in range(2)]
+    failed = Shard.of(shard.header, entries, [Outcome("diverged", "so", 1.0, 0.0, 0, 0.1)] * 2)
+    back = hdf5.decode_shard(hdf5.encode_shard(failed), Path("x.h5"))
+    assert back.row.tolist() == [-1, -1]
+    assert back.power.shape == (0, shard.header.recipe.scheme.count, 9)
+
+
+def test_files_that_are_no_shards_are_refused(tmp_path: Path) -> None:
+    good = hdf5.encode_shard(some_shard())
+    hdf5.write_arrays(tmp_path / "other.h5", {"t": np.arange(3.0)})
+    other = (tmp_path / "other.h5").read_bytes()
+    for content in (b"", b"no", good[: len(good) // 2], other):
+        with pytest.raises(CatalogueFileError, match=r"^x\.h5: ") as caught:
+            hdf5.decode_shard(content, Path("x.h5"))
+        assert "\n" not in str(caught.value)
+
+
+def test_entry_of_a_usual_catalogue_takes_less_than_8_kb() -> None:
+    """108 bands, as quick-return up to 4 kHz has; 64 cases in a shard."""
+    shard = some_shard()
+    recipe = replace(shard.header.recipe, orders=40, per_octave=12, f_max=4000.0, nominal_drive_speed=4 * np.pi)
+    assert recipe.scheme.count == 108
+    entries = [shard.entry(0)] * 64
+    root = np.ones((108, 3, 3), np.complex64)
+    outcomes = [Outcome("ok", "", 12.5, 1.0, 3, 0.02, root, np.ones((108, 3), np.float32))] * 64
+    content = hdf5.encode_shard(Shard.of(replace(shard.header, recipe=recipe), entries, outcomes))
+    assert len(content) / 64 < 8000
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    hnp.arrays(np.float32, (4, 9), elements=st.floats(-(2.0**100), 2.0**100, width=32)),
+)
+def test_packing_loses_nothing(packed: np.ndarray) -> None:  # type: ignore[type-arg]
+    power = unpack(packed)
+    assert np.array_equal(power, power.conj().swapaxes(1, 2))
+    assert np.array_equal(pack(power), packed)
+
+
+def test_arrays_of_a_simulation_read_back(tmp_path: Path) -> None:
+    arrays = {
+        "t": np.linspace(0, 1, 20001),
+        "frame_acceleration": np.random.default_rng(1).normal(size=(20001, 3)),
+        "links": np.array(["bed", "crank µ"]),
+    }
+    attributes = {"status": "ok", "sample_rate": 2e4, "steps": 7, "channels": ("x", "y", "theta"), "ok": True}
+    path = tmp_path / "out.h5"
+    hdf5.write_arrays(path, arrays, units={"t": "s", "frame_acceleration": "m/s2, m/s2, rad/s2"}, attributes=attributes)
+    back, found = hdf5.read_arrays(path)
+    assert list(back) == list(arrays)
+    assert np.array_equal(back["t"], arrays["t"])
+    assert np.array_equal(back["frame_acceleration"], arrays["frame_acceleration"])
+    assert back["links"].tolist() == ["bed", "crank µ"]
+    assert found == attributes
+    with h5py.File(path) as file:
+        assert file["t"].attrs["unit"] == "s"
+
+
+def test_arrays_that_cannot_be_read_or_written_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "no.h5").write_text("text")
+    for path in (tmp_path / "no.h5", tmp_path / "none.h5"):
+        with pytest.raises(CatalogueFileError, match="cannot be read as HDF5") as caught:
+            hdf5.read_arrays(path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(CatalogueFileError, match=r"out\.h5: cannot be written"):
+        hdf5.write_arrays(tmp_path / "none" / "out.h5", {"t": np.arange(3.0)})
+
+
+def test_publishing_replaces_whole_files_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a"
+    publish(path, b"old")
+
+    def crash(descriptor: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", crash)
+    with pytest.raises(KeyboardInterrupt):
+        publish(path, b"new and longer")
+    monkeypatch.undo()
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+    assert path.read_bytes() == b"old"
+    publish(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert sha256_of(b"new").startswith("11507a0e")

@@ -1,0 +1,297 @@
+"""The paper's equations [A]{B} = {C}, written out in full, dense and slow: the judge of the fast solver.
+
+For N links and J joints there are 3N + 2J unknowns: x'', y'', theta'' of every link's centre of gravity, and two for
+every joint (turning pair: the force on its first link; sliding pair: the normal force and the couple on its first link;
+turning pair with clearance: the force on its pin, which is a function of the state). A prescribed drive adds its effort
+as one more unknown, and its motion as one more row. Nothing here comes from the solver's equations; the numbers of a
+machine file and the positions and velocities of all links are the only input.
+
+Links are numbered in the order of the file. A state is two arrays (N, 3): x, y of the centre of gravity in global
+coordinates (m) and the angle since the drawing (rad), and their rates.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from oracle.closures import blocked_motions
+from oracle.state import Array, ContactState, Slide, State, across, cross
+from oracle.tables import periodic_row, prescribed, table, time_row
+
+from solver.machine import (
+    ForceDrive,
+    Machine,
+    Mount,
+    RotationDrive,
+    SlidingJoint,
+    Spring,
+    TorqueDrive,
+    TranslationDrive,
+    TurningJoint,
+)
+
+
+class JammedError(Exception):
+    """No signs of the sliding pairs' normal forces fit the motion, or several with different motions."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Accelerations (N, 3), reactions by joint, the drive's effort (0 unless prescribed), and [A] itself.
+
+    A reaction is (Fx, Fy) on links[0] of a turning joint, on the pin where it has clearance, and (normal force, couple)
+    on links[0] of a sliding joint. What rounding of a solution is to be measured by: `scale` are the largest terms of
+    the equations as accelerations, m/s2 and rad/s2; `effort_scale` the same as they stand, N and N m.
+    """
+
+    accelerations: Array
+    reactions: dict[str, Array]
+    effort: float
+    scale: tuple[float, float]
+    effort_scale: tuple[float, float]
+    matrix: Array
+
+    @property
+    def condition(self) -> float:
+        """Condition number of [A] after every row, then every column, was divided by its largest entry."""
+        scaled = self.matrix / np.abs(self.matrix).max(axis=1)[:, None]
+        return float(np.linalg.cond(scaled / np.abs(scaled).max(axis=0)))
+
+
+def solve(machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array) -> Solution:
+    """Write the equations at one state and solve them.
+
+    Raises
+    ------
+    JammedError
+        With Coulomb friction in sliding pairs: see there.
+    numpy.linalg.LinAlgError
+        A machine whose reactions are not determined.
+    """
+    system = _System(State(machine, positions, velocities), clearances, t)
+    found: list[Solution] = []
+    for signs in itertools.product((1.0, -1.0), repeat=len(system.rubbing)):
+        solution = system.solve(signs)
+        normal = (solution.reactions[name][0] for name in system.rubbing)
+        if all(sign * force >= 0 for sign, force in zip(signs, normal, strict=True)):
+            found.append(solution)
+    if not found:
+        raise JammedError("no signs of the normal forces are consistent with the motion")
+    first = found[0].accelerations
+    scale = max(1.0, float(np.abs(first).max()))
+    if any(np.abs(other.accelerations - first).max() > 1e-9 * scale for other in found[1:]):
+        raise JammedError("several signs of the normal forces are consistent with different motions")
+    return found[0]
+
+
+class _System:
+    """[A] and {C}: Newton-Euler rows first, then two rows a joint, then the drive's."""
+
+    def __init__(self, state: State, clearances: Mapping[str, float], t: float) -> None:
+        self.state, self.machine, self.clearances, self.t = state, state.machine, clearances, t
+        n, j = len(self.machine.links), len(self.machine.joints)
+        known_motion = isinstance(self.machine.drive, RotationDrive | TranslationDrive)
+        size = 3 * n + 2 * j + known_motion
+        self.a, self.c = np.zeros((size, size)), np.zeros(size)
+        self.columns = {name: 3 * n + 2 * k for k, name in enumerate(self.machine.joints)}
+        self.rubbing: dict[str, Array] = {}  # friction of a sliding pair for a normal force of +1, as forces on links
+        self.newton_euler()
+        self.supports()
+        self.loads()
+        for name, joint in self.machine.joints.items():
+            if isinstance(joint, SlidingJoint):
+                self.sliding(joint, self.columns[name])
+                if joint.friction:
+                    self.rubbing[name] = self.friction(joint)
+            elif name in clearances:
+                self.clearance(name)
+            else:
+                self.turning(joint, self.columns[name])
+        self.drive()
+
+    def newton_euler(self) -> None:
+        """M x'' = F, M y'' = F - M g, I theta'' = T."""
+        for i, link in enumerate(self.machine.links.values()):
+            if link.mass is not None and link.inertia is not None:
+                for k, inertia in enumerate((link.mass, link.mass, link.inertia)):
+                    self.a[3 * i + k, 3 * i + k] = inertia
+                self.c[3 * i + 1] -= link.mass * self.machine.gravity
+
+    def force(self, i: int, point: Array, force: Array, column: int | None = None) -> None:
+        """A force on link i at a point in space: a known one, or that of a unit of the unknown in `column`."""
+        rows = slice(3 * i, 3 * i + 3)
+        if column is None:
+            self.c[rows] += self.wrench(i, point, force)
+        else:
+            self.a[rows, column] -= self.wrench(i, point, force)
+
+    def wrench(self, i: int, point: Array, force: Array) -> Array:
+        """(Fx, Fy, moment about the centre of gravity of link i) of a force at a point."""
+        return np.array([*force, cross(point - self.state.positions[i, :2], force)])
+
+    def pair(self, i: int, j: int, point: Array, force: Array, column: int | None = None) -> None:
+        """A force on link i and its opposite on link j at the same point."""
+        self.force(i, point, force, column)
+        self.force(j, point, -force, column)
+
+    def couple(self, i: int, j: int, torque: float, column: int | None = None) -> None:
+        """A torque on link i and its opposite on link j."""
+        for link, value in ((i, torque), (j, -torque)):
+            if column is None:
+                self.c[3 * link + 2] += value
+            else:
+                self.a[3 * link + 2, column] -= value
+
+    def supports(self) -> None:
+        state = self.state
+        for support in self.machine.supports:
+            i = state.index(support.link)
+            j = None if support.to_link is None else state.index(support.to_link)
+            anchor = support.at if isinstance(support, Mount) else support.anchor
+            point = state.point(i, support.at)
+            base = np.array(anchor) if j is None else state.point(j, anchor)
+            relative = state.velocity(i, support.at) - (np.zeros(2) if j is None else state.velocity(j, anchor))
+            gap = point - base
+            along = gap / math.hypot(*gap) if gap.any() else gap  # away from the anchor
+            if isinstance(support, Mount):
+                force = -np.array(support.stiffness) * gap - np.array(support.damping) * relative
+            elif isinstance(support, Spring):
+                force = -support.stiffness * (math.hypot(*gap) - float(support.free_length or 0.0)) * along
+            else:
+                force = -support.damping * (along @ relative) * along
+            self.force(i, point, force)
+            if j is not None:
+                self.force(j, base, -force)
+
+    def loads(self) -> None:
+        for load in self.machine.loads:
+            i = self.state.index(load.link)
+            row = np.array([*load.force, load.torque])
+            if load.over_time is not None:
+                row = time_row(load.over_time, self.t)
+            elif load.over_angle is not None:
+                row = periodic_row(load.over_angle, self.state.drive_motion()[0])
+            self.force(i, self.state.point(i, load.at), row[:2])
+            self.c[3 * i + 2] += row[2]
+
+    def acceleration_row(self, row: int, direction: Array, i: int, point: Array, sign: float) -> None:
+        """Add sign * direction . (acceleration of the point of link i): r'' + theta'' k x a - w^2 a, a the arm."""
+        arm = point - self.state.positions[i, :2]
+        self.a[row, 3 * i : 3 * i + 2] += sign * direction
+        self.a[row, 3 * i + 2] += sign * (direction @ across(arm))
+        self.c[row] += sign * self.state.velocities[i, 2] ** 2 * (direction @ arm)
+
+    def turning(self, joint: TurningJoint, column: int) -> None:
+        """The force (Fx, Fy) on links[0]; both points have the same acceleration. Viscous resistance CT."""
+        i, j = (self.state.index(link) for link in joint.links)
+        for k, unit in enumerate(np.eye(2)):
+            for link, sign in ((i, 1.0), (j, -1.0)):
+                point = self.state.point(link, joint.at)
+                self.force(link, point, sign * unit, column + k)
+                self.acceleration_row(column + k, unit, link, point, sign)
+        self.couple(i, j, joint.viscous * (self.state.velocities[j, 2] - self.state.velocities[i, 2]))
+
+    def gap_row(self, row: int, slide: Slide, direction: Array) -> None:
+        """direction . d'' of a sliding pair: the slider's point against the guide's point drawn there."""
+        self.acceleration_row(row, direction, slide.slider, slide.point, 1.0)
+        self.acceleration_row(row, direction, slide.guide, slide.point - slide.gap, -1.0)
+
+    def sliding(self, joint: SlidingJoint, column: int) -> None:
+        """Normal force and couple on links[0]; n . d and the relative angle stay.
+
+        With u along and n = k x u across the line, both fixed in the guide: u' = w n, n' = -w u, and
+        (n . d)'' = n . d'' - 2 w u . d' - theta'' u . d - w^2 n . d = 0.
+        """
+        slide = self.state.slide(joint)
+        i, j, w = slide.slider, slide.guide, slide.omega
+        self.pair(i, j, slide.point, slide.normal, column)
+        self.couple(i, j, 1.0, column + 1)
+        self.gap_row(column, slide, slide.normal)
+        self.a[column, 3 * j + 2] -= slide.along @ slide.gap
+        self.c[column] += 2 * w * (slide.along @ slide.gap_rate) + w * w * (slide.normal @ slide.gap)
+        self.a[column + 1, [3 * i + 2, 3 * j + 2]] = 1.0, -1.0
+        self.pair(i, j, slide.point, -joint.viscous * slide.rate * slide.along)
+
+    def friction(self, joint: SlidingJoint) -> Array:
+        """Ft = -mu |Fn| tanh(v / v0) along the line, for Fn = 1: (3N) forces on the links."""
+        slide = self.state.slide(joint)
+        force = -joint.friction * math.tanh(slide.rate / joint.friction_velocity) * slide.along
+        share = np.zeros((len(self.machine.links), 3))
+        share[slide.slider] += self.wrench(slide.slider, slide.point, force)
+        share[slide.guide] += self.wrench(slide.guide, slide.point, -force)
+        return share.ravel()
+
+    def clearance(self, name: str) -> None:
+        """Rows that say the force on the pin is what the state makes it; it acts at one common point."""
+        contact = ContactState.of(self.state, name, self.clearances[name])
+        for k, unit in enumerate(np.eye(2)):
+            column = self.columns[name] + k
+            self.pair(contact.pin, contact.socket, contact.point, unit, column)
+            self.a[column, column] = 1.0
+            self.c[column] = contact.force[k]
+
+    def drive(self) -> None:
+        drive = self.machine.drive
+        if isinstance(drive, TorqueDrive | ForceDrive):
+            given = drive.torque if isinstance(drive, TorqueDrive) else drive.force
+            self.known_effort(table(drive.curve, self.state.drive_motion()[1]) if drive.curve else float(given or 0.0))
+        elif drive is not None:
+            self.known_motion(drive)
+
+    def known_effort(self, effort: float) -> None:
+        assert self.machine.drive is not None
+        joint = self.machine.joints[self.machine.drive.joint]
+        i, j = (self.state.index(link) for link in joint.links)
+        if isinstance(joint, SlidingJoint):
+            slide = self.state.slide(joint)
+            self.pair(i, j, slide.point, effort * slide.along)
+        else:
+            self.couple(i, j, effort)
+
+    def known_motion(self, drive: RotationDrive | TranslationDrive) -> None:
+        """The last row and column. (u . d)'' = u . d'' + 2 w n . d' + theta'' n . d - w^2 u . d is prescribed."""
+        joint, column = self.machine.joints[drive.joint], len(self.c) - 1
+        i, j = (self.state.index(link) for link in joint.links)
+        self.c[column] = prescribed(drive, self.t)[2]
+        if isinstance(joint, SlidingJoint):
+            slide = self.state.slide(joint)
+            self.pair(i, j, slide.point, slide.along, column)
+            self.gap_row(column, slide, slide.along)
+            self.a[column, 3 * j + 2] += slide.normal @ slide.gap
+            self.c[column] -= 2 * slide.omega * (slide.normal @ slide.gap_rate)
+            self.c[column] += slide.omega**2 * (slide.along @ slide.gap)
+        else:
+            self.couple(i, j, 1.0, column)
+            self.a[column, [3 * i + 2, 3 * j + 2]] = 1.0, -1.0
+
+    def solve(self, signs: Sequence[float]) -> Solution:
+        """With the given signs of the normal forces of the pairs that rub; rows of blocked motions say so instead."""
+        n = len(self.machine.links)
+        a, c = self.a.copy(), self.c.copy()
+        for (name, share), sign in zip(self.rubbing.items(), signs, strict=True):
+            a[: 3 * n, self.columns[name]] -= sign * share
+        for i, k in blocked_motions(self.machine):
+            row = 3 * i + k
+            a[row], c[row], a[row, row] = 0.0, 0.0, 1.0
+        x = np.linalg.solve(a, c)
+        reactions = {name: x[column : column + 2] for name, column in self.columns.items()}
+        effort = float(x[-1]) if len(x) > 3 * n + 2 * len(self.columns) else 0.0
+        return Solution(x[: 3 * n].reshape(n, 3), reactions, effort, *self.scales(x), a)
+
+    def scales(self, x: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Largest term of any link: over its inertia, and as it stands; moments count at the radius of gyration too."""
+        linear = angular = force = moment = 0.0
+        for i, link in enumerate(self.machine.links.values()):
+            rows = slice(3 * i, 3 * i + 3)
+            linear, angular = max(linear, *np.abs(x[rows][:2])), max(angular, abs(x[rows][2]))
+            terms = np.abs(np.hstack([self.a[rows] * x, self.c[rows, None]])).max(axis=1)
+            radius = math.sqrt(link.inertia / link.mass) if link.mass and link.inertia else 1.0
+            largest = float(max(*terms[:2], terms[2] / radius))
+            force, moment = max(force, largest), max(moment, largest * radius)
+            if link.mass:
+                linear, angular = max(linear, largest / link.mass), max(angular, largest / link.mass / radius)
+        return (linear, angular), (force, moment)

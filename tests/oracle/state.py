@@ -1,0 +1,159 @@
+"""Where everything is and how it moves, from the positions and velocities of all links; written by hand, NumPy only."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.machine import Machine, SlidingJoint, TurningJoint
+
+Array = NDArray[np.float64]
+
+
+def across(vector: Array) -> Array:
+    """k x vector: a quarter turn counter-clockwise."""
+    return np.array([-vector[1], vector[0]])
+
+
+def cross(a: Array, b: Array) -> float:
+    """k . (a x b)."""
+    return float(a[0] * b[1] - a[1] * b[0])
+
+
+@dataclass(frozen=True)
+class Slide:
+    """A sliding pair: links, unit vectors along and across the line (fixed in the guide), and the gap d.
+
+    d goes from the guide's point to the slider's point, both drawn at the joint; `point` is the slider's, in space.
+    """
+
+    slider: int
+    guide: int
+    along: Array
+    normal: Array
+    point: Array
+    gap: Array
+    gap_rate: Array
+    omega: float
+
+    @property
+    def rate(self) -> float:
+        """Sliding velocity in the rotating guide: u . d' + u' . d with u' = w n."""
+        return float(self.along @ self.gap_rate + self.omega * (self.normal @ self.gap))
+
+    @property
+    def normal_rate(self) -> float:
+        """Rate of the normal distance: n . d' + n' . d with n' = -w u."""
+        return float(self.normal @ self.gap_rate - self.omega * (self.along @ self.gap))
+
+
+class State:
+    """Positions and velocities (N, 3) of the links of a machine, in the order of the file."""
+
+    def __init__(self, machine: Machine, positions: Array, velocities: Array) -> None:
+        self.machine, self.positions, self.velocities = machine, positions, velocities
+        self.names = list(machine.links)
+
+    def index(self, link: str) -> int:
+        return self.names.index(link)
+
+    def turned(self, i: int, vector: tuple[float, float]) -> Array:
+        """A vector drawn on link i, as it has turned."""
+        c, s = math.cos(self.positions[i, 2]), math.sin(self.positions[i, 2])
+        return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+
+    def point(self, i: int, drawn: tuple[float, float]) -> Array:
+        """Where a point of link i is that was drawn at `drawn`."""
+        cg = self.machine.links[self.names[i]].cg
+        return self.positions[i, :2] + self.turned(i, (drawn[0] - cg[0], drawn[1] - cg[1]))
+
+    def velocity_at(self, i: int, point: Array) -> Array:
+        """Velocity of the matter of link i at a point in space."""
+        return self.velocities[i, :2] + self.velocities[i, 2] * across(point - self.positions[i, :2])
+
+    def velocity(self, i: int, drawn: tuple[float, float]) -> Array:
+        """Velocity of a point of link i that was drawn at `drawn`."""
+        return self.velocity_at(i, self.point(i, drawn))
+
+    def slide(self, joint: SlidingJoint) -> Slide:
+        i, j = (self.index(link) for link in joint.links)
+        along = self.turned(j, joint.direction)
+        gap = self.point(i, joint.at) - self.point(j, joint.at)
+        rate = self.velocity(i, joint.at) - self.velocity(j, joint.at)
+        omega = float(self.velocities[j, 2])
+        return Slide(i, j, along, across(along), self.point(i, joint.at), gap, rate, omega)
+
+    def drive_motion(self) -> tuple[float, float]:
+        """Relative rotation, or travel, of the drive's joint since drawn, and its rate."""
+        assert self.machine.drive is not None
+        joint = self.machine.joints[self.machine.drive.joint]
+        if isinstance(joint, SlidingJoint):
+            slide = self.slide(joint)
+            return float(slide.along @ slide.gap), slide.rate
+        i, j = (self.index(link) for link in joint.links)
+        angle, rate = self.positions[i, 2] - self.positions[j, 2], self.velocities[i, 2] - self.velocities[j, 2]
+        return float(angle), float(rate)
+
+    def energy(self, clearances: dict[str, float]) -> float:
+        """Kinetic energy, weight, springs, and the springs of contacts that touch, J."""
+        total = 0.0
+        for i, link in enumerate(self.machine.links.values()):
+            if link.mass is not None and link.inertia is not None:
+                vx, vy, w = self.velocities[i]
+                total += 0.5 * link.mass * (vx * vx + vy * vy) + 0.5 * link.inertia * w * w
+                total += link.mass * self.machine.gravity * self.positions[i, 1]
+        for support in self.machine.supports:
+            if support.kind == "damper":
+                continue
+            i = self.index(support.link)
+            anchor = support.at if support.kind == "mount" else support.anchor
+            base = np.array(anchor)
+            if support.to_link is not None:
+                base = self.point(self.index(support.to_link), anchor)
+            gap = self.point(i, support.at) - base
+            if support.kind == "mount":
+                total += 0.5 * float(np.array(support.stiffness) @ gap**2)
+            else:
+                total += 0.5 * support.stiffness * (math.hypot(*gap) - float(support.free_length or 0.0)) ** 2
+        for name, clearance in clearances.items():
+            contact = ContactState.of(self, name, clearance)
+            total += 0.5 * contact.stiffness * max(0.0, contact.penetration) ** 2
+        return total
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """A pin in its socket: links, force on the pin, and the common contact point in space."""
+
+    pin: int
+    socket: int
+    point: Array
+    force: Array
+    penetration: float
+    stiffness: float
+    normal_force: float
+
+    @classmethod
+    def of(cls, state: State, name: str, clearance: float) -> ContactState:
+        joint = state.machine.joints[name]
+        assert isinstance(joint, TurningJoint)
+        pin = state.index(joint.pin)
+        socket = state.index(joint.links[0] if joint.pin == joint.links[1] else joint.links[1])
+        law = joint.contact
+        centre = state.point(pin, joint.at)
+        e = centre - state.point(socket, joint.at)
+        size = math.hypot(*e)
+        if size <= clearance:
+            return cls(pin, socket, centre, np.zeros(2), size - clearance, law.stiffness, 0.0)
+        n = e / size
+        point = centre + joint.pin_radius * n
+        rate = float(n @ (state.velocity(pin, joint.at) - state.velocity(socket, joint.at)))
+        pushing = max(0.0, law.stiffness * (size - clearance) + law.damping * rate)
+        tangent = across(n)
+        slip = float(tangent @ (state.velocity_at(pin, point) - state.velocity_at(socket, point)))
+        rubbing = -(law.friction * pushing * math.tanh(slip / law.friction_velocity) + law.viscous * slip)
+        force = -pushing * n + (rubbing if pushing > 0 else 0.0) * tangent
+        return cls(pin, socket, point, force, size - clearance, law.stiffness, pushing)

@@ -1,0 +1,142 @@
+"""The solver's accelerations and reactions against the paper's dense equations, on random machines at random states.
+
+Both sides see the same state: coordinates of the solver, and from them positions and velocities of all links. The
+oracle checks first that these fulfil its own closures, locks and drive, so wrong kinematics cannot hide either.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from hypothesis import HealthCheck, Phase, assume, given, seed, settings
+from oracle.closures import lacking
+from oracle.dense import Solution, solve
+from oracle.sketch import Sketch, parameters, random_state, sketches
+from oracle.state import ContactState, State
+
+from solver.errors import AssemblyError
+from solver.links import LinkMotion, link_motion
+from solver.machine import Machine, RotationDrive, SlidingJoint, TranslationDrive
+from solver.model import build_model
+
+#: Largest difference, as part of the largest term of the equations. What is not the solver's fault sets it: a pin
+#: pressed 1e-6 m into a socket of 1e8 N/m loses six digits of sixteen before any equation is written.
+TOLERANCE = 1e-10
+#: Machines are refused as ill-conditioned above this condition number of the oracle's scaled matrix: near dead centres,
+#: or with more constraints than freedoms, the equations themselves do not determine ten digits.
+CONDITION = 1e5
+#: Closures hold to this, m, rad and their rates at speeds of 20 rad/s.
+CLOSED = 1e-12
+
+
+def difference(machine: Machine, solution: Solution, motion: LinkMotion) -> float:
+    """Largest of all accelerations, reactions and the drive's effort, each as part of its kind's scale."""
+    gap = np.abs(motion.acceleration[0] - solution.accelerations)
+    (linear, angular), (force, moment) = solution.scale, solution.effort_scale
+    parts = [gap[:, :2].max() / (linear or 1.0), gap[:, 2].max() / (angular or 1.0)]
+    expected: dict[str, tuple[np.ndarray | float, float]] = {}
+    for name, joint in machine.joints.items():
+        reaction = solution.reactions[name]
+        if isinstance(joint, SlidingJoint):
+            expected |= {f"normal_{name}": (reaction[0], force), f"couple_{name}": (reaction[1], moment)}
+        else:
+            worn = f"force_{name}_on_pin"
+            expected[worn if worn in motion.reactions else f"force_{name}"] = (reaction, force)
+    if isinstance(machine.drive, RotationDrive | TranslationDrive):
+        scale = force if isinstance(machine.drive, TranslationDrive) else moment
+        expected["drive_effort"] = (solution.effort, scale)
+    assert set(expected) <= set(motion.reactions)
+    parts += [
+        np.abs(motion.reactions[name][0] - value).max() / (scale or 1.0) for name, (value, scale) in expected.items()
+    ]
+    return float(max(parts))
+
+
+def features(sketch: Sketch, state: State) -> set[str]:
+    """What a scene shows, so that the test can prove what it has tested."""
+    machine = sketch.machine
+    frame = machine.links[machine.frame]
+    count = len(machine.links)
+    seen = {"3 links" if count == 3 else "4 to 8 links" if count < 9 else "9 to 12 links", f"gravity {machine.gravity}"}
+    seen.add("fixed frame" if frame.fixed else f"frame locks {len(frame.locked)}")
+    seen |= {
+        "other lock" for name, link in machine.links.items() if name != machine.frame and (link.fixed or link.locked)
+    }
+    for joint in machine.joints.values():
+        if isinstance(joint, SlidingJoint):
+            seen.add("vertical slide" if joint.direction[0] == 0 else "slide")
+        seen |= {f"viscous {joint.kind}"} if joint.viscous else set()
+    for name, clearance in sketch.clearances.items():
+        contact = ContactState.of(state, name, clearance)
+        law = machine.joints[name]
+        if contact.normal_force == 0:
+            seen.add("pin in flight" if contact.penetration <= 0 else "pin leaves without pull")
+        else:
+            seen.add("pin pressed")
+            seen |= {f"contact {key}" for key in ("damping", "friction", "viscous") if getattr(law.contact, key)}
+            seen |= {"pin radius"} if law.pin_radius else set()
+    for support in machine.supports:
+        seen.add(f"{support.kind} to {'link' if support.to_link else 'ground'}")
+    for load in machine.loads:
+        seen.add("load " + ("over time" if load.over_time else "over angle" if load.over_angle else "constant"))
+    drive = machine.drive
+    if drive is not None:
+        seen.add(drive.kind)
+        more = ("ripple", "harmonics", "curve")
+        seen |= {f"{drive.kind} {key}" for key in more if getattr(drive, key, None)}
+        seen |= {f"{drive.kind} ramp"} if isinstance(getattr(drive, "speed", None), tuple) else set()
+        seen |= {f"{drive.kind} of a worn joint"} if drive.joint in sketch.clearances else set()
+    return seen
+
+
+#: Every one of these must have been seen at least so often among the machines compared.
+EXPECTED = {
+    "3 links": 5, "4 to 8 links": 30, "9 to 12 links": 20, "closed loops": 30, "open chains": 10,
+    "gravity 9.81": 10, "gravity 0.0": 10, "fixed frame": 5, "frame locks 0": 10, "frame locks 1": 5,
+    "frame locks 2": 5, "other lock": 5, "slide": 20, "vertical slide": 20, "viscous sliding": 20,
+    "viscous turning": 20,
+    "pin in flight": 10, "pin pressed": 20, "pin leaves without pull": 2, "contact damping": 10, "contact friction": 10,
+    "contact viscous": 10, "pin radius": 10, "spring to ground": 10, "spring to link": 10, "damper to ground": 5,
+    "damper to link": 5, "mount to ground": 5, "mount to link": 5, "load constant": 10, "load over time": 10,
+    "load over angle": 3, "rotation": 10, "rotation ripple": 5, "rotation ramp": 3, "translation": 5,
+    "translation harmonics": 2, "translation ramp": 2, "torque": 5, "torque curve": 2, "force": 5, "force curve": 2,
+    "rotation of a worn joint": 2,
+}  # fmt: skip
+
+
+def test_random_machines() -> None:
+    seen: Counter[str] = Counter()
+
+    @settings(
+        max_examples=140, phases=[Phase.explicit, Phase.generate], suppress_health_check=[HealthCheck.too_slow],
+    )  # fmt: skip
+    @seed(1986)  # the same machines whatever is edited here
+    @given(sketches())
+    def agree(sketch: Sketch) -> None:
+        try:
+            model = build_model(sketch.machine, sketch.clearances)
+        except AssemblyError:  # the drive turns what sliding pairs hold parallel
+            assume(False)
+        p = parameters(model, sketch.clearances)
+        scene = random_state(model, p, sketch.seed)
+        assume(scene is not None)
+        t, z, v = scene
+        motion = link_motion(model, p, np.array([t]), z[None], v[None])
+        drawn = np.array([(*link.cg, 0.0) for link in sketch.machine.links.values()])
+        positions, velocities = motion.displacement[0] + drawn, motion.velocity[0]
+        try:
+            solution = solve(sketch.machine, sketch.clearances, t, positions, velocities)
+        except np.linalg.LinAlgError:
+            assume(False)
+        assume(solution.condition < CONDITION)
+        assert lacking(sketch.machine, sketch.clearances, t, positions, velocities) < CLOSED
+        assert difference(sketch.machine, solution, motion) < TOLERANCE
+        seen["compared"] += 1
+        seen["closed loops" if model.kinematics.closures else "open chains"] += 1
+        seen.update(features(sketch, State(sketch.machine, positions, velocities)))
+
+    agree()
+    missing = {name: (seen[name], count) for name, count in EXPECTED.items() if seen[name] < count}
+    assert not missing, f"not enough of what must be tested, (seen, expected): {missing}"
+    assert seen["compared"] >= 100

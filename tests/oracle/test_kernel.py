@@ -1,0 +1,205 @@
+"""Compiled kernels: eight lanes of different states and numbers, against symbols, oracle and Gill's paper."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from oracle.closures import lacking
+from oracle.dense import solve
+from oracle.motion import LinkMotion
+from oracle.sketch import random_state
+
+from solver.gill import integrate, repeat
+from solver.ir import LANES
+from solver.kernel import compile_model
+from solver.machine import Machine, parse_machine, shipped_machine
+from solver.model import Model, build_model
+
+#: Vector code and symbols round differently (order of sums, its own sine); as part of the largest acceleration.
+ROUNDING = 1e-12
+
+
+def loaded(name: str, **more: Any) -> Machine:
+    return parse_machine({**shipped_machine(name).model_dump(mode="json"), **more})
+
+
+CUTTING = [[0.0, 0.0, 0.0, 0.0], [1.2, -800.0, 20.0, 3.0], [3.1, 0.0, 0.0, 0.0]]
+SCENES = {
+    "quick-return, two worn joints, ripple, cutting force": (
+        loaded(
+            "quick-return",
+            drive={"kind": "rotation", "joint": "O", "speed": 12.6, "ripple": [{"order": 2, "amplitude": 0.01}]},
+            loads=[{"link": "ram", "at": [0.1, 0.28], "over_angle": CUTTING}],
+        ),
+        ("A", "F"),
+        ("links.ram.mass", "supports.1.stiffness.1", "gravity", "drive.ripple.0.amplitude"),
+    ),
+    "slider-crank under a motor's torque": (
+        loaded("slider-crank", drive={"kind": "torque", "joint": "O", "curve": [[0.0, 5.0], [20.0, -5.0]]}),
+        ("A",),
+        ("links.crank.inertia",),
+    ),
+    "quick-return driven by its ram": (
+        loaded(
+            "quick-return",
+            drive={"kind": "translation", "joint": "G2", "harmonics": [{"frequency": 4.0, "amplitude": -0.02}]},
+        ),
+        ("E",),
+        ("links.frame.mass",),
+    ),
+    "quick-return run up, with ripple": (
+        loaded(
+            "quick-return",
+            drive={
+                "kind": "rotation",
+                "joint": "O",
+                "speed": [[0.005, 2.0], [0.012, 14.0], [0.02, 9.0]],
+                "ripple": [{"order": 2, "amplitude": 0.01}],
+            },
+            loads=[{"link": "ram", "at": [0.1, 0.28], "over_time": CUTTING}],
+        ),
+        ("C",),
+        (),
+    ),
+    "four-bar, every joint worn": (shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints), ()),
+}
+
+
+@pytest.fixture(params=SCENES, ids=lambda name: name.replace(" ", "-"))
+def scene(request: pytest.FixtureRequest) -> tuple[Machine, Model]:
+    machine, worn, varying = SCENES[request.param]
+    return machine, build_model(machine, worn, varying)
+
+
+def lanes(model: Model) -> list[tuple[dict[str, float], float, np.ndarray, np.ndarray]]:
+    """Eight sets of numbers around the file's and eight states."""
+    rng = np.random.default_rng(7)
+    drawn = []
+    for lane in range(LANES):
+        values = {path: model.nominal[path] * rng.uniform(0.7, 1.4) for path in model.parameters}
+        values |= {path: float(rng.uniform(2e-5, 1e-3)) for path in values if path.endswith(".clearance")}
+        state = random_state(model, model.vector(values), lane)
+        assert state is not None
+        drawn.append((values, *state))
+    return drawn
+
+
+def changed(machine: Machine, values: dict[str, float]) -> tuple[Machine, dict[str, float]]:
+    """The machine file with these numbers, and its clearances."""
+    tree: Any = machine.model_dump(mode="json")
+    clearances = {}
+    for path, value in values.items():
+        *steps, last = path.split(".")
+        if last == "clearance":
+            clearances[steps[-1]] = value
+            continue
+        place = tree
+        for step in steps:
+            place = place[int(step)] if isinstance(place, list) else place[step]
+        place[int(last) if isinstance(place, list) else last] = value
+    return parse_machine(tree), clearances
+
+
+def filled(kernel: Any, model: Model, drawn: list[Any], *, t: float | None = None) -> np.ndarray:
+    work, layout = kernel.work_array(), kernel.layout
+    for lane, (values, time, z, v) in enumerate(drawn):
+        work[layout.time + lane] = time if t is None else t
+        for start, column in ((layout.z, z), (layout.v, v), (layout.p, model.vector(values))):
+            work[start + lane : start + lane + LANES * len(column) : LANES] = column
+    return work
+
+
+def rows(work: np.ndarray, start: int, count: int) -> np.ndarray:
+    """(LANES, count)."""
+    return work[start : start + LANES * count].reshape(count, LANES).T
+
+
+def test_lanes(scene: tuple[Machine, Model]) -> None:
+    machine, model = scene
+    drawn = lanes(model)
+    kernel = compile_model(model)
+    work = filled(kernel, model, drawn)
+    repeat(kernel.functions, work, 1)
+    motion = LinkMotion(model)
+    for (values, t, z, v), compiled in zip(drawn, rows(work, kernel.layout.a, model.size), strict=True):
+        p = model.vector(values)
+        symbols = np.asarray(model.right_hand_side(t, z, v, p)).ravel()
+        assert np.abs(compiled - symbols).max() < ROUNDING * np.abs(symbols).max()
+        positions, velocities, accelerations = motion(t, z, v, compiled, p)
+        other, clearances = changed(machine, values)
+        assert lacking(other, clearances, t, positions, velocities) < 1e-12
+        solution = solve(other, clearances, t, positions, velocities)
+        gap = np.abs(accelerations - solution.accelerations)
+        assert gap[:, :2].max() < 1e-10 * solution.scale[0]
+        assert gap[:, 2].max() < 1e-10 * solution.scale[1]
+
+
+def test_restoring_the_closures() -> None:
+    """Pushed 1e-5 out of its closures, a lane comes back by Newton steps; lanes keep to themselves."""
+    model = build_model(shipped_machine("quick-return"), ("A",))
+    kernel = compile_model(model)
+    drawn = lanes(model)
+    rng = np.random.default_rng(3)
+    moved = [(p, t, z + rng.uniform(-1e-5, 1e-5, z.size), v + rng.uniform(-1e-5, 1e-5, v.size)) for p, t, z, v in drawn]
+    work = filled(kernel, model, moved, t=0.01)
+    record = np.arange(kernel.layout.z, kernel.layout.a, LANES)
+    out = np.zeros((LANES, record.size, 3))
+    integrate(kernel.functions, work, model.size, 0.01, 1e-12, 1, record, out, np.zeros(LANES, dtype=np.int64))
+    closures = model.function("closures", model.phi, model.phi_rate)
+    gaps = np.array(  # lane, sample, (places, rates)
+        [
+            [
+                [np.abs(part.full()).max() for part in closures(0.01, *np.split(row, 2), model.vector(values))]
+                for row in out[lane].T
+            ]
+            for lane, (values, _, _, _) in enumerate(moved)
+        ]
+    )
+    assert gaps[:, 0].min() > 1e-9
+    assert gaps[:, 0].max() > 1e-6
+    assert gaps[:, 1, 0].max() < 1e-9
+    # Rates are corrected at the pose before it was corrected itself: the second time settles them too.
+    assert gaps[:, 2].max() < 1e-12
+
+
+def plain_gill(function: Any, y: np.ndarray, t: float, h: float, steps: int) -> np.ndarray:
+    """Runge-Kutta-Gill as published: y and q of each stage from k = h f and the q before."""
+    r = math.sqrt(0.5)
+    q = np.zeros_like(y)
+    for step in range(steps):
+        start = t + step * h
+        k = h * function(start, y)
+        y, q = y + 0.5 * (k - 2 * q), q + 1.5 * (k - 2 * q) - 0.5 * k
+        k = h * function(start + h / 2, y)
+        y, q = y + (1 - r) * (k - q), q + 3 * (1 - r) * (k - q) - (1 - r) * k
+        k = h * function(start + h / 2, y)
+        y, q = y + (1 + r) * (k - q), q + 3 * (1 + r) * (k - q) - (1 + r) * k
+        k = h * function(start + h, y)
+        y, q = y + (k - 2 * q) / 6, q + 0.5 * (k - 2 * q) - 0.5 * k
+    return y
+
+
+def test_steps_are_gills() -> None:
+    """Ten steps through contact, Gill's correction carried from step to step, as his formulas say in plain NumPy."""
+    model = build_model(shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints))
+    assert not model.kinematics.closures  # nothing is projected: the method alone is seen
+    kernel = compile_model(model)
+    drawn = lanes(model)
+    h, steps, start = 1e-5, 10, 0.004
+    work = filled(kernel, model, drawn)
+    record = np.arange(kernel.layout.z, kernel.layout.a, LANES)
+    out = np.zeros((LANES, record.size, 2))
+    integrate(kernel.functions, work, model.size, start, h, steps, record, out, np.zeros(LANES, dtype=np.int64))
+    for lane, (values, _, z, v) in enumerate(drawn):
+        p = model.vector(values)
+
+        def rate(t: float, y: np.ndarray, p: list[float] = p) -> np.ndarray:
+            z, v = np.split(y, 2)
+            return np.concatenate([v, np.asarray(model.right_hand_side(t, z, v, p)).ravel()])
+
+        expected = plain_gill(rate, np.concatenate([z, v]), start, h, steps)
+        moved = np.abs(expected - np.concatenate([z, v])).max()
+        assert np.abs(out[lane, :, 1] - expected).max() < 1e-11 * moved

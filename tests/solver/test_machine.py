@@ -1,0 +1,452 @@
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from solver.errors import MachineError
+from solver.machine import (
+    Contact,
+    Machine,
+    Mount,
+    RotationDrive,
+    Spring,
+    TurningJoint,
+    load_machine,
+    machine_json_schema,
+    parse_machine,
+    resolve_machine,
+    shipped_machine,
+    shipped_machine_names,
+    shipped_machine_text,
+)
+from solver.yamlfile import read_tree
+
+SHAPER = Path(__file__).parents[1] / "data" / "machines" / "quick-return-shaper.yaml"
+SLIDER_CRANK = read_tree(shipped_machine_text("slider-crank"), "slider-crank.yaml")
+MISSING = object()
+
+
+def changed(path: str, value: object) -> dict[str, Any]:
+    """Return the slider-crank's file with one value put in place, or taken out."""
+    tree = copy.deepcopy(SLIDER_CRANK)
+    at: Any = tree
+    *steps, last = path.split(".")
+    for step in steps:
+        at = at[int(step)] if isinstance(at, list) else at.setdefault(step, {})
+    if value is MISSING:
+        del at[last]
+    else:
+        at[int(last) if isinstance(at, list) else last] = value
+    return tree
+
+
+def refusal(tree: dict[str, Any] | str) -> str:
+    with pytest.raises(MachineError) as caught:
+        parse_machine(tree, "m.yaml")
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+LOAD = {"link": "crank", "at": [0, 0]}
+TORQUE = {"kind": "torque", "joint": "O"}
+SPRING = {"kind": "spring", "link": "frame", "at": [0, 0], "anchor": [0, -0.1], "stiffness": 1}
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "line"),
+    [
+        # numbers
+        ("links.crank.mass", -1, "links.crank.mass: -1: must be greater than 0"),
+        ("links.crank.mass", 0.0, "links.crank.mass: 0: must be greater than 0"),
+        ("links.crank.mass", math.nan, "links.crank.mass: nan: must be finite"),
+        ("links.crank.inertia", math.inf, "links.crank.inertia: inf: must be finite"),
+        ("links.crank.inertia", -1e-4, "links.crank.inertia: -0.0001: must be greater than 0"),
+        ("links.crank.mass", True, 'links.crank.mass: true: must be a number in kg or a string with a unit ("80 g")'),
+        ("links.crank.mass", "80 mm", 'links.crank.mass: 80 mm: "mm" is a length, must be a mass, for example "80 g"'),
+        ("joints.A.contact", {"stiffness": -1.0e7}, "joints.A.contact.stiffness: -1e+07: must be greater than 0"),
+        ("joints.A.contact", {"damping": -1}, "joints.A.contact.damping: -1: must not be less than 0"),
+        ("joints.A.pin_radius", "-1 mm", "joints.A.pin_radius: -1 mm: must not be less than 0"),
+        ("defaults.contact.friction", -0.1, "defaults.contact.friction: -0.1: must not be less than 0"),
+        ("defaults.contact.friction_velocity", 0, "defaults.contact.friction_velocity: 0: must be greater than 0"),
+        ("links.crank.cg", [1], "links.crank.cg: [1]: must be a list of 2 numbers"),
+        ("links.crank.cg", "1 mm", "links.crank.cg: 1 mm: must be a list of 2 numbers"),
+        ("links.crank.cg", [1, "x"],
+         'links.crank.cg.1: x: must be a length: a number, or a number with a unit ("0.2 mm")'),
+        ("joints.G1.direction", [0, 0], "joints.G1.direction: [0, 0]: must not be the zero vector"),
+        ("sensors.0.direction", [0, -0.0], "sensors.0.direction: [0, -0]: must not be the zero vector"),
+        # keys and kinds
+        ("links.crank.mas", 3, 'links.crank.mas: 3: unknown key; did you mean "mass"?'),
+        ("joints.A.contact", {"Stiffness": 1}, 'joints.A.contact.Stiffness: 1: unknown key; did you mean "stiffness"?'),
+        ("sensor", [], 'sensor: []: unknown key; did you mean "sensors"?'),
+        ("joints.A.direction", [1, 0], "joints.A.direction: [1, 0]: unknown key; "
+         "known: kind, links, at, pin, pin_radius, viscous, contact"),
+        ("drive.rippel", [], 'drive.rippel: []: unknown key; did you mean "ripple"?'),
+        ("joints.A.kind", "turnin", 'joints.A.kind: turnin: is not a known kind; did you mean "turning"?'),
+        ("joints.A.kind", MISSING, "joints.A.kind: is missing"),
+        ("drive.kind", "steam", "drive.kind: steam: is not a known kind; known: rotation, translation, torque, force"),
+        ("supports.1.kind", "spirng", 'supports.1.kind: spirng: is not a known kind; did you mean "spring"?'),
+        ("initial", {"pose": "drwn"}, "initial.pose: drwn: must be drawn or equilibrium"),
+        ("links.frame.locked", ["x", "z"], "links.frame.locked.1: z: must be x, y or theta"),
+        ("links.frame.locked", ["x", "x"], "links.frame.locked: x, x: must name each motion once"),
+        ("links.frame.fixed", "yes", "links.frame.fixed: yes: must be true or false"),
+        ("links.crank.ma\nss", 3, 'links.crank.ma ss: 3: unknown key; did you mean "mass"?'),
+        # shapes
+        ("links", [1], "links: [1]: must be a mapping of keys to values"),
+        ("links", {}, "links: a machine needs at least one link, the frame"),
+        ("links.crank", 3, "links.crank: 3: must be a mapping of keys to values"),
+        ("joints", [], "joints: []: must be a mapping of keys to values"),
+        ("sensors", {"a": 1}, "sensors: {a: 1}: must be a list"),
+        ("joints.A.links", ["rod"], "joints.A.links.1: is missing"),
+        ("joints.A.links", ["rod", "crank", "slider"], "joints.A.links: [rod, crank, slider]: must have 2 entries"),
+        ("name", MISSING, "name: is missing"),
+        ("name", "two\nlines", "name: two lines: must be one line of text"),
+        ("links.crank.mass", MISSING, "links.crank.mass: is missing; only a fixed link needs none"),
+        ("links.crank.inertia", None, "links.crank.inertia: is missing; only a fixed link needs none"),
+        ("links.crank.cg", MISSING, "links.crank.cg: is missing; only a fixed link needs none"),
+        # names
+        ("links.a,b", {}, "links.a,b: a,b: a name must be letters, digits, spaces, -, + or _"),
+        ("sensors.0.name", "s/1", "sensors.0.name: s/1: a name must be letters, digits, spaces, -, + or _"),
+        ("frame", "fram", 'frame: fram: is not a link of this machine; did you mean "frame"?'),
+        ("joints.A.links", ["rod", "cranc"],
+         'joints.A.links.1: cranc: is not a link of this machine; did you mean "crank"?'),
+        ("joints.A.links", ["rod", "rod"], "joints.A.links: rod, rod: must be two different links"),
+        ("joints.A.pin", "frame", "joints.A.pin: frame: must be one of the joint's links, rod or crank"),
+        ("supports.0.link", "x", "supports.0.link: x: is not a link of this machine; known: frame, crank, rod, slider"),
+        ("supports.0.to_link", "frame", "supports.0.to_link: frame: must be another link than link"),
+        ("sensors.1.name", "s1-x", "sensors.1.name: s1-x: must be the only sensor of this name"),
+        ("initial", {"velocities": {"cran": {"omega": 1}}},
+         'initial.velocities.cran: is not a link of this machine; did you mean "crank"?'),
+        ("drive.joint", "P", "drive.joint: P: is not a joint of this machine; known: O, A, B, G1"),
+        ("links.spare", {"mass": 1, "inertia": 1, "cg": [0, 0]},
+         "links.spare: is not connected to the frame by any joint or support"),
+        # drives
+        ("drive.joint", "G1", "drive.joint: G1: is a sliding joint; a rotation drive needs a turning joint"),
+        ("drive", {"kind": "force", "joint": "O", "force": 1},
+         "drive.joint: O: is a turning joint; a force drive needs a sliding joint"),
+        ("drive.speed", MISSING, "drive.speed: is missing"),
+        ("drive.speed", [], "drive.speed: []: must be a list of rows [s, rad/s]"),
+        ("drive.speed", [[0, 1], [0, 2]], "drive.speed.1.0: must be greater than in the row before (0)"),
+        ("drive.speed", [[0, 1], [1, 2, 3]], "drive.speed.1: [1, 2, 3]: must be a list of 2 numbers"),
+        ("drive.speed", [[0, 1], ["1 s", "2 m"]],
+         'drive.speed.1.1: 2 m: "m" is a length, must be a speed of rotation, for example "600 rpm"'),
+        ("drive.ripple", [{"order": 0, "amplitude": 1}], "drive.ripple.0.order: 0: must be greater than 0"),
+        ("drive", TORQUE, "drive: give one of torque, curve"),
+        ("drive", {**TORQUE, "torque": 1, "curve": [[0, 1]]}, "drive: give only one of torque, curve"),
+        # supports
+        ("supports.0", {**SPRING, "anchor": [0, 0]},
+         "supports.0.anchor: [0, 0]: must not be the point at; a mount needs no anchor"),
+        ("supports.0", {**SPRING, "free_length": 0.1, "static_deflection": 0.1},
+         "supports.0: give only one of free_length, static_deflection"),
+        ("supports.0", {**SPRING, "static_deflection": "-101 mm"},
+         "supports.0.static_deflection: -0.101: would make the free length negative"),
+        ("supports.0.stiffness", [1, -1], "supports.0.stiffness.1: -1: must not be less than 0"),
+        # loads
+        ("loads", [LOAD], "loads.0: give one of force or torque, over_time, over_angle"),
+        ("loads", [{**LOAD, "torque": 1, "over_time": [[0, 0, 0, 0]]}],
+         "loads.0: give only one of force or torque, over_time"),
+        ("loads", [{**LOAD, "over_angle": [[0, 1, 1, 1], ["360 deg", 1, 1, 1]]}],
+         "loads.0.over_angle.1.0: must be less than one turn after the first row: the table repeats by itself"),
+        ("loads", [{**LOAD, "over_time": [[1, 0, 0, 0], [0, 0, 0, 0]]}],
+         "loads.0.over_time.1.0: must be greater than in the row before (1)"),
+    ],
+)  # fmt: skip
+def test_refusals_name_file_path_value_and_rule(path: str, value: object, line: str) -> None:
+    assert refusal(changed(path, value)) == f"m.yaml: {line}"
+
+
+def test_a_load_over_the_angle_needs_a_drive_that_turns() -> None:
+    tree = changed("loads", [{**LOAD, "over_angle": [[0, 1, 1, 1]]}])
+    del tree["drive"]
+    assert refusal(tree) == "m.yaml: loads.0.over_angle: needs a rotation or torque drive: there is no drive angle"
+
+
+def test_a_fixed_link_has_no_velocity() -> None:
+    tree = changed("links.frame", {"fixed": True})
+    tree["initial"] = {"velocities": {"frame": {"omega": 1}}}
+    assert refusal(tree) == "m.yaml: initial.velocities.frame: is fixed and cannot have a velocity"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("a: 1\nb: 2\na: 3", "line 3: a: is given twice; every key may stand once"),
+        ('{"name": "x", "name": "y"}', "name: is given twice; every key may stand once"),
+        ("1: {}\n'1': {}", "1: is given twice; every key may stand once"),
+        ("- 1", "a list: must be a mapping of keys to values"),
+        ("", "nothing: must be a mapping of keys to values"),
+        ("just text", "text: must be a mapping of keys to values"),
+        ("a: [1", "line 1: is not YAML: expected ',' or ']', but got '<stream end>'"),
+        ("a: 1\n\tb: 2", "line 2: is not YAML: found character '\\t' that cannot start any token"),
+        ("2.5: x", "2.5: a key must be text"),
+        ("name: 2020-01-01", "name: 2020-01-01: must be text, a number, a list or a mapping"),
+        ("a: &a [*a]", "a.0.0: must not be nested deeper than 20 levels"),
+        ("[" * 10_000, "must not be nested deeper than 20 levels"),
+        ("a: !!python/none x",
+         "line 1: is not YAML: could not determine a constructor for the tag 'tag:yaml.org,2002:python/none'"),
+    ],
+)  # fmt: skip
+def test_broken_text_is_refused_with_its_line(text: str, line: str) -> None:
+    assert refusal(text) == f"m.yaml: {line}"
+
+
+def test_broken_json_is_refused_with_its_line() -> None:
+    with pytest.raises(MachineError) as caught:
+        parse_machine('{"name": "x",\n "links": }', "m.json")
+    assert str(caught.value) == "m.json: line 2: is not JSON: Expecting value"
+
+
+def test_a_small_file_that_unfolds_into_a_huge_one_is_refused() -> None:
+    rows = ["a0: &a0 [1,1,1,1,1,1,1,1,1,1]"]
+    rows += [f"a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 10)]
+    assert refusal("\n".join(rows)) == "m.yaml: must not hold more than 200000 values"
+
+
+def test_a_huge_text_is_refused() -> None:
+    assert refusal("# " * 1_500_000) == "m.yaml: 3000000 characters: must not be longer than 2000000"
+
+
+def test_yaml_1_2_numbers_and_words() -> None:
+    text = """
+    name: y
+    links:
+      y: {mass: 1.0e7, inertia: 1e-3, cg: [.5, -0]}
+      no: {mass: 1, inertia: 1, cg: [0, 0]}
+    joints: {on: {kind: turning, links: [no, y], at: [0, 0]}}
+    """
+    machine = parse_machine(text)
+    assert (machine.name, machine.frame, machine.turning_joints) == ("y", "y", ("on",))
+    assert machine.links["y"].mass == 1.0e7
+    assert machine.links["y"].inertia == 1e-3
+    assert machine.links["y"].cg == (0.5, 0.0)
+
+
+def test_links_may_be_called_by_numbers() -> None:
+    text = "{name: 1, links: {1: {fixed: true}, 2: {mass: 1, inertia: 1, cg: [0, 0]}}," \
+           " joints: {1: {kind: turning, links: [2, 1], at: [0, 0]}}}"  # fmt: skip
+    machine = parse_machine(text)
+    assert machine.frame == "1"
+    assert machine.joints["1"].links == ("2", "1")
+
+
+def test_the_same_machine_as_yaml_json_and_mapping() -> None:
+    machine = parse_machine(shipped_machine_text("slider-crank"))
+    assert parse_machine(json.dumps(SLIDER_CRANK)) == machine
+    assert parse_machine(SLIDER_CRANK) == machine
+
+
+def test_everything_the_file_format_has_is_read() -> None:
+    machine = load_machine(SHAPER)
+    assert (machine.name, machine.frame, machine.gravity) == ("quick-return shaper", "bed", 9.81)
+    assert machine.turning_joints == ("O", "A", "C", "E", "F")
+    assert machine.sliding_joints == ("G", "guide")
+    joints = {name: joint for name, joint in machine.joints.items() if isinstance(joint, TurningJoint)}
+    assert (joints["O"].pin, joints["O"].pin_radius, joints["E"].pin) == ("crank", 0.0, "rocker")
+    assert joints["C"].viscous == 0.02
+    assert joints["O"].contact == machine.defaults.contact
+    assert joints["A"].contact == Contact(stiffness=1e7)
+    assert joints["E"].contact == Contact(stiffness=2e7, friction=0.1)  # the rest from the defaults
+    guide = machine.joints["G"]
+    assert guide.kind == "sliding"
+    assert math.hypot(*guide.direction) == pytest.approx(1, abs=1e-15)
+    assert guide.direction[0] / guide.direction[1] == pytest.approx(0.305 / 0.952, rel=1e-15)
+    drive = machine.drive
+    assert isinstance(drive, RotationDrive)
+    assert (drive.speed, drive.ripple[0].order, drive.ripple[0].amplitude) == (12.566, 1.0, 0.01)
+    assert machine.initial.velocities["crank"].omega == -1
+    assert machine.initial.velocities["crank"].velocity is None
+    assert machine.initial.velocities["bed"].velocity == (0.4, -0.3)
+    spring, damper, mount, between = machine.supports
+    assert isinstance(spring, Spring)
+    assert spring.free_length == pytest.approx(0.3, rel=1e-15)
+    assert (damper.kind, mount.kind) == ("damper", "mount")
+    assert isinstance(mount, Mount)
+    assert mount.stiffness == (2e5, 4e5)
+    assert isinstance(between, Spring)
+    assert (between.to_link, between.stiffness, between.free_length) == ("bed", 4000.0, 0.3)
+    assert machine.loads[0].force == (-500.0, 0.0)
+    assert machine.loads[1].over_time == ((0, 0, 0, 0), (1, -500, 0, 0))
+    assert machine.loads[2].over_angle == ((0, 0, 0, 0), (1.2, -800, 0, 0), (3.1, 0, 0, 0))
+    assert machine.sensors[0].direction == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        {"kind": "rotation", "joint": "O", "speed": [[0, 0], [2.0, 62.8]]},
+        {"kind": "rotation", "joint": "O", "speed": [[0, 0], ["2 s", "600 rpm"]]},
+        {"kind": "rotation", "joint": "O", "speed": 0},
+        {"kind": "rotation", "joint": "O", "speed": "-600 rpm"},
+        {"kind": "translation", "joint": "G1", "speed": 0.1,
+         "harmonics": [{"frequency": 1.5, "amplitude": 0.06, "phase": -1.5708}]},
+        {"kind": "translation", "joint": "G1", "speed": [[0, 0], [1, 0.1]]},
+        {"kind": "torque", "joint": "O", "torque": 5.0},
+        {"kind": "torque", "joint": "O", "curve": [[0, 20], [150, 0]]},
+        {"kind": "force", "joint": "G1", "force": 100},
+        {"kind": "force", "joint": "G1", "curve": [[0, 100], ["1 m/s", "0 N"]]},
+        None,
+    ],
+)  # fmt: skip
+def test_every_kind_of_drive_is_read(drive: dict[str, Any] | None) -> None:
+    machine = parse_machine(changed("drive", drive))
+    assert (machine.drive.kind if machine.drive else None) == (drive["kind"] if drive else None)
+    assert parse_machine(machine.canonical_json()) == machine
+
+
+def test_free_length_from_static_deflection() -> None:
+    machine = parse_machine(changed("supports.0", {**SPRING, "static_deflection": "5 mm"}))
+    spring = machine.supports[0]
+    assert isinstance(spring, Spring)
+    assert spring.free_length == pytest.approx(0.105, rel=1e-15)
+
+
+def test_a_frame_alone_and_a_body_on_a_spring_are_machines() -> None:
+    body = {"mass": 1, "inertia": 1, "cg": [0, 0]}
+    assert parse_machine({"name": "free", "links": {"body": body}}).frame == "body"
+    spring = {**SPRING, "link": "mass"}
+    parse_machine({"name": "two", "links": {"base": {"fixed": True}, "mass": body}, "supports": [spring]})
+
+
+def test_shipped_machines() -> None:
+    assert shipped_machine_names() == ("four-bar", "quick-return", "slider-crank")
+    for name in shipped_machine_names():
+        machine = shipped_machine(name)
+        assert machine.name == name
+        assert [sensor.name for sensor in machine.sensors] == ["s1-x", "s1-y", "s2-x", "s2-y"]
+    assert shipped_machine("slider-crank").turning_joints == ("O", "A", "B")
+    assert shipped_machine("four-bar").turning_joints == ("O", "A", "B", "D")
+    assert shipped_machine("quick-return").turning_joints == ("O", "A", "C", "E", "F")
+    speeds = {name: shipped_machine(name).drive for name in shipped_machine_names()}
+    assert {name: round(drive.speed * 30 / math.pi) for name, drive in speeds.items()} == {  # type: ignore[union-attr]
+        "slider-crank": 600,
+        "four-bar": 300,
+        "quick-return": 120,
+    }
+
+
+@pytest.mark.parametrize("name", ["slider-crank", "four-bar", "quick-return"])
+def test_links_of_shipped_machines_are_as_long_as_they_should_be(name: str) -> None:
+    machine = shipped_machine(name)
+    lengths = {
+        "slider-crank": {("O", "A"): 0.05, ("A", "B"): 0.15},
+        "four-bar": {("O", "A"): 0.06, ("A", "B"): 0.2, ("B", "D"): 0.15, ("O", "D"): 0.2},
+        "quick-return": {("O", "A"): 0.08, ("O", "C"): 0.25, ("C", "E"): 0.42, ("E", "F"): 0.12},
+    }[name]
+    for (one, other), length in lengths.items():
+        assert math.dist(machine.joints[one].at, machine.joints[other].at) == pytest.approx(length, abs=1e-8)
+
+
+def test_resolve_by_name_and_by_path(tmp_path: Path) -> None:
+    assert resolve_machine("four-bar") == shipped_machine("four-bar")
+    path = tmp_path / "my.yaml"
+    path.write_text("\ufeff" + shipped_machine_text("four-bar"), encoding="utf-8")
+    assert resolve_machine(path) == shipped_machine("four-bar")
+    with pytest.raises(MachineError) as caught:
+        resolve_machine("four-baar")
+    assert str(caught.value) == 'four-baar: is neither a file nor a shipped machine; did you mean "four-bar"?'
+    with pytest.raises(MachineError) as caught:
+        shipped_machine("fourbar")
+    assert str(caught.value) == 'fourbar: is not a shipped machine; did you mean "four-bar"?'
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    for path, rule in (
+        (tmp_path / "none.yaml", "cannot be read: No such file or directory"),
+        (tmp_path, "cannot be read: Is a directory"),
+    ):
+        with pytest.raises(MachineError) as caught:
+            load_machine(path)
+        assert str(caught.value) == f"{path}: {rule}"
+    path = tmp_path / "latin.yaml"
+    path.write_bytes("name: Kurbelschwinge für alle".encode("latin-1"))
+    with pytest.raises(MachineError) as caught:
+        load_machine(path)
+    assert str(caught.value) == f"{path}: is not a text file in UTF-8"
+
+
+def test_content_key_is_of_the_content() -> None:
+    machine = shipped_machine("slider-crank")
+    turned = dict(reversed(SLIDER_CRANK.items()))
+    assert parse_machine(turned).content_key == machine.content_key
+    assert len(machine.content_key) == 64
+    assert hash(parse_machine(turned)) == hash(machine)
+    other = parse_machine(changed("links.crank.mass", 0.30000000000000004))
+    assert other.content_key != machine.content_key
+    plain = parse_machine(changed("links.crank.mass", 0.3))
+    assert plain.content_key == machine.content_key
+
+
+def test_a_machine_cannot_be_changed() -> None:
+    machine = shipped_machine("slider-crank")
+    with pytest.raises(ValueError, match="frozen"):
+        machine.gravity = 0.0  # type: ignore[misc]
+
+
+def test_schema_accepts_the_files_and_refuses_mistakes() -> None:
+    schema = machine_json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    for name in shipped_machine_names():
+        validator.validate(read_tree(shipped_machine_text(name), name))
+        validator.validate(json.loads(shipped_machine(name).canonical_json()))
+    validator.validate(read_tree(SHAPER.read_text(), "shaper"))
+    for path, value in (
+        ("links.crank.mas", 3),
+        ("links.crank.mass", -1),
+        ("links.crank.cg", [1]),
+        ("joints.A.kind", "turnin"),
+        ("drive.speed", True),
+        ("name", MISSING),
+    ):
+        assert not validator.is_valid(changed(path, value)), path
+
+
+lengths = st.floats(-10, 10)
+positive = st.floats(1e-9, 1e9)
+points = st.tuples(lengths, lengths)
+names = st.from_regex(r"[a-zA-Z][a-zA-Z0-9_]{0,7}", fullmatch=True)
+directions = points.filter(lambda vector: max(map(abs, vector)) > 1e-6)
+
+
+@st.composite
+def machine_trees(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw open chains: each link is joined to one before it."""
+    links = draw(st.lists(names, min_size=1, max_size=5, unique=True))
+    tree: dict[str, Any] = {
+        "name": "drawn",
+        "gravity": draw(lengths),
+        "links": {name: {"mass": draw(positive), "inertia": draw(positive), "cg": draw(points)} for name in links},
+        "joints": {},
+        "sensors": [{"name": "s", "at": draw(points), "direction": draw(directions)}],
+        "supports": [{"kind": "mount", "link": draw(st.sampled_from(links)), "at": draw(points),
+                      "stiffness": draw(st.tuples(positive, positive))}],
+    }  # fmt: skip
+    for index, name in enumerate(links[1:], start=1):
+        joint: dict[str, Any] = {"links": [name, draw(st.sampled_from(links[:index]))], "at": draw(points)}
+        if draw(st.booleans()):
+            joint |= {"kind": "turning", "contact": {"stiffness": draw(positive)}, "pin_radius": draw(positive)}
+        else:
+            joint |= {"kind": "sliding", "direction": draw(directions), "friction": draw(st.floats(0, 1))}
+        tree["joints"][f"J{index}"] = joint
+    return tree
+
+
+@given(machine_trees())
+def test_what_is_written_is_read_again(tree: dict[str, Any]) -> None:
+    machine = parse_machine(tree)
+    again = parse_machine(machine.canonical_json())
+    assert again == machine
+    assert again.content_key == machine.content_key
+    assert Machine.model_validate(machine.model_dump()) == machine
+    for joint in machine.joints.values():
+        if joint.kind == "sliding":
+            assert abs(math.hypot(*joint.direction) - 1) < 1e-15
+    jsonschema.Draft202012Validator(machine_json_schema()).validate(json.loads(machine.canonical_json()))

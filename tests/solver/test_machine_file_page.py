@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from solver.machine import Machine, parse_machine
+from solver.matrix import read_matrix_form
+from solver.yamlfile import read_tree
+
+PAGE = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_matrix_example_is_a_machine() -> None:
+    (example,) = (text for text in EXAMPLES if "matrix:" in text)
+    machine = parse_machine(example)
+    assert (machine.turning_joints, machine.sliding_joints) == (("O", "A", "B"), ("G",))
+    assert read_matrix_form(read_tree(example, "page"), "page").clearance_joints == ("A",)
+
+
+@pytest.mark.parametrize("key", ["links", "joints", "supports"])
+def test_the_other_examples_are_parts_of_machines(key: str) -> None:
+    (example,) = (text for text in EXAMPLES if text.startswith(f"{key}:"))
+    names = {"bed": [0, 0], "crank": [1, 0], "block": [2, 0], "rocker": [3, 0]}
+    links = {name: {"mass": 1, "inertia": 1, "cg": cg} for name, cg in names.items()}
+    joints = {
+        str(index): {"kind": "turning", "links": [name, "bed"], "at": [0, index]}
+        for index, name in enumerate(list(names)[1:])
+    }
+    tree = {"name": "page", "links": links, "joints": joints}
+    given = read_tree(example, "page")[key]
+    base = tree.get(key)
+    assert parse_machine({**tree, key: {**base, **given} if isinstance(base, dict) else given})  # type: ignore[dict-item]
+
+
+def test_every_key_of_a_machine_has_a_row() -> None:
+    rows = set(re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE))
+    assert set(Machine.model_fields) <= rows

@@ -1,0 +1,206 @@
+"""Batches: grouping and lanes change nothing; bad input is refused, failures are statuses."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from solver.errors import MachineError, SettingsError
+from solver.fault import FaultState
+from solver.machine import parse_machine, shipped_machine
+from solver.simulate import Case, Settings, Status, simulate, simulate_batch
+
+QR = shipped_machine("quick-return")
+SHORT = Settings(duration=0.05, sample_rate=10_000, accuracy="draft")
+
+
+@pytest.mark.parametrize("method", ["adaptive", "gill"])
+def test_lanes_and_groups_change_nothing(method: Literal["adaptive", "gill"]) -> None:
+    """A mixed table gives bit for bit what its cases give alone, in the order asked for."""
+    cases = [
+        Case(FaultState({"A": 1e-4}), {"contact.stiffness": 2e7}),
+        Case(),
+        Case(FaultState({"F": 3e-4}), {"contact.friction": 0.1}),
+        Case(FaultState({"A": 3e-4}), {"contact.friction": 0.02, "drive.speed": 12.9}),
+        Case(parameters={"links.frame.mass": 66.0}),
+        Case(FaultState({"A": 2e-5})),
+        Case(FaultState({"A": 1e-4, "F": 1e-4})),
+    ]
+    settings = Settings(duration=0.05, sample_rate=10_000, accuracy="draft", method=method)
+    together = simulate_batch(QR, cases, settings)
+    for case, history in zip(cases, together, strict=True):
+        assert history.case == case
+        assert history.status is Status.OK
+        alone = simulate(QR, case, settings)
+        assert alone.step == history.step
+        assert np.array_equal(alone.displacement, history.displacement)
+        assert np.array_equal(alone.band_limited_acceleration, history.band_limited_acceleration)
+
+
+def test_more_cases_than_lanes() -> None:
+    clearances = np.geomspace(2e-5, 5e-4, 11)
+    cases = [Case(FaultState({"C": float(c)})) for c in clearances]
+    histories = simulate_batch(QR, cases, SHORT)
+    assert [h.case for h in histories] == cases
+    assert len({h.displacement[-1].tobytes() for h in histories}) == 11
+
+
+def test_progress_counts_every_case() -> None:
+    seen: list[int] = []
+    simulate_batch(QR, [Case(FaultState({"C": 1e-4}))] * 10 + [Case()], SHORT, progress=seen.append)
+    assert seen == list(range(1, 12))
+
+
+def test_parameters_are_those_of_a_changed_machine() -> None:
+    """A parameter by path does what the same number in the file does."""
+    tree = QR.model_dump(mode="json")
+    tree["links"]["ram"]["mass"] = 2.5
+    tree["supports"][0]["stiffness"][1] = 3.1e5
+    tree["joints"]["F"]["contact"]["damping"] = 500.0
+    fault = FaultState({"F": 2e-4})
+    values = {"links.ram.mass": 2.5, "supports.0.stiffness.1": 3.1e5, "contact.damping": 500.0}
+    settings = Settings(duration=0.05, sample_rate=10_000, step=2e-5)
+    by_parameter = simulate(QR, Case(fault, values), settings)
+    by_file = simulate(parse_machine(tree), Case(fault), settings)
+    # Folding a constant rounds differently; impacts amplify that over 0.05 s.
+    assert np.abs(by_parameter.displacement - by_file.displacement).max() < 1e-12
+
+
+def test_default_duration_is_transient_and_revolutions() -> None:
+    history = simulate(QR, Case(), Settings(sample_rate=2000, accuracy="draft", revolutions=3))
+    period = 2 * np.pi / 12.566370614
+    # The slowest mode, x coupled to the rotation, decays at 2.56 per second: 1.80 s to 0.01, the fourth revolution.
+    assert history.transient == pytest.approx(4 * period)
+    assert history.t[-1] == pytest.approx(history.transient + 3 * period, abs=1e-3)
+    assert history.message == ""
+    # Three whole revolutions of a periodic motion: both halves differ only by being halves.
+    assert history.steadiness_db.shape == (3,)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line"),
+    [
+        ({"links.frme.mass": 1.0}, "quick-return: links.frme.mass: no equation of this machine holds such a number"),
+        ({"links.frame.mass": float("nan")}, "quick-return: links.frame.mass: nan: must be finite"),
+        ({"loads.7.torque": 1.0}, "quick-return: loads.7.torque: no equation of this machine holds such a number"),
+        ({"links.frame.mass": -1.0}, "quick-return: links.frame.mass: -1.0: must be greater than 0"),
+        ({"contact.stiffness": -1e7}, "quick-return: contact.stiffness: -10000000.0: must be greater than 0"),
+        ({"supports.0.damping.1": -1.0}, "quick-return: supports.0.damping.1: -1.0: must not be negative"),
+        (
+            {"joints.A.contact.stifness": 1e7},
+            'quick-return: joints.A.contact.stifness: 10000000.0: no such number; did you mean "contact.stiffness"?',
+        ),
+        ({"joints.A.viscous": 1.0}, "quick-return: joints.A.viscous: no equation of this machine holds such a number"),
+    ],
+)  # fmt: skip
+def test_parameters_that_mean_nothing(parameters: dict[str, float], line: str) -> None:
+    with pytest.raises(MachineError) as refusal:
+        simulate(QR, Case(parameters=parameters), SHORT)
+    assert str(refusal.value) == line
+
+
+def test_fault_on_a_sliding_joint() -> None:
+    with pytest.raises(MachineError, match=r"fault\.G1: 0\.1 mm: a sliding joint has no clearance"):
+        simulate(QR, Case(FaultState({"G1": 1e-4})), SHORT)
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"duration": -1.0}, "duration: -1.0: must be a finite number greater than 0"),
+        ({"step": float("nan")}, "step: nan: must be a finite number greater than 0"),
+        ({"sample_rate": 0.0}, "sample_rate: 0.0: must be a finite number greater than 0"),
+        ({"accuracy": "fine"}, "accuracy: fine: must be one of draft, standard, reference"),
+    ],
+)
+def test_settings(settings: dict[str, object], line: str) -> None:
+    with pytest.raises(SettingsError) as refusal:
+        Settings(**settings)  # type: ignore[arg-type]
+    assert str(refusal.value) == line
+
+
+def test_a_run_of_days_is_refused() -> None:
+    with pytest.raises(SettingsError, match=r"^duration: 1e\+09 s: 2e\+13 samples need more than 2 GB of records"):
+        simulate(QR, Case(), Settings(duration=1e9))
+    with pytest.raises(SettingsError, match=r"^duration: 1e\+07 s: needs more than 2e\+09 steps of"):
+        simulate(QR, Case(), Settings(duration=1e7, sample_rate=1))
+
+
+def test_a_case_that_blows_up_is_a_status() -> None:
+    """A step far beyond stability: the failing lane ends finite, its neighbours do not notice."""
+    stiff = Case(FaultState({"A": 1e-4}), {"contact.damping": 1e6})
+    gentle = Case(FaultState({"A": 1e-4}))
+    settings = Settings(duration=0.05, sample_rate=10_000, step=5e-5)
+    bad, good = simulate_batch(QR, [stiff, gentle], settings)
+    assert good.status is Status.OK
+    assert bad.status is Status.DIVERGED
+    assert "diverged at" in bad.message
+    assert 0 < len(bad.t) < len(good.t)
+    for array in (bad.displacement, bad.velocity, bad.acceleration, bad.band_limited_acceleration):
+        assert len(array) == len(bad.t)
+        assert np.isfinite(array).all()
+    assert np.array_equal(good.displacement, simulate(QR, gentle, settings).displacement)
+
+
+def test_contact_numbers_by_joint_reach_that_joint() -> None:
+    fault = FaultState({"A": 2e-4})
+    plain, dragged, elsewhere = (
+        simulate(QR, Case(fault, parameters), SHORT)
+        for parameters in ({}, {"joints.A.contact.viscous": 50.0}, {"joints.F.contact.viscous": 50.0})
+    )
+    assert not np.array_equal(plain.displacement, dragged.displacement)
+    assert np.array_equal(plain.displacement, elsewhere.displacement)  # F has no clearance in this case
+
+
+def crank_at(angle: float, **changes: object) -> dict[str, object]:
+    """A slider-crank on a frame of its own, drawn at a crank angle; crank 50 mm, rod 150 mm."""
+    x, y = 0.05 * np.cos(angle), 0.05 * np.sin(angle)
+    slider = float(x + np.sqrt(0.15**2 - y**2))
+    tree: dict[str, object] = {
+        "name": "slider-crank",
+        "links": {
+            "frame": {"mass": 20, "inertia": 0.5, "cg": [0, 0]},
+            "crank": {"mass": 0.3, "inertia": 1e-4, "cg": [x / 2, y / 2]},
+            "rod": {"mass": 0.25, "inertia": 6e-4, "cg": [(x + slider) / 2, y / 2]},
+            "slider": {"mass": 0.5, "inertia": 1e-4, "cg": [slider, 0]},
+        },
+        "joints": {
+            "O": {"kind": "turning", "links": ["crank", "frame"], "at": [0, 0]},
+            "A": {"kind": "turning", "links": ["rod", "crank"], "at": [x, y]},
+            "B": {"kind": "turning", "links": ["rod", "slider"], "at": [slider, 0]},
+            "G": {"kind": "sliding", "links": ["slider", "frame"], "at": [slider, 0], "direction": [1, 0]},
+        },
+        "supports": [
+            {"kind": "mount", "link": "frame", "at": [s, -0.1], "stiffness": [2e5, 4e5], "damping": [200, 300]}
+            for s in (-0.25, 0.25)
+        ],
+    }
+    return {**tree, **changes}
+
+
+@pytest.mark.parametrize("method", ["adaptive", "gill"])
+def test_a_slide_driven_past_its_reach_ends_there(method: Literal["adaptive", "gill"]) -> None:
+    """The ram reaches 200 mm; driven on at 0.1 m/s from 177 mm the machine cannot follow after some 0.2 s."""
+    drive = {"kind": "translation", "joint": "G", "speed": 0.1}
+    machine = parse_machine(crank_at(1.0, drive=drive))
+    reach = (0.2 - machine.links["slider"].cg[0]) / 0.1
+    settings = Settings(duration=1.0, sample_rate=2000, method=method)
+    history = simulate(machine, Case(), settings)
+    assert history.status in (Status.DIVERGED, Status.STEP_TOO_SMALL)
+    assert history.t[-1] < reach + 0.05
+    assert np.isfinite(history.acceleration).all()
+
+
+def test_a_driven_slide_swings_about_its_drawn_place() -> None:
+    drive = {"kind": "translation", "joint": "G", "harmonics": [{"frequency": 4, "amplitude": -0.01, "phase": 0}]}
+    machine = parse_machine(crank_at(1.0, drive=drive))
+    history = simulate(machine, Case(), Settings(sample_rate=2000, revolutions=4, links=True))
+    assert history.status is Status.OK
+    assert history.drive_speed == pytest.approx(2 * np.pi * 4)
+    assert history.links is not None
+    frame, slider = (history.links.displacement[:, history.links.links.index(k)] for k in ("frame", "slider"))
+    travel = slider[:, 0] - frame[:, 0]
+    # The frame tilts by some 1e-3 rad about its own centre: 0.2 m from there that turns x by less than 1e-6 m.
+    assert np.abs(travel + 0.01 * np.sin(8 * np.pi * history.t)).max() < 1e-5

@@ -1,0 +1,81 @@
+"""The step and the transient follow from the scene by stated rules."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from solver.machine import shipped_machine
+from solver.model import build_model
+from solver.pose import walk
+from solver.steps import (
+    RESIDUE,
+    STEP_RULES,
+    contact_mobility,
+    largest_step,
+    suspension_modes,
+    transient_time,
+)
+
+
+def test_mobility_of_a_free_pin_is_the_sum_of_both_bodies() -> None:
+    """Slider-crank with the rod-slider joint open: from the slider's side 1/m at least, along the line."""
+    model = build_model(shipped_machine("slider-crank"), ["B"])
+    p = model.vector({})
+    mobility = contact_mobility(model, walk(model, p, 60.0, steps=12), p)
+    # The slider alone gives 1 / 0.5 kg along its guide; the rod's end adds its own.
+    assert mobility["B"] > 1 / 0.5
+    assert mobility["B"] < 1 / 0.5 + 1 / 0.05
+
+
+def test_stiffer_contacts_take_smaller_steps() -> None:
+    rule = STEP_RULES["standard"]
+    values = {"joints.B.contact.stiffness": 1e7, "joints.B.contact.damping": 0.0, "joints.B.contact.viscous": 0.0}
+    soft = largest_step(rule, {"B": 4.0}, values, np.zeros(0), 0.0)
+    assert soft == pytest.approx(rule.contact / math.sqrt(4e7))
+    stiff = largest_step(rule, {"B": 4.0}, {**values, "joints.B.contact.stiffness": 1e9}, np.zeros(0), 0.0)
+    assert stiff == pytest.approx(soft / 10)
+    damped = largest_step(rule, {"B": 4.0}, {**values, "joints.B.contact.damping": 1e6}, np.zeros(0), 0.0)
+    assert damped == pytest.approx(rule.decay / 4e6)
+
+
+def test_levels_of_accuracy_are_ordered() -> None:
+    values = {"joints.B.contact.stiffness": 1e7, "joints.B.contact.damping": 300.0, "joints.B.contact.viscous": 0.0}
+    steps = [
+        largest_step(STEP_RULES[level], {"B": 4.0}, values, np.array([100j]), 60.0)
+        for level in ("draft", "standard", "reference")
+    ]
+    assert steps == sorted(steps, reverse=True)
+    assert len(set(steps)) == 3
+
+
+def test_suspension_of_a_rigid_machine() -> None:
+    """Modes of the quick-return on its mounts, drive standing: x and y from mass, stiffness and damping by hand."""
+    machine = shipped_machine("quick-return")
+    still = machine.model_copy(update={"drive": machine.drive.model_copy(update={"speed": 0.0})})
+    model = build_model(still)
+    modes = suspension_modes(model, model.vector({}))
+    assert len(modes) == 3
+    mass = sum(link.mass for link in machine.links.values())
+    # Rotation couples a little: 1 %.
+    vertical = min(modes, key=lambda s: abs(abs(s) - math.sqrt(8e5 / mass)))
+    assert abs(vertical) == pytest.approx(math.sqrt(8e5 / mass), rel=0.01)
+    assert -vertical.real == pytest.approx(600 / (2 * mass), rel=0.02)
+
+
+def test_transient_is_whole_revolutions_of_the_slowest_decay() -> None:
+    modes = [complex(-3, 60), complex(-8, 110)]
+    time, remark = transient_time(modes, 4 * math.pi)
+    assert remark == ""
+    assert time == pytest.approx(math.ceil(math.log(1 / RESIDUE) / 3 / 0.5) * 0.5)
+    assert math.exp(-3 * time) <= RESIDUE
+    assert transient_time([], 4 * math.pi) == (1.0, "")
+    assert transient_time(modes, 0.0)[0] == pytest.approx(math.log(1 / RESIDUE) / 3)
+
+
+def test_an_undamped_suspension_is_said() -> None:
+    time, remark = transient_time([complex(0, 62.83), complex(-5, 100)], 4 * math.pi)
+    assert "undamped suspension mode at 10 Hz" in remark
+    assert time == pytest.approx(1.0)
