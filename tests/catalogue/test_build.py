@@ -469,13 +469,18 @@ def test_interrupt_while_workers_start_waits_until_they_have_their_orders() -> N
     finish = threading.Event()
     other = threading.Thread(target=finish.wait)  # does not block the signal, as threads of libraries
     other.start()
-    reached = False
-    try:
-        assert other.ident is not None
-        with pytest.raises(KeyboardInterrupt), executors._interrupts_held():
+    reached: list[bool] = []
+
+    def interrupted() -> None:
+        with executors._interrupts_held():
+            assert other.ident is not None
             signal.pthread_kill(other.ident, signal.SIGINT)
             time.sleep(0.1)
-            reached = True
+            reached.append(True)
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
         assert reached
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
