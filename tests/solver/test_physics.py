@@ -210,11 +210,14 @@ def test_a_turned_drawing_gives_the_turned_motion(name: str, joint: str, method:
 
 @METHODS
 def test_a_moving_observer_sees_the_same(method: str) -> None:
-    """A free machine given another 1 m/s, 2 m/s: every link has just that more, impacts and all."""
+    """A free machine given another 1 m/s, 2 m/s: every link has just that more, impacts and all.
+
+    Impacts amplify rounding: measured 2e-12 m after 0.05 s, and up to 1e-7 m after twice that.
+    """
     machine, fault = free_machine()
     tree: Tree = machine.model_dump(mode="json")
     tree["initial"]["velocities"]["frame"]["velocity"] = [1.4, 1.7]
-    settings = {"duration": 0.1, "sample_rate": 2000, "method": method}
+    settings = {"duration": 0.05, "sample_rate": 2000, "method": method}
     history, standing = run(machine, fault, **settings)
     _, moving = run(parse_machine(tree), fault, **settings)
     expected = standing.displacement + np.array([1.0, 2.0, 0.0]) * history.t[:, None, None]
