@@ -30,8 +30,8 @@ class Factors:
 
 
 def factorise(matrix: ca.SX) -> Factors:
-    """LDL with a fill-reducing order."""
-    return Factors(*ca.ldl(ca.sparsify(matrix)))
+    """LDL with a fill-reducing order, of the upper half: what cancels in one half may not be seen in the other."""
+    return Factors(*ca.ldl(ca.triu2symm(ca.triu(ca.sparsify(matrix)))))
 
 
 @dataclass(frozen=True)
@@ -65,18 +65,86 @@ class ConstrainedSolver:
         return cls(factors, jacobian, spread, factorise(ca.mtimes(jacobian, spread)))
 
     def solve(self, force: ca.SX, gamma: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Accelerations (n, 1) and reactions lambda (m, 1)."""
+        """Accelerations (n, k) and reactions (m, k) for forces (n, k) and right sides of the closures (m, k)."""
         free = self.mass.solve(force)
         if self.schur is None:
-            return free, ca.SX(0, 1)
+            return free, ca.SX(0, force.shape[1])
         reactions = self.schur.solve(gamma - ca.mtimes(self.jacobian, free))
         return free + ca.mtimes(self.spread, reactions), reactions
 
-    def correct(self, residual: ca.SX) -> ca.SX:
-        """Least mass-weighted change of coordinates (or velocities) that removes `residual` of the closures."""
-        if self.schur is None:
-            return ca.SX.zeros(self.jacobian.shape[1])
-        return -ca.mtimes(self.spread, self.schur.solve(residual))
+
+@dataclass(frozen=True)
+class BorderedSolver:
+    """The same, with some coordinates eliminated last.
+
+    All links hang on the frame, so that eliminating its motions first ties every closure to every other: the cost grows
+    with the cube of their number. Eliminated last, they are a border of three rows round a system that stays sparse.
+    The closures must keep their rank when the border stands still.
+
+    Attributes
+    ----------
+    inner : ConstrainedSolver
+        Of the other coordinates, u.
+    inside, border : list of int
+        Indices of u and of the border's coordinates b.
+    coupling, jacobian : casadi.SX
+        M_ub (n - k, k) and G_b (m, k).
+    response, reactions : casadi.SX
+        Accelerations of u (n - k, k) and reactions (m, k) that a unit acceleration of b calls for, with opposite sign.
+    core : Factors
+        Of the border's own system once u is eliminated, (k, k).
+    """
+
+    inner: ConstrainedSolver
+    inside: list[int]
+    border: list[int]
+    coupling: ca.SX
+    jacobian: ca.SX
+    response: ca.SX
+    reactions: ca.SX
+    core: Factors
+
+    @classmethod
+    def of(cls, mass: ca.SX, jacobian: ca.SX, border: list[int]) -> BorderedSolver:
+        """Factorise once, the coordinates `border` last."""
+        inside = [i for i in range(mass.shape[0]) if i not in border]
+        inner = ConstrainedSolver.of(mass[inside, inside], jacobian[:, inside])
+        coupling, own = mass[inside, border], jacobian[:, border]
+        response, reactions = inner.solve(coupling, own)
+        core = mass[border, border] - ca.mtimes(coupling.T, response) + ca.mtimes(own.T, reactions)
+        return cls(inner, inside, border, coupling, own, response, reactions, factorise(core))
+
+    def solve(self, force: ca.SX, gamma: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """As :meth:`ConstrainedSolver.solve`."""
+        inner, reactions = self.inner.solve(force[self.inside, :], gamma)
+        left = force[self.border, :] - ca.mtimes(self.coupling.T, inner) + ca.mtimes(self.jacobian.T, reactions)
+        outer = self.core.solve(left)
+        found = ca.SX(*force.shape)
+        found[self.border, :] = outer
+        found[self.inside, :] = inner - ca.mtimes(self.response, outer)
+        return found, reactions - ca.mtimes(self.reactions, outer)
+
+
+Solver = ConstrainedSolver | BorderedSolver
+
+
+def constrained_solver(mass: ca.SX, jacobian: ca.SX, frame: list[int]) -> Solver:
+    """The solver that needs fewer operations for a right-hand side: with the motions of the frame last, or not.
+
+    Parameters
+    ----------
+    mass, jacobian : casadi.SX
+        M (n, n) and G (m, n).
+    frame : list of int
+        Coordinates of the frame that may come last; see :class:`BorderedSolver`.
+    """
+    plain = ConstrainedSolver.of(mass, jacobian)
+    if not frame or len(frame) == mass.shape[0]:
+        return plain
+    bordered = BorderedSolver.of(mass, jacobian, frame)
+    force, gamma = ca.SX.sym("force", mass.shape[0]), ca.SX.sym("gamma", jacobian.shape[0])
+    plain_cost, bordered_cost = (ca.n_nodes(ca.vertcat(*found.solve(force, gamma))) for found in (plain, bordered))
+    return bordered if bordered_cost < plain_cost else plain
 
 
 def inertia(scene: Scene) -> ca.SX:

@@ -96,6 +96,12 @@ class Kinematics:
     closures: tuple[Closure, ...]
     eliminated: tuple[str, ...]
 
+    def indices_of(self, link: str) -> tuple[int | None, int | None, int | None]:
+        """Where x, y, theta of a link are among the coordinates; ``None`` for a motion that is none of them."""
+        wanted = [f"{motion}({link})" for motion in ("x", "y", "theta")]
+        x, y, theta = (self.names.index(name) if name in self.names else None for name in wanted)
+        return x, y, theta
+
     def slide(self, joint: SlidingJoint) -> tuple[ca.SX, ca.SX]:
         """Sliding (along) and normal distance (across the line fixed in links[1]) of links[0] since drawn, m."""
         return _slide(joint, self.poses, self.terms)

@@ -14,7 +14,7 @@ import casadi as ca
 
 from solver import drive, forces
 from solver.contact import ContactForce
-from solver.dynamics import ConstrainedSolver, inertia
+from solver.dynamics import Solver, constrained_solver, inertia
 from solver.errors import MachineError
 from solver.kinematics import Kinematics, kinematics
 from solver.machine import Machine, SlidingJoint
@@ -38,7 +38,8 @@ class Model:
     kinematics : Kinematics
     mass, force : casadi.SX
         M (n, n) and Q (n, 1) of M a = Q + G' lambda with z'' = T a, T the kinematics' axes; Q holds the velocity terms.
-    solution : ConstrainedSolver
+    solution : Solver
+        Of the constrained system for any right-hand sides.
     phi, phi_rate : casadi.SX
         Closures (m, 1) and their rate.
     acceleration, reactions : casadi.SX
@@ -64,7 +65,7 @@ class Model:
     kinematics: Kinematics
     mass: ca.SX
     force: ca.SX
-    solution: ConstrainedSolver
+    solution: Solver
     phi: ca.SX
     phi_rate: ca.SX
     acceleration: ca.SX
@@ -88,10 +89,7 @@ class Model:
     @property
     def frame_indices(self) -> tuple[int | None, int | None, int | None]:
         """Where x, y, theta of the frame are among the coordinates; ``None`` for a motion it does not have."""
-        names = self.kinematics.names
-        wanted = [f"{motion}({self.machine.frame})" for motion in ("x", "y", "theta")]
-        x, y, theta = (names.index(name) if name in names else None for name in wanted)
-        return x, y, theta
+        return self.kinematics.indices_of(self.machine.frame)
 
     def function(self, name: str, *outputs: ca.SX) -> ca.Function:
         """A CasADi function of (t, z, v, p): evaluated without any compilation, microseconds a call."""
@@ -105,7 +103,8 @@ class Model:
     @cached_property
     def projection(self) -> ca.Function:
         """(t, z, v, p) -> corrections of z and v that restore the closures, least mass-weighted."""
-        corrections = (self.solution.correct(residual) for residual in (self.phi, self.phi_rate))
+        still = ca.SX.zeros(self.size)
+        corrections = (self.solution.solve(still, -residual)[0] for residual in (self.phi, self.phi_rate))
         return self.function("projection", *(ca.mtimes(self.kinematics.axes, c) for c in corrections))
 
     @cached_property
@@ -138,6 +137,17 @@ def _with_contacts_decided(touching: ca.SX, switch: ca.SX, expressions: list[ca.
     if touching.shape[0] == 0:
         return expressions
     return list(ca.substitute(expressions, [touching], [ca.if_else(switch > 0, 1, 0)]))
+
+
+def _border(machine: Machine, kin: Kinematics) -> list[int]:
+    """Coordinates of the frame, where closures keep their rank without them.
+
+    They do where the whole machine can move as one body: what the frame's motion opens, the other links' can open, too.
+    A link that is tied to the ground takes that away.
+    """
+    if any(link.fixed or link.locked for name, link in machine.links.items() if name != machine.frame):
+        return []
+    return [i for i in kin.indices_of(machine.frame) if i is not None]
 
 
 def _refuse_unmodelled(machine: Machine) -> None:
@@ -204,7 +214,7 @@ def build_model(
     jacobian = ca.mtimes(ca.jacobian(phi, z), kin.axes) if closed else ca.SX(0, n)
     phi_rate = rate(phi) if closed else ca.SX(0, 1)
     gamma = -rate(phi_rate) if closed else ca.SX(0, 1)
-    solution = ConstrainedSolver.of(mass, jacobian)
+    solution = constrained_solver(mass, jacobian, _border(machine, kin))
     held, reactions = solution.solve(scene.total, gamma)
     held = ca.mtimes(kin.axes, held)
     switch = ca.vertcat(*(contact.switch for _, contact in contacts.values()))
