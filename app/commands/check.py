@@ -15,14 +15,16 @@ if TYPE_CHECKING:
     from solver.account import Account
     from solver.fault import FaultState
     from solver.machine import Machine
+    from solver.matrix import MechanismMatrix
 
 
 @click.command("check")
 @click.argument("machine")
 @click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
+@click.option("--arrays", is_flag=True, help="Show the arrays that the paper derives from the mechanism matrix.")
 @click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png", help="Draw the machine.")
 @json_option
-def command(machine: str, fault: str, drawing: Path | None, as_json: bool) -> None:
+def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_json: bool) -> None:
     """Validate MACHINE (a shipped machine's name, or a file) and show what it consists of."""
     if drawing is not None:
         from app.pictures import check_ending
@@ -43,34 +45,36 @@ def command(machine: str, fault: str, drawing: Path | None, as_json: bool) -> No
         save_drawing(found, state.joints, drawing)
     matrix = matrix_of(found, state)
     if as_json:
-        print_json(document(found, state, sizes, matrix, drawing))
+        print_json(document(found, state, sizes, matrix, arrays, drawing))
     else:
-        click.echo(report(found, state, sizes, matrix))
+        click.echo(report(found, state, sizes, matrix, arrays))
         if drawing is not None:
             click.echo(f"\ndrawn: {drawing}")
 
 
-def matrix_of(machine: Machine, fault: FaultState) -> tuple[tuple[str, ...], list[list[str]]] | str:
-    """Return links and rows of the mechanism matrix, or why it cannot say this machine."""
+def matrix_of(machine: Machine, fault: FaultState) -> MechanismMatrix | str:
+    """Return the mechanism matrix, or why it cannot say this machine."""
     from solver.errors import MachineError
     from solver.matrix import MechanismMatrix
 
     try:
-        matrix = MechanismMatrix.from_machine(machine, fault.joints)
+        return MechanismMatrix.from_machine(machine, fault.joints)
     except MachineError as error:
         return error.rule
-    return matrix.links, [list(row) for row in matrix.rows]
 
 
 def document(
     machine: Machine,
     fault: FaultState,
     sizes: Account,
-    matrix: tuple[tuple[str, ...], list[list[str]]] | str,
+    matrix: MechanismMatrix | str,
+    arrays: bool,
     drawing: Path | None,
 ) -> dict[str, object]:
     """Return everything as JSON values."""
-    return {
+    from solver.matrix import MechanismMatrix
+
+    content = {
         "name": machine.name,
         "content_key": machine.content_key,
         "frame": machine.frame,
@@ -85,16 +89,24 @@ def document(
         "coordinates": list(sizes.coordinates),
         "closures": list(sizes.closures),
         "operations": sizes.operations,
-        "left_out": [{"what": what, "why": why} for what, why in sizes.left_out],
-        "mechanism_matrix": None if isinstance(matrix, str) else {"links": list(matrix[0]), "rows": matrix[1]},
+        "left_out": [{"what": out.what, "why": out.why, "unknowns": out.unknowns} for out in sizes.left_out],
+        "added": list(sizes.added),
+        "mechanism_matrix": None,
         "drawing": None if drawing is None else str(drawing),
     }
+    if isinstance(matrix, MechanismMatrix):
+        content["mechanism_matrix"] = {
+            "links": list(matrix.links),
+            "rows": [list(row) for row in matrix.rows],
+            **({"arrays": arrays_document(matrix)} if arrays else {}),
+        }
+    return content
 
 
-def report(
-    machine: Machine, fault: FaultState, sizes: Account, matrix: tuple[tuple[str, ...], list[list[str]]] | str
-) -> str:
+def report(machine: Machine, fault: FaultState, sizes: Account, matrix: MechanismMatrix | str, arrays: bool) -> str:
     """Return everything as plain text."""
+    from solver.matrix import MechanismMatrix
+
     size = len(sizes.coordinates) + len(sizes.closures)
     parts = [
         f"{machine.name}: a valid machine; drive: {drive_of(machine)}; fault: {fault.label}",
@@ -105,16 +117,23 @@ def report(
         "",
         f"degrees of freedom      F = {sizes.freedoms}, of which {sizes.integrated} are integrated",
         f"full system       3N + 2J = {sizes.full_unknowns} unknowns ({sizes.links} links, {sizes.joints} joints)",
-        f"compiled system             {size} unknowns: {len(sizes.coordinates)} coordinates and "
+        f"compiled system             {size} unknowns, {len(sizes.coordinates)} accelerations and "
         f"{len(sizes.closures)} reactions; {sizes.operations} operations an evaluation",
-        f"  coordinates: {', '.join(sizes.coordinates)}",
+        f"  coordinates: {', '.join(sizes.coordinates) or 'none'}",
         f"  closures: {', '.join(sizes.closures) or 'none'}",
-        "left out:",
-        *(f"  {what}: {why}" for what, why in sizes.left_out),
+        *([f"  of these not among the 3N + 2J: {', '.join(sizes.added)}"] if sizes.added else []),
+        f"left out, {sum(out.unknowns for out in sizes.left_out)} unknowns and terms of the forces:",
+        *(f"  {out.what}: {out.why}" for out in sizes.left_out),
         "",
         "mechanism matrix:",
-        f"  none: {matrix}" if isinstance(matrix, str) else indented(table(("", *matrix[0]), matrix_rows(*matrix))),
     ]
+    if isinstance(matrix, MechanismMatrix):
+        rows = [(link, *row) for link, row in zip(matrix.links, matrix.rows, strict=True)]
+        parts.append(indented(table(("", *matrix.links), rows)))
+        if arrays:
+            parts += ["", arrays_of(matrix)]
+    else:
+        parts.append(f"  none: {matrix}")
     return "\n".join(parts)
 
 
@@ -145,6 +164,43 @@ def joints_of(machine: Machine, fault: FaultState) -> str:
     return table(("joint", "kind", "links", "at", "radial clearance"), rows)
 
 
-def matrix_rows(links: tuple[str, ...], rows: list[list[str]]) -> list[tuple[str, ...]]:
-    """Return the rows of the matrix with their links."""
-    return [(link, *row) for link, row in zip(links, rows, strict=True)]
+def arrays_of(matrix: MechanismMatrix) -> str:
+    """Return the paper's arrays as tables: counts, neighbour lists (without the zeros that fill them up), factors."""
+    from solver.matrix_arrays import matrix_arrays
+
+    arrays = matrix_arrays(matrix)
+    size = range(len(arrays.links))
+    heads = [[str(i + 1), link] for i, link in enumerate(arrays.links)]
+    counts = [[*heads[i], *(str(column[i]) for column in arrays.counts.values())] for i in size]
+    lists = [
+        [*heads[i], *(" ".join(str(j) for j in rows[i] if j) for rows in arrays.neighbours.values())] for i in size
+    ]
+    entries = {
+        (i, j): [part[i][j] for part in (arrays.xi, arrays.n, arrays.s)]
+        for i in size
+        for j in size
+        if i != j and matrix.rows[i][j] != "0"
+    }
+    factors = [
+        [str(i + 1), str(j + 1), *("-" if x is None else str(x) for x in entry)] for (i, j), entry in entries.items()
+    ]
+    parts = [
+        f"arrays of the matrix: N = {len(arrays.links)}, NSP = {arrays.springs}, NDP = {arrays.dampers}",
+        table(("", "link", *arrays.counts), counts),
+        "",
+        table(("", "link", *arrays.neighbours), lists),
+        "",
+        table(("i", "j", "xi", "n", "s"), factors),
+    ]
+    return "\n".join([parts[0], *(indented(part) for part in parts[1:])])
+
+
+def arrays_document(matrix: MechanismMatrix) -> dict[str, object]:
+    """Return the paper's arrays as JSON values, links counted from 1."""
+    from solver.matrix_arrays import matrix_arrays
+
+    arrays = matrix_arrays(matrix)
+    return {
+        "N": len(arrays.links), "NSP": arrays.springs, "NDP": arrays.dampers,
+        "xi": arrays.xi, "n": arrays.n, "s": arrays.s, **arrays.counts, **arrays.neighbours,
+    }  # fmt: skip

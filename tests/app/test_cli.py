@@ -110,7 +110,25 @@ def test_check_shows_the_sizes_of_the_model() -> None:
     assert document["degrees_of_freedom"] == 6
     assert document["fault_um"] == {"A": pytest.approx(200)}
     assert document["mechanism_matrix"]["rows"][2][1] == "C"
-    assert document["left_out"]
+    assert document["unknowns_3n_2j"] == 32
+    kept = len(document["coordinates"]) + len(document["closures"])
+    assert kept + sum(out["unknowns"] for out in document["left_out"]) == 32
+    assert "arrays" not in document["mechanism_matrix"]
+
+
+def test_check_shows_the_arrays_of_the_matrix() -> None:
+    arguments = ["check", "quick-return", "--fault", "A=0.2mm", "--arrays"]
+    shown = invoke(*arguments).stdout
+    assert "N = 6, NSP = 4, NDP = 4" in shown
+    assert [line.split() for line in shown.splitlines() if line.startswith("  1  frame")] == [
+        ["1", "frame", "2", "1", "3", "2", "0", "1", "3"],
+        ["1", "frame", "2", "4", "6", "2", "4", "6", "2", "4", "6", "2", "4", "6"],
+    ]
+    arrays = json.loads(invoke(*arguments, "--json").stdout)["mechanism_matrix"]["arrays"]
+    assert (arrays["N"], arrays["NSP"], arrays["NDP"]) == (6, 4, 4)
+    assert arrays["NTC"] == [0, 1, 0, 0, 0, 0]
+    assert arrays["JTC"] == [[0] * 6, [3] + [0] * 5, *[[0] * 6] * 4]
+    assert (arrays["xi"][1], arrays["n"][2][1], arrays["s"][5][0]) == ([0, None, 1, None, None, None], 1, 1)
 
 
 @pytest.mark.parametrize("name", ["machine.svg", "machine.png"])
