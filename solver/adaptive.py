@@ -12,49 +12,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from solver.control import (
+    DIVERGING,
+    FLOOR,
+    GROW,
+    MOST_FORCED,
+    OK,
+    PAST,
+    PROJECT_EVERY,
+    SAFETY,
+    SHORTEST,
+    SHRINK,
+    STALLED,
+    crossing,
+)
 from solver.gill import DIVERGED, LOST, PATIENCE, call
 from solver.ir import LANES
 
 Array = NDArray[np.float64]
 
-#: Outcome of a case.
-OK, DIVERGING, STALLED = 0, 1, 2
-
-_SAFETY, _SHRINK, _GROW = 0.9, 0.2, 4.0
-#: A step shorter than this part of the time of the case stalls.
-_SHORTEST = 1e-14
-#: Part of the first step below which an error estimate is taken for noise, and how often in one case.
-_FLOOR = 1e-4
-_MOST_FORCED = 10_000
-#: Accepted steps of a lane between corrections of its closures.
-_PROJECT_EVERY = 32
-#: A shortened step aims this far past the switch, m, so that it ends on its other side.
-_PAST = 0.3
-
-
-@njit(cache=True, error_model="numpy")
-def _crossing(p0: float, r0: float, p1: float, r1: float) -> float:
-    """First part of a step at which the cubic through values and slopes (per step) at its ends becomes positive.
-
-    Returns a number above 1 where it stays negative.
-    """
-    a = 2 * p0 - 2 * p1 + r0 + r1
-    b = -3 * p0 + 3 * p1 - 2 * r0 - r1
-    low, high = 0.0, 2.0
-    for i in range(1, 9):
-        x = i / 8
-        if p0 + x * (r0 + x * (b + x * a)) > 0.0:
-            low, high = (i - 1) / 8, x
-            break
-    if high > 1.0:
-        return high
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        if p0 + middle * (r0 + middle * (b + middle * a)) > 0.0:
-            high = middle
-        else:
-            low = middle
-    return high
+_crossing = njit(cache=True, error_model="numpy")(crossing)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -199,7 +176,7 @@ def integrate(
             e = w[error * LANES + lane] / tolerance
             step = h[lane]
             accept = e <= 1.0  # false for a number that is none
-            if not accept and e < math.inf and step <= _FLOOR * first_steps[c] and forced[lane] < _MOST_FORCED:
+            if not accept and e < math.inf and step <= FLOOR * first_steps[c] and forced[lane] < MOST_FORCED:
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
                 accept = True
                 forced[lane] += 1
@@ -228,28 +205,28 @@ def integrate(
                     s1 = w[(switch + event) * LANES + lane]
                     flipped = (s1 > 0.0) != (w[(touching + event) * LANES + lane] > 0.5)
                     met = flipped and abs(s1) <= precision
-                    if not met and step > 1e3 * _SHORTEST * (t[lane] + interval) and abs(part - 1.0) > 1e-9:
+                    if not met and step > 1e3 * SHORTEST * (t[lane] + interval) and abs(part - 1.0) > 1e-9:
                         # Shorten, aiming a little past the switch.
                         accept = False
                         if natural[lane] < step:
                             natural[lane] = step
                         speed = abs(w[(approach + event) * LANES + lane]) + 1e-12
-                        h[lane] = min(0.999 * step, part * step + _PAST * precision / speed)
+                        h[lane] = min(0.999 * step, part * step + PAST * precision / speed)
                         if h[lane] < 0.001 * step:
                             h[lane] = 0.001 * step
             else:
                 if not (e < math.inf):
                     h[lane] = 0.1 * step
                 else:
-                    h[lane] = step * max(_SHRINK, _SAFETY / e**0.2)
+                    h[lane] = step * max(SHRINK, SAFETY / e**0.2)
                 natural[lane] = h[lane]
                 # Near a loss of rank it is the drift of the closures that spoils the accelerations.
-                steps[lane] = _PROJECT_EVERY
+                steps[lane] = PROJECT_EVERY
                 event = -1
             if not accept:
                 for i in range(2 * n):
                     w[(2 + i) * LANES + lane] = w[(kept + i) * LANES + lane]
-                if h[lane] < _SHORTEST * (t[lane] + interval) or trials[lane] > most_steps[c]:
+                if h[lane] < SHORTEST * (t[lane] + interval) or trials[lane] > most_steps[c]:
                     outcome[c], reached[c] = STALLED, sample[lane]
                     case[lane] = -1
                     busy -= 1
@@ -295,9 +272,9 @@ def integrate(
                 old[0, j, lane] = w[(penetration + j) * LANES + lane]
                 old[1, j, lane] = w[(approach + j) * LANES + lane]
                 old[2, j, lane] = w[(switch + j) * LANES + lane]
-            grown = step * min(_GROW, _SAFETY / max(e, 1e-10) ** 0.2)
-            if step <= _FLOOR * first_steps[c]:
-                grown = _GROW * step
+            grown = step * min(GROW, SAFETY / max(e, 1e-10) ** 0.2)
+            if step <= FLOOR * first_steps[c]:
+                grown = GROW * step
             if event >= 0:
                 w[(touching + event) * LANES + lane] = 1.0 - w[(touching + event) * LANES + lane]
                 stale = True
@@ -311,7 +288,7 @@ def integrate(
         # result depends on which cases run beside it.
         due = False
         for lane in range(LANES):
-            due = due or (case[lane] >= 0 and steps[lane] >= _PROJECT_EVERY)
+            due = due or (case[lane] >= 0 and steps[lane] >= PROJECT_EVERY)
         if not due:
             continue
         for i in range(2 * n * LANES):
@@ -321,7 +298,7 @@ def integrate(
         call(project, w)
         for lane in range(LANES):
             moved = LOST
-            if case[lane] >= 0 and steps[lane] >= _PROJECT_EVERY:
+            if case[lane] >= 0 and steps[lane] >= PROJECT_EVERY:
                 steps[lane] = 0
                 moved = 0.0
                 for i in range(n):

@@ -1,4 +1,4 @@
-"""One error-controlled step as vector code: Dormand and Prince's pair of orders 5 and 4, with dense output.
+"""One error-controlled step as straight-line code: Dormand and Prince's pair of orders 5 and 4, with dense output.
 
 Coefficients: J. R. Dormand, P. J. Prince, J. Comp. Appl. Math. 6 (1980) 19-26; dense output of order 4 after E. Hairer,
 S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II.6.
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from solver.ir import LANES, Block
+from solver.ir import Block
 from solver.layout import Layout
 
 _NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
@@ -66,42 +66,42 @@ class StepRows:
     @property
     def switch(self) -> int:
         """Switch function of every contact at the end of the step, m."""
-        return self.touching + LANES * self.contacts
+        return self.touching + self.layout.stride * self.contacts
 
     @property
     def penetration(self) -> int:
         """Penetration at the end of the step, m."""
-        return self.switch + LANES * self.contacts
+        return self.switch + self.layout.stride * self.contacts
 
     @property
     def approach(self) -> int:
         """Its rate, m/s."""
-        return self.penetration + LANES * self.contacts
+        return self.penetration + self.layout.stride * self.contacts
 
     @property
     def error(self) -> int:
         """Largest scaled error of the step."""
-        return self.approach + LANES * self.contacts
+        return self.approach + self.layout.stride * self.contacts
 
     @property
     def slopes(self) -> int:
         """Accelerations of the seven stages, n rows each; the first holds those at the start of the step."""
-        return self.error + LANES
+        return self.error + self.layout.stride
 
     @property
     def stage_velocities(self) -> int:
         """Velocities of stages 2 to 6, n rows each."""
-        return self.slopes + LANES * _COUNT * self.layout.size
+        return self.slopes + self.layout.stride * _COUNT * self.layout.size
 
     @property
     def dense(self) -> int:
         """Dense output: four rows for each recorded coordinate, then for its velocity."""
-        return self.stage_velocities + LANES * (_COUNT - 2) * self.layout.size
+        return self.stage_velocities + self.layout.stride * (_COUNT - 2) * self.layout.size
 
     @property
     def last_slopes(self) -> int:
         """Accelerations at the end of the step."""
-        return self.slopes + LANES * (_COUNT - 1) * self.layout.size
+        return self.slopes + self.layout.stride * (_COUNT - 1) * self.layout.size
 
 
 def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) -> str:
@@ -113,23 +113,25 @@ def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) 
     return total
 
 
-def dopri_step(rows: StepRows, scales: Sequence[float]) -> str:
-    """``void dopri(double* work)``: a trial step from (z, v, first slopes) with the step and time rows.
+def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = None) -> str:
+    """``dopri``: a trial step from (z, v, first slopes) with the step and time rows.
 
     Parameters
     ----------
     rows : StepRows
     scales : sequence of float
         Size of the coordinates, then of the velocities, that errors are compared with; 2 n numbers.
+    block : Block, optional
+        Empty function to print into; of rows of lanes by default.
     """
     layout = rows.layout
     n = layout.size
-    block = Block()
+    block = block or Block()
     h, t = block.load(layout.step), block.load(layout.time)
     z, v, a = (layout.rows(start, n) for start in (layout.z, layout.v, layout.a))
     kept = layout.rows(layout.scratch, 2 * n)
-    slopes = [layout.rows(rows.slopes + LANES * n * i, n) for i in range(_COUNT)]
-    speeds = [kept[n:], *(layout.rows(rows.stage_velocities + LANES * n * i, n) for i in range(_COUNT - 2)), v]
+    slopes = [layout.rows(rows.slopes + layout.stride * n * i, n) for i in range(_COUNT)]
+    speeds = [kept[n:], *(layout.rows(rows.stage_velocities + layout.stride * n * i, n) for i in range(_COUNT - 2)), v]
     for i in range(n):
         block.store(kept[i], block.load(z[i]))
         block.store(kept[n + i], block.load(v[i]))
@@ -144,7 +146,7 @@ def dopri_step(rows: StepRows, scales: Sequence[float]) -> str:
             if stage < _COUNT - 1:
                 block.store(speeds[stage][i], speed)
         block.store(layout.time, block.fma(block.constant(_NODES[stage]), h, t))
-        block.statement("call void @held(ptr %w)")
+        block.invoke("held")
         for i in range(n):
             block.store(slopes[stage][i], block.load(a[i]))
     largest = block.constant(0.0)
@@ -164,5 +166,5 @@ def dopri_step(rows: StepRows, scales: Sequence[float]) -> str:
             quartic = block.mul(h, _combination(block, _DENSE, values))
             for coefficient in (change, bend, last, quartic):
                 block.store(at, coefficient)
-                at += LANES
+                at += layout.stride
     return block.function("dopri")

@@ -1,4 +1,4 @@
-"""CasADi functions as straight-line vector code.
+"""CasADi functions as straight-line code: rows of lanes, or any other dialect.
 
 All data of a kernel live in one flat work array addressed with constant offsets. Work that depends on lane parameters
 alone is hoisted into a function of its own that runs once.
@@ -12,24 +12,50 @@ from dataclasses import dataclass
 import casadi as ca
 
 from solver.elementary import hyperbolic_tangent, sine_cosine
-from solver.ir import LANES, Block
+from solver.ir import DECLARATIONS, LANES, Block
 
 _ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul"}
 _COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "one"}
 _LOGIC = {ca.OP_AND: "and", ca.OP_OR: "or"}
 _CALLS = {ca.OP_SQRT: "sqrt", ca.OP_FABS: "fabs", ca.OP_FLOOR: "floor", ca.OP_FMAX: "maxnum", ca.OP_FMIN: "minnum"}
 _UNARY: dict[int, Callable[[Block, str], str]] = {
-    ca.OP_NEG: Block.neg,
+    ca.OP_NEG: lambda block, a: block.neg(a),
     ca.OP_SQ: lambda block, a: block.mul(a, a),
     ca.OP_TWICE: lambda block, a: block.add(a, a),
-    ca.OP_TANH: hyperbolic_tangent,
 }
-_OTHER_UNARY = (ca.OP_INV, ca.OP_SIN, ca.OP_COS, ca.OP_SQRT, ca.OP_FABS, ca.OP_FLOOR, ca.OP_NOT)
+_OTHER_UNARY = (ca.OP_TANH, ca.OP_INV, ca.OP_SIN, ca.OP_COS, ca.OP_SQRT, ca.OP_FABS, ca.OP_FLOOR, ca.OP_NOT)
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """What a function is printed in.
+
+    Attributes
+    ----------
+    block : callable
+        From a prefix of names to an empty function.
+    sine_cosine, tanh : callable
+        What prints them.
+    stride : int
+        From one row of the work array to the next.
+    head : str
+        What stands before the functions.
+    """
+
+    block: Callable[[str], Block]
+    sine_cosine: Callable[[Block, str], tuple[str, str]]
+    tanh: Callable[[Block, str], str]
+    stride: int
+    head: str
+
+
+#: Rows of lanes for the processor.
+VECTOR = Dialect(Block, sine_cosine, hyperbolic_tangent, LANES, DECLARATIONS)
 
 
 @dataclass(frozen=True)
 class Program:
-    """One function as vector code.
+    """One function as straight-line code.
 
     Attributes
     ----------
@@ -52,9 +78,11 @@ class _Value:
 
 
 class _Printer:
-    def __init__(self, inputs: Sequence[Sequence[int]], fixed_input: int, hoist_at: int, tag: str) -> None:
-        self.inputs, self.fixed_input, self.hoist_at = inputs, fixed_input, hoist_at
-        self.body, self.hoisted = Block(), Block(f"{tag}h")
+    def __init__(
+        self, inputs: Sequence[Sequence[int]], fixed_input: int, hoist_at: int, tag: str, dialect: Dialect
+    ) -> None:
+        self.inputs, self.fixed_input, self.hoist_at, self.dialect = inputs, fixed_input, hoist_at, dialect
+        self.body, self.hoisted = dialect.block("t"), dialect.block(f"{tag}h")
         self.slots = 0
         self.loaded: dict[tuple[int, int, bool], _Value] = {}
         self.source: dict[str, tuple[int, int]] = {}
@@ -73,12 +101,12 @@ class _Printer:
 
     def in_body(self, value: _Value) -> str:
         """Name of a value inside the body: parameters are loaded there, hoisted results stored once and loaded back."""
-        if not value.fixed or value.text.startswith("<"):
+        if not value.fixed or self.body.is_constant(value.text):
             return value.text
         if value.text in self.source:
             return self.load(*self.source[value.text], fixed=False).text
         if value.text not in self.kept:
-            offset = self.hoist_at + LANES * self.slots
+            offset = self.hoist_at + self.dialect.stride * self.slots
             self.slots += 1
             self.hoisted.store(offset, value.text)
             self.kept[value.text] = self.body.load(offset)
@@ -106,8 +134,10 @@ class _Printer:
         texts = [a.text if fixed or a.mask else self.in_body(a) for a in arguments]
         if op in (ca.OP_SIN, ca.OP_COS):
             if texts[0] not in self.waves:
-                self.waves[texts[0]] = sine_cosine(block, texts[0])
+                self.waves[texts[0]] = self.dialect.sine_cosine(block, texts[0])
             return _Value(self.waves[texts[0]][0 if op == ca.OP_SIN else 1], fixed)
+        if op == ca.OP_TANH:
+            return _Value(self.dialect.tanh(block, texts[0]), fixed)
         if op in (ca.OP_DIV, ca.OP_INV):
             inverse = self.reciprocal(arguments[-1])
             if op == ca.OP_INV:
@@ -130,9 +160,9 @@ class _Printer:
 
 def straight_line(
     function: ca.Function, inputs: Sequence[Sequence[int]], outputs: Sequence[Sequence[int]], *,
-    fixed_input: int, hoist_at: int,
+    fixed_input: int, hoist_at: int, dialect: Dialect = VECTOR,
 ) -> Program:  # fmt: skip
-    """Print an SX function as rows of lanes.
+    """Print an SX function.
 
     Parameters
     ----------
@@ -145,13 +175,14 @@ def straight_line(
         Input that holds the lane parameters.
     hoist_at : int
         Offset from which hoisted values are kept.
+    dialect : Dialect
 
     Raises
     ------
     KeyError
         An operation that the equations were not expected to hold.
     """
-    printer = _Printer(inputs, fixed_input, hoist_at, function.name())
+    printer = _Printer(inputs, fixed_input, hoist_at, function.name(), dialect)
     registers: dict[int, _Value] = {}
     stores: list[tuple[int, str]] = []
     for k in range(function.n_instructions()):

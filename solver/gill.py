@@ -59,7 +59,7 @@ def gill_step(layout: Layout) -> str:
         if time is not None:
             block.store(layout.time, block.fma(block.constant(time), h, t))
         if stage < 3:
-            block.statement("call void @rhs(ptr %w)")
+            block.invoke("rhs")
     return block.function("gill")
 
 

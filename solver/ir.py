@@ -60,9 +60,18 @@ class Block:
         """A statement without a value."""
         self.lines.append(text)
 
+    def invoke(self, name: str) -> None:
+        """Call another function of the kernel on the same work array."""
+        self.statement(f"call void @{name}(ptr %w)")
+
     def constant(self, value: float) -> str:
         """The same number in every lane."""
         return "<" + ", ".join([f"double {literal(value)}"] * LANES) + ">"
+
+    @staticmethod
+    def is_constant(value: str) -> bool:
+        """Whether a value is a literal, which every function can write down itself."""
+        return value.startswith("<")
 
     def load(self, offset: int) -> str:
         """The row at `offset` doubles into the work array."""

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from solver import native
 from solver.dopri import StepRows, dopri_step
-from solver.emit import straight_line
+from solver.emit import VECTOR, Dialect, straight_line
 from solver.gill import gill_step
-from solver.ir import DECLARATIONS, LANES
 from solver.layout import Layout
 from solver.model import Model
 
@@ -53,7 +52,7 @@ class Kernel:
 
 @dataclass(frozen=True)
 class KernelCode:
-    """LLVM assembly of a model, before compilation."""
+    """Source of a model, before compilation."""
 
     text: str
     layout: Layout
@@ -68,10 +67,12 @@ def _simplified(name: str, symbols: list[ca.SX], outputs: list[ca.SX]) -> ca.Fun
 
 def _code(
     model: Model, layout: Layout, name: str, symbols: list[ca.SX], inputs: list[list[int]], outputs: list[ca.SX],
-    targets: list[list[int]], step: str,
+    targets: list[list[int]], step: str, dialect: Dialect = VECTOR,
 ) -> KernelCode:  # fmt: skip
     """Right-hand side `name`, projection, ``prepare`` and one step of a method."""
-    right = straight_line(_simplified(name, symbols, outputs), inputs, targets, fixed_input=3, hoist_at=layout.hoist)
+    right = straight_line(
+        _simplified(name, symbols, outputs), inputs, targets, fixed_input=3, hoist_at=layout.hoist, dialect=dialect
+    )
     functions = [right.body.function(name)]
     prepare, slots = right.hoisted, right.hoist_slots
     constrained = bool(model.kinematics.closures)
@@ -81,13 +82,13 @@ def _code(
         _, dv = model.projection.call([symbols[0], model.z + dz, *symbols[2:4]])
         project = straight_line(
             _simplified("project", symbols[:4], [model.z + dz, model.v + dv]), inputs[:4], inputs[1:3],
-            fixed_input=3, hoist_at=layout.hoist + LANES * slots,
+            fixed_input=3, hoist_at=layout.hoist + layout.stride * slots, dialect=dialect,
         )  # fmt: skip
         functions.append(project.body.function("project"))
         prepare.lines += project.hoisted.lines
         slots += project.hoist_slots
     functions += [prepare.function("prepare"), step]
-    text = "\n".join([DECLARATIONS, *functions])
+    text = "\n".join([dialect.head, *functions])
     return KernelCode(text, replace(layout, hoisted=slots), right.body.operations, constrained)
 
 
@@ -102,7 +103,9 @@ def kernel_code(model: Model) -> KernelCode:
     )
 
 
-def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> KernelCode:
+def adaptive_code(
+    model: Model, scales: Sequence[float], recorded: tuple[int, ...], dialect: Dialect = VECTOR
+) -> KernelCode:
     """Print a model for error-controlled steps: ``prepare``, ``held``, ``dopri`` and ``project``.
 
     Parameters
@@ -112,9 +115,10 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
         Sizes of coordinates and velocities that errors are compared with; 2 n numbers.
     recorded : tuple of int
         Coordinates with dense output.
+    dialect : Dialect
     """
     n, k, contacts = model.size, len(model.parameters), len(model.contacts)
-    layout = Layout(n, k, extra=StepRows.count(n, contacts, len(recorded)))
+    layout = Layout(n, k, extra=StepRows.count(n, contacts, len(recorded)), stride=dialect.stride)
     rows = StepRows(layout, contacts, recorded)
     symbols = [model.t, model.z, model.v, model.p, model.touching]
     inputs = [
@@ -126,7 +130,9 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
         for start, name in ((rows.switch, "switch"), (rows.penetration, "penetration"), (rows.approach, "approach")):
             outputs.append(ca.vertcat(*(getattr(contact, name) for contact in model.contacts)))
             targets.append(layout.rows(start, contacts))
-    return _code(model, layout, "held", symbols, inputs, outputs, targets, dopri_step(rows, scales))
+    return _code(
+        model, layout, "held", symbols, inputs, outputs, targets, dopri_step(rows, scales, dialect.block("t")), dialect
+    )
 
 
 def _compiled(code: KernelCode, names: tuple[str, str]) -> Kernel:

@@ -21,15 +21,18 @@ class Layout:
         Slots for what depends on the parameters alone.
     extra : int
         Rows for the method's own use.
+    stride : int
+        From one row to the next: the lanes of a row.
     """
 
     size: int
     parameters: int
     hoisted: int = 0
     extra: int = 0
+    stride: int = LANES
 
     def _row(self, index: int) -> int:
-        return LANES * index
+        return self.stride * index
 
     @property
     def time(self) -> int:
@@ -83,4 +86,4 @@ class Layout:
 
     def rows(self, start: int, count: int) -> list[int]:
         """Offsets of `count` rows from `start`."""
-        return [start + LANES * i for i in range(count)]
+        return [start + self.stride * i for i in range(count)]

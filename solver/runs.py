@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from solver import adaptive, gill, sampling
+from solver import adaptive, control, gill, sampling
 from solver.history import Settings, Status
 from solver.ir import LANES
 from solver.kernel import Kernel, compile_adaptive, compile_model
@@ -205,8 +205,8 @@ def _adaptive_group(
         whole = -(-samples // OVERSAMPLING)
         z, v, a = coordinates[i, :, :whole], velocities[i, :, :samples], accelerations[i, :, :whole]
         status, message = Status.OK, ""
-        if outcome[i] != adaptive.OK:
-            diverged = outcome[i] == adaptive.DIVERGING
+        if outcome[i] != control.OK:
+            diverged = outcome[i] == control.DIVERGING
             status = Status.DIVERGED if diverged else Status.STEP_TOO_SMALL
             what = "diverged" if diverged else "no step was small enough"
             message = f"{what} at {samples / rate:.6g} s; try another tolerance, or `gill` with a small step"

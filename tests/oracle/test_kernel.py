@@ -12,11 +12,13 @@ from oracle.dense import solve
 from oracle.motion import LinkMotion
 from oracle.sketch import random_state
 
+from solver.dopri import StepRows
 from solver.gill import integrate, repeat
 from solver.ir import LANES
-from solver.kernel import compile_model
+from solver.kernel import adaptive_code, compile_model
 from solver.machine import Machine, parse_machine, shipped_machine
 from solver.model import Model, build_model
+from solver.scalar import SCALAR
 
 #: Vector code and symbols round differently (order of sums, its own sine); as part of the largest acceleration.
 ROUNDING = 1e-12
@@ -135,6 +137,46 @@ def test_lanes(scene: tuple[Machine, Model]) -> None:
         gap = np.abs(accelerations - solution.accelerations)
         assert gap[:, :2].max() < 1e-10 * solution.scale[0]
         assert gap[:, 2].max() < 1e-10 * solution.scale[1]
+
+
+def test_scalar_source(scene: tuple[Machine, Model]) -> None:
+    """The same instructions in Python, for other compilers: accelerations and restored closures."""
+    machine, model = scene
+    code = adaptive_code(model, [1.0] * 2 * model.size, (), SCALAR)
+    layout, step = code.layout, StepRows(code.layout, len(model.contacts), ())
+    kernel: dict[str, Any] = {}
+    exec(code.text, kernel)
+    drawn = lanes(model)
+    lanes_kernel = compile_model(model)
+    work = filled(lanes_kernel, model, drawn)
+    repeat(lanes_kernel.functions, work, 1)
+    motion = LinkMotion(model)
+    for (values, t, z, v), compiled in zip(drawn, rows(work, lanes_kernel.layout.a, model.size), strict=True):
+        p = model.vector(values)
+        w = np.zeros(layout.total)
+        w[layout.time] = t
+        for start, column in ((layout.z, z), (layout.v, v), (layout.p, p)):
+            w[start : start + len(column)] = column
+        kernel["prepare"](w)
+        kernel["held"](w)
+        for i in range(len(model.contacts)):
+            w[step.touching + i] = w[step.switch + i] > 0
+        kernel["held"](w)
+        a = w[layout.a : layout.a + model.size].copy()
+        assert np.abs(a - compiled).max() < ROUNDING * np.abs(compiled).max()
+        positions, velocities, accelerations = motion(t, z, v, a, p)
+        other, clearances = changed(machine, values)
+        solution = solve(other, clearances, t, positions, velocities)
+        gap = np.abs(accelerations - solution.accelerations)
+        assert gap[:, :2].max() < 1e-10 * solution.scale[0]
+        assert gap[:, 2].max() < 1e-10 * solution.scale[1]
+        if not code.constrained:
+            continue
+        moved = z + 1e-6
+        w[layout.z : layout.z + model.size] = moved
+        kernel["project"](w)
+        correction = model.projection(t, moved, v, p)[0].full().ravel()
+        assert np.abs(w[layout.z : layout.z + model.size] - moved - correction).max() < 1e-12
 
 
 def test_restoring_the_closures() -> None:
