@@ -14,6 +14,7 @@ COMMANDS = {
     "machines": "list the machines that ship with the program, or print one as a file",
     "check": "validate a machine; show its links, joints, degrees of freedom and a drawing",
     "simulate": "simulate time histories and spectra of the frame",
+    "trade-off": "measure spectral error against cost on this computer",
     "build": "build or extend a catalogue of fault spectra",
     "verify": "check every stored spectrum of a catalogue and repair its index",
     "diagnose": "rank the fault hypotheses of a catalogue for a measurement",
@@ -33,7 +34,7 @@ class PlainGroup(click.Group):
         """Import one command's module and return the command."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"app.commands.{cmd_name}").command
+        command: click.Command = import_module(f"app.commands.{cmd_name.replace('-', '_')}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

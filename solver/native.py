@@ -28,21 +28,22 @@ def cache_directory() -> Path:
 
 
 @cache
-def _processor() -> tuple[str, str]:
+def processor() -> tuple[str, str]:
+    """Name and features of the processor that code is compiled for."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
 
 
 def _target_machine() -> llvm.TargetMachine:
-    name, features = _processor()
+    name, features = processor()
     target = llvm.Target.from_default_triple()
     return target.create_target_machine(cpu=name, features=features, opt=3, codemodel="jitdefault", jit=True)
 
 
 def content_key(text: str) -> str:
     """SHA-256 over the code, the processor it is compiled for and the compiler."""
-    parts = (text, *_processor(), llvmlite.__version__, str(llvm.llvm_version_info))
+    parts = (text, *processor(), llvmlite.__version__, str(llvm.llvm_version_info))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 

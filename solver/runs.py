@@ -137,10 +137,15 @@ def _gill_group(
         yield Run(case, status, message, z[:, ::OVERSAMPLING], v, a[:, ::OVERSAMPLING], h, spent)
 
 
+def extent_of(machine: Machine) -> float:
+    """Largest distance between joints and centres of gravity as drawn, m; 1 where all are in one place."""
+    points = [joint.at for joint in machine.joints.values()] + [link.cg for link in machine.links.values()]
+    return max((math.dist(p, q) for p in points for q in points), default=0.0) or 1.0
+
+
 def _scales(machine: Machine, model: Model) -> list[float]:
     """Sizes of coordinates (the machine's extent, a radian) and of velocities (those at the drive's angular speed)."""
-    points = [joint.at for joint in machine.joints.values()] + [link.cg for link in machine.links.values()]
-    extent = max((math.dist(p, q) for p in points for q in points), default=0.0) or 1.0
+    extent = extent_of(machine)
     drive, rate = machine.drive, 0.0
     if isinstance(drive, RotationDrive | TranslationDrive):
         speeds = [drive.speed] if isinstance(drive.speed, float) else [speed for _, speed in drive.speed]

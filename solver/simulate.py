@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,13 @@ from solver.links import link_motion
 from solver.machine import Machine
 from solver.model import Model
 from solver.numbers import contact_paths
+from solver.pose import Start
 from solver.preparation import Prepared, mobility_of, model_of, prepare
 from solver.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
 
 Array = NDArray[np.float64]
 
-__all__ = ["Case", "History", "Settings", "Status", "check_assembly", "simulate", "simulate_batch"]
+__all__ = ["Case", "History", "Settings", "Start", "Status", "check_assembly", "simulate", "simulate_batch", "start_of"]
 
 
 def check_assembly(machine: Machine) -> None:
@@ -41,9 +43,25 @@ def simulate(machine: Machine, case: Case | None = None, settings: Settings | No
     return simulate_batch(machine, [case or Case()], settings)[0]
 
 
+def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> Start:
+    """Where a case starts: coordinates and velocities at t = 0, in the order of its model's coordinates.
+
+    Raises
+    ------
+    AssemblyError
+        No start pose, contradicting velocities, or a machine that cannot be assembled at some drive angle.
+    MachineError, SettingsError
+        As for :func:`simulate_batch`.
+    """
+    group = next(_groups(machine, [case], settings or Settings()))
+    for _, error in group.failed:
+        raise error
+    return Start(group.ready[0].z, group.ready[0].v)
+
+
 def simulate_batch(
     machine: Machine, cases: Sequence[Case], settings: Settings | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] | None = None, *, starts: Sequence[Start | None] | None = None,
 ) -> list[History]:  # fmt: skip
     """Simulate a table of cases.
 
@@ -55,6 +73,8 @@ def simulate_batch(
     settings : Settings, optional
     progress : callable, optional
         Called with the number of cases done after each of them.
+    starts : sequence of Start or None, optional
+        Where each case starts instead of as :func:`start_of`; its coordinates must fulfil the closures.
 
     Returns
     -------
@@ -69,36 +89,59 @@ def simulate_batch(
         Settings that cannot be met.
     """
     settings = settings or Settings()
-    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple[int, dict[str, float]]]] = defaultdict(list)
-    for index, case in enumerate(cases):
-        check_fault(case.fault, machine)
-        values = full_paths(machine, case)
-        contact = {path for joint in case.fault.joints for path in contact_paths(machine, joint)}
-        varying = tuple(sorted(path for path in values if path not in contact and path != "drive.speed"))
-        groups[case.fault.joints, varying].append((index, values))
     results: dict[int, History] = {}
-    for (joints, varying), members in groups.items():
-        try:
-            mobility = mobility_of(machine, joints)
-        except AssemblyError as error:
-            for index, _ in members:
-                results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+    for group in _groups(machine, cases, settings):
+        model = group.model
+        for index, error in group.failed:
+            results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+        if model is None:
             continue
-        model = model_of(machine, joints, varying)
-        ready: list[Prepared] = []
-        for index, values in members:
-            try:
-                ready.append(prepare(machine, model, mobility, index, values, varying, settings))
-            except AssemblyError as error:
-                results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+        ready = group.ready
+        if starts is not None:
+            given = [(case, starts[case.index]) for case in ready]
+            ready = [case if start is None else replace(case, z=start.z, v=start.v) for case, start in given]
         recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
         runs = gill_runs if settings.integrator == "gill" else adaptive_runs
-        for run in runs(machine, model, varying, ready, recorded, settings):
+        for run in runs(machine, model, group.varying, ready, recorded, settings):
             index = run.case.index
             results[index] = _history(cases[index], model, run, recorded, settings)
             if progress is not None:
                 progress(len(results))
     return [results[index] for index in range(len(cases))]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Cases that share a model, and those of them that cannot be assembled with the reason."""
+
+    model: Model | None
+    varying: tuple[str, ...]
+    ready: list[Prepared]
+    failed: list[tuple[int, AssemblyError]]
+
+
+def _groups(machine: Machine, cases: Sequence[Case], settings: Settings) -> Iterator[_Group]:
+    members: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple[int, dict[str, float]]]] = defaultdict(list)
+    for index, case in enumerate(cases):
+        check_fault(case.fault, machine)
+        values = full_paths(machine, case)
+        contact = {path for joint in case.fault.joints for path in contact_paths(machine, joint)}
+        varying = tuple(sorted(path for path in values if path not in contact and path != "drive.speed"))
+        members[case.fault.joints, varying].append((index, values))
+    for (joints, varying), listed in members.items():
+        try:
+            mobility = mobility_of(machine, joints)
+        except AssemblyError as error:
+            yield _Group(None, varying, [], [(index, error) for index, _ in listed])
+            continue
+        model = model_of(machine, joints, varying)
+        group = _Group(model, varying, [], [])
+        for index, values in listed:
+            try:
+                group.ready.append(prepare(machine, model, mobility, index, values, varying, settings))
+            except AssemblyError as error:
+                group.failed.append((index, error))
+        yield group
 
 
 def _failed(case: Case, status: Status, message: str, settings: Settings) -> History:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -42,6 +43,22 @@ class Quantity(click.ParamType[float]):
             raise click.BadParameter(f"{value}: {error}", ctx, param) from None
         if self._positive and number <= 0:
             raise click.BadParameter(f"{value}: must be greater than 0", ctx, param)
+        return number
+
+
+class Decibels(click.ParamType[float]):
+    """A difference of levels greater than 0, such as "0.1 dB"; a bare number is dB already."""
+
+    name = "decibels"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number of dB."""
+        try:
+            number = float(str(value).strip().removesuffix("dB"))
+        except ValueError:
+            raise click.BadParameter(f"{value}: must be a number of dB, such as 0.1dB", ctx, param) from None
+        if not 0 < number < math.inf:
+            raise click.BadParameter(f"{value}: must be finite and greater than 0", ctx, param)
         return number
 
 

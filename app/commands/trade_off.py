@@ -1,0 +1,167 @@
+"""``jointplay trade-off``: what spectral accuracy costs for a machine on this computer."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from app.commands.parameters import Decibels, Quantity, json_option, print_json
+from app.commands.progress import ProgressLine
+from app.commands.tables import indented, table
+
+if TYPE_CHECKING:
+    from solver.machine import Machine
+    from solver.tradeoff import Point, Recommendation, TradeOff
+
+
+@click.command("trade-off")
+@click.argument("machine")
+@click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
+@click.option("--speed", type=Quantity("ANGULAR_SPEED", positive=False), help="Drive speed instead of the file's.")
+@click.option(
+    "--error", type=Decibels(), default="0.1dB", show_default=True, metavar="0.1dB", help="Harmonic error wanted."
+)
+@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Also draw it.")
+@json_option
+def command(machine: str, fault: str, speed: float | None, error: float, plot: Path | None, as_json: bool) -> None:
+    """Measure harmonic error against processor time for MACHINE, and recommend a setting."""
+    if plot is not None:
+        from app.plots import check_ending
+
+        check_ending(plot)
+    from app.errors import SimulationFailedError
+    from solver.fault import parse_fault
+    from solver.machine import resolve_machine
+    from solver.simulate import Case, History
+    from solver.tradeoff import measure
+
+    found = resolve_machine(machine)
+    case = Case(parse_fault(fault, found), {} if speed is None else {"drive.speed": speed})
+    with ProgressLine("measuring", "settings") as line:
+        measured = measure(found, case, line.show)
+    if isinstance(measured, History):
+        raise SimulationFailedError(f"{found.name}: no reference: {measured.status}: {measured.message}")
+    advice = measured.recommend(error)
+    if plot is not None:
+        from app.tradeoff_plot import plot_trade_off
+
+        plot_trade_off(found, measured, error, plot)
+    if as_json:
+        print_json(document(found, measured, advice, error, plot))
+        return
+    click.echo(report(found, measured, advice, error))
+    if plot is not None:
+        click.echo(f"\ndrawn: {plot}")
+
+
+def option_of(point: Point) -> str:
+    """Return the option of `jointplay simulate` that asks for a setting; empty where only Python can."""
+    if point.settings.integrator == "gill":
+        return ""
+    return f"--accuracy {point.accuracy}" if point.accuracy else f"--rtol {point.settings.rtol:g}"
+
+
+def document(
+    machine: Machine, found: TradeOff, advice: Recommendation, error: float, plot: Path | None
+) -> dict[str, object]:
+    """Return everything as JSON values; what does not exist is null."""
+    best = advice.point
+    return {
+        "machine": machine.name,
+        "fault": found.case.fault.label,
+        "drive_frequency_hz": found.frequency,
+        "motion": found.motion,
+        "measure": "one-order bands" if found.chaotic else "harmonics",
+        "compared": found.compared,
+        "duration_s": found.duration,
+        "transient_s": found.transient,
+        "chaotic": found.chaotic,
+        "perturbation_growth": found.growth,
+        "perturbed_difference_db": found.difference_db,
+        "spread_db": found.spread_db if found.chaotic else None,
+        "reference": {
+            "method": "adaptive",
+            "rtol": found.reference_rtol,
+            "checked_against_rtol": found.check_rtol,
+            "error_db": found.reference_error_db,
+        },
+        "settings": [described(found, point) for point in found.points],
+        "wanted_error_db": error,
+        "recommended": None if best is None else described(found, best),
+        "reason": advice.reason,
+        "computer": found.computer,
+        "preparation_s": found.preparation,
+        "plot": None if plot is None else str(plot),
+    }
+
+
+def described(found: TradeOff, point: Point) -> dict[str, object]:
+    """Return one setting as JSON values."""
+
+    def number(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    return {
+        "method": point.settings.integrator,
+        "accuracy": point.accuracy or None,
+        "rtol": point.settings.rtol,
+        "step_s": point.step,
+        "option": option_of(point) or None,
+        "status": str(point.status),
+        "processor_s_per_s": point.seconds,
+        "error_db": number(point.error_db),
+        "worst_error_db": number(point.worst_db),
+        "repeatability_db": number(point.repeat_db),
+        "more_pays": found.pays(point),
+    }
+
+
+def report(machine: Machine, found: TradeOff, advice: Recommendation, error: float) -> str:
+    """Return everything as plain text."""
+    what = f"{found.compared} {'one-order bands' if found.chaotic else 'harmonics'}"
+    head = [
+        f"{machine.name}, {found.case.fault.label}, {found.frequency * 60:.4g} a minute: acceleration of "
+        f"{machine.frame} along {found.motion}, mean |dB| over {what}",
+        f"{found.duration:.3g} s simulated, of which {found.transient:.3g} s transient; eight runs a rounding apart",
+        f"reference: rtol {found.reference_rtol:g}, from which rtol {found.check_rtol:g} is "
+        f"{found.reference_error_db:.2g} dB away: nothing below that is claimed",
+    ]
+    if found.chaotic:
+        head.append(
+            f"chaotic: a perturbation grows by {found.growth:.1g}, harmonics of the reference then differ by "
+            f"{found.difference_db:.2g} dB; band levels of single runs scatter by {found.spread_db:.2g} dB"
+        )
+    columns = ("setting", "accuracy", "mean step", "processor s/s", "error", "worst run", "repeats within", "")
+    rows = [row(found, point) for point in found.points]
+    best = advice.point
+    if best is None:
+        end = f"no recommendation for {error:g} dB: {advice.reason}"
+    else:
+        how = option_of(best) or f'Settings(method="gill", step={best.step:.4g}) in Python'
+        end = f"recommended for {error:g} dB: {how}; {advice.reason}"
+    return "\n".join([
+        *head, "", indented(table(columns, rows, frozenset({2, 3, 4, 5, 6}))), "", end,
+        f"processor time of {found.computer}, lanes filled; equations and kernels took {found.preparation:.2g} s apart",
+    ])  # fmt: skip
+
+
+def row(found: TradeOff, point: Point) -> list[str]:
+    """Return one setting as cells."""
+    name = point.settings.integrator
+    if point.settings.rtol is not None:
+        name = f"{name}, rtol {point.settings.rtol:g}"
+    cells = [name, point.accuracy, f"{point.step:.2g} s", f"{point.seconds:.4f}"]
+    if not math.isfinite(point.error_db):
+        return [*cells, "-", "-", "-", str(point.status)]
+    errors = [level(found, point.error_db), level(found, point.worst_db), f"{point.repeat_db:.1g} dB"]
+    return [*cells, *errors, "" if found.pays(point) else "more does not pay"]
+
+
+def level(found: TradeOff, error: float) -> str:
+    """Return an error with no claim below what the reference is known to."""
+    if not found.chaotic and error < found.reference_error_db:
+        return f"< {found.reference_error_db:.1g} dB"
+    return f"{error:.2g} dB"
