@@ -133,7 +133,9 @@ def check_closures(model: Model, p: Sequence[float]) -> None:
                 left -= (other @ left) * other
         if size <= _INDEPENDENT * scale or np.linalg.norm(left) <= _INDEPENDENT * size:
             rule = (
-                "holds as drawn only what other joints hold already: leave one of them out, or draw another pose "
+                "cannot be driven from the drawn pose, a dead centre: draw another one"
+                if closure.name.endswith(".drive")
+                else "holds as drawn only what other joints hold already: leave one of them out, or draw another pose "
                 "if this is a change point"
             )
             raise AssemblyError(model.machine.name, _place(closure.name), None, rule)

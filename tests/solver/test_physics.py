@@ -6,7 +6,6 @@ Nothing here knows a right answer of a case; energies and momenta are computed f
 from __future__ import annotations
 
 import copy
-import itertools
 import math
 
 import numpy as np
@@ -14,7 +13,6 @@ import pytest
 from laws import Array, Tree, drawn, impacts, run, states, tree_of
 from scipy.integrate import cumulative_simpson
 
-from solver.history import History
 from solver.machine import Machine, SlidingJoint, parse_machine, shipped_machine
 
 METHODS = pytest.mark.parametrize("method", ["gill", "adaptive"])
@@ -113,39 +111,7 @@ def test_forces_inside_a_machine_cancel() -> None:
     assert np.abs(moments.sum(axis=1)).max() < 1e-12 * np.abs(moments).max()
 
 
-# Limits ---------------------------------------------------------------------------------------------------------------
-
-
-def harmonics(history: History, revolution: float, first: float, count: int) -> Array:
-    """Amplitudes (20, 3) of the frame's acceleration at the first orders of the drive, over whole revolutions."""
-    start, samples = (round(t * history.sample_rate) for t in (first, count * revolution))
-    steady = history.band_limited_acceleration[start : start + samples]
-    return np.asarray(np.abs(np.fft.rfft(steady, axis=0))[count * np.arange(1, 21)] * 2 / samples)
-
-
-def test_no_clearance_is_the_ideal_joint() -> None:
-    """Position and spectra tend to the ideal joint's in proportion to the clearance, stiff contact (K = 1e9 N/m)."""
-    machine = parse_machine(tree_of("slider-crank", stiffness=1e9, damping=3000.0))
-    settings = {"duration": 0.6, "sample_rate": 5000}
-    ideal, _ = run(machine, {}, **settings)
-    levels = harmonics(ideal, 0.1, 0.1, 5)
-    distance, spectrum = [], []
-    for clearance in (1e-4, 1e-5, 1e-6, 1e-7):
-        worn, _ = run(machine, {"B": clearance}, **settings)
-        distance.append(np.abs(worn.displacement - ideal.displacement).max())
-        spectrum.append((np.abs(harmonics(worn, 0.1, 0.1, 5) - levels).max(axis=0) / levels.max(axis=0)).max())
-    # The frame (20 kg) gives way by a tenth of the clearance; the last one feels the compliance of the contact.
-    assert all(near < 0.15 * far for far, near in itertools.pairwise(distance[:3]))
-    assert all(near < 0.15 * far for far, near in itertools.pairwise(spectrum[:3]))
-    assert distance[3] < 2e-8 + 0.2 * 1e-7
-    assert spectrum[3] < 2e-4
-
-
-def test_clearance_of_nothing_is_the_ideal_joint() -> None:
-    machine = shipped_machine("slider-crank")
-    ideal, _ = run(machine, {}, duration=0.02)
-    nothing, _ = run(machine, {"B": 0.0}, duration=0.02)
-    assert np.array_equal(ideal.displacement, nothing.displacement)
+# Limits (vanishing clearance: tests/extremes) -------------------------------------------------------------------------
 
 
 def test_stiffness_of_the_contact_is_felt_as_compliance() -> None:
