@@ -95,11 +95,12 @@ def main() -> None:
     steps = round(SIMULATED / STEP)
     out = np.zeros((LANES, 3, steps // 5 + 1))
     record = np.array(kernel.layout.rows(kernel.layout.z, 3), dtype=np.int64)
-    broken = np.zeros(LANES, dtype=np.int64)
+    broken, counts = np.zeros(LANES, dtype=np.int64), np.full(LANES, out.shape[2])
+    finals = np.zeros((LANES, 2 + 2 * n))
 
     def lanes() -> None:
         work[:] = start
-        gill.integrate(kernel.functions, work, n, 0.0, STEP, 5, record, out, broken)
+        gill.integrate(kernel.functions, work, n, 0.0, STEP, 5, record, out, broken, kernel.jam, counts, finals)
 
     ours = processor_seconds(lanes) / LANES / SIMULATED
     evaluation = ours * STEP / 4

@@ -16,6 +16,7 @@ from solver.control import (
     DIVERGING,
     FLOOR,
     GROW,
+    JAMMED,
     MOST_FORCED,
     OK,
     PAST,
@@ -42,6 +43,7 @@ def integrate(
     contacts: int,
     recorded: NDArray[np.int64],
     parameter_row: int,
+    jam: int,
     starts: Array,
     parameters: Array,
     ends: NDArray[np.int64],
@@ -58,6 +60,7 @@ def integrate(
     outcome: NDArray[np.int64],
     reached: NDArray[np.int64],
     accepted: NDArray[np.int64],
+    finals: Array,
 ) -> None:
     """Integrate a queue of cases of one model.
 
@@ -73,6 +76,8 @@ def integrate(
         Coordinates with dense output.
     parameter_row : int
         Row of the first lane parameter.
+    jam : int
+        Row that says whether sliding joints jammed within a step, -1 where none rubs.
     starts : (cases, 2 n) array
         Coordinates and velocities.
     parameters : (cases, k) array
@@ -96,6 +101,8 @@ def integrate(
         How each case ended, and the samples it has; filled in.
     accepted : (cases,) array of int
         Accepted steps of each case; filled in.
+    finals : (cases, 1 + 2 n) array
+        Time, coordinates and velocities with which each case ended; filled in.
     """
     prepare, held, dopri, project = kernel
     cases, channels = starts.shape[0], recorded.size
@@ -167,6 +174,8 @@ def integrate(
         for lane in range(LANES):
             w[lane] = t[lane]
             w[LANES + lane] = h[lane] if case[lane] >= 0 else 0.0
+            if jam >= 0:
+                w[jam * LANES + lane] = 0.0
         call(dopri, w)
         for lane in range(LANES):
             c = case[lane]
@@ -175,8 +184,10 @@ def integrate(
             trials[lane] += 1
             e = w[error * LANES + lane] / tolerance
             step = h[lane]
-            accept = e <= 1.0  # false for a number that is none
-            if not accept and e < math.inf and step <= FLOOR * first_steps[c] and forced[lane] < MOST_FORCED:
+            jammed = jam >= 0 and w[jam * LANES + lane] > 0.5
+            accept = e <= 1.0 and not jammed  # false for a number that is none
+            noise = not accept and not jammed and e < math.inf and step <= FLOOR * first_steps[c]
+            if noise and forced[lane] < MOST_FORCED:
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
                 accept = True
                 forced[lane] += 1
@@ -215,7 +226,7 @@ def integrate(
                         if h[lane] < 0.001 * step:
                             h[lane] = 0.001 * step
             else:
-                if not (e < math.inf):
+                if jammed or not (e < math.inf):
                     h[lane] = 0.1 * step
                 else:
                     h[lane] = step * max(SHRINK, SAFETY / e**0.2)
@@ -227,7 +238,10 @@ def integrate(
                 for i in range(2 * n):
                     w[(2 + i) * LANES + lane] = w[(kept + i) * LANES + lane]
                 if h[lane] < SHORTEST * (t[lane] + interval) or trials[lane] > most_steps[c]:
-                    outcome[c], reached[c] = STALLED, sample[lane]
+                    outcome[c], reached[c] = JAMMED if jammed else STALLED, sample[lane]
+                    finals[c, 0] = t[lane]
+                    for i in range(2 * n):
+                        finals[c, 1 + i] = w[(2 + i) * LANES + lane]
                     case[lane] = -1
                     busy -= 1
                     loading = loading or following < cases
@@ -261,6 +275,9 @@ def integrate(
             t[lane] = now
             if broken or sample[lane] >= ends[c]:
                 outcome[c] = DIVERGING if broken else OK
+                finals[c, 0] = now
+                for i in range(2 * n):
+                    finals[c, 1 + i] = w[(2 + i) * LANES + lane]
                 reached[c] = held_at[lane] if lost[lane] >= PATIENCE else sample[lane]
                 case[lane] = -1
                 busy -= 1

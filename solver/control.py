@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 #: Outcome of a case; `RUNNING` before it has one.
-OK, DIVERGING, STALLED, RUNNING = 0, 1, 2, -1
+OK, DIVERGING, STALLED, JAMMED, RUNNING = 0, 1, 2, 3, -1
 
 #: A step aims at this part of the tolerance, and is the last one times a number between these two.
 SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0

@@ -99,6 +99,11 @@ class StepRows:
         return self.stage_velocities + self.layout.stride * (_COUNT - 2) * self.layout.size
 
     @property
+    def jam(self) -> int:
+        """1 once a sliding joint has jammed within the step; only where sliding joints rub."""
+        return self.dense + self.layout.stride * 2 * DENSE_ROWS * len(self.recorded)
+
+    @property
     def last_slopes(self) -> int:
         """Accelerations at the end of the step."""
         return self.slopes + self.layout.stride * (_COUNT - 1) * self.layout.size

@@ -47,8 +47,11 @@ class Scene:
 
     def add(self, displacement: ca.SX, force: ca.SX) -> None:
         """A force along a scalar displacement."""
-        gradient = ca.mtimes(ca.jacobian(displacement, self.kinematics.z), self.kinematics.axes)
-        self.total += gradient.T * force
+        self.total += self.gradient(displacement) * force
+
+    def gradient(self, displacement: ca.SX) -> ca.SX:
+        """(n, 1) generalised force of a unit force along a scalar displacement."""
+        return ca.mtimes(ca.jacobian(displacement, self.kinematics.z), self.kinematics.axes).T
 
     def push(self, vector: Vector, force: Complex) -> None:
         """A force (axes of the frame) that does work where `vector` changes."""

@@ -28,6 +28,8 @@ DIVERGED = 1e8
 LOST = 1e-3
 #: Unbelieved corrections one after the other with which the closures count as lost.
 PATIENCE = 20
+#: How a lane stands.
+RUNNING, ENDED, JAMMED = 0, 1, 2
 
 _ROOT = math.sqrt(0.5)
 #: (a, b, c, time of the stage's result in steps)
@@ -81,9 +83,29 @@ call: Any = intrinsic(_call)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def _note(w: NDArray[np.float64], n: int, lane: int, how: int, finals: NDArray[np.float64]) -> None:
+    """Keep how a lane has ended, its time and its state."""
+    finals[lane, 0] = how
+    finals[lane, 1] = w[lane]
+    for i in range(2 * n):
+        finals[lane, 2 + i] = w[(2 + i) * LANES + lane]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _note_jams(w: NDArray[np.float64], n: int, jam: int, finals: NDArray[np.float64]) -> None:
+    """Keep time and state of lanes that have just jammed."""
+    if jam < 0:
+        return
+    for lane in range(LANES):
+        if finals[lane, 0] == RUNNING and w[jam * LANES + lane] > 0.5:
+            _note(w, n, lane, JAMMED, finals)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def integrate(
     kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, start: float, h: float, substeps: int,
-    record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64],
+    record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64], jam: int,
+    counts: NDArray[np.int64], finals: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Integrate one group of lanes with a fixed step and record samples.
 
@@ -104,7 +126,14 @@ def integrate(
     out : (LANES, r, samples) array
         Filled in.
     broken : (LANES,) array of int
-        First sample at which a lane was no longer finite, else -1; filled in.
+        First sample at which a lane had jammed or was no longer finite, else -1; filled in.
+    jam : int
+        Row that says whether sliding joints have jammed, -1 where none rubs.
+    counts : (LANES,) array of int
+        Samples wanted of every lane.
+    finals : (LANES, 2 + 2 n) array
+        :data:`JAMMED`, :data:`ENDED` or :data:`RUNNING`; time, coordinates and velocities there or at the last sample;
+        filled in.
 
     Notes
     -----
@@ -120,19 +149,25 @@ def integrate(
         w[LANES + lane] = h
     for i in range(LANES * (2 + 3 * n), LANES * (2 + 5 * n)):
         w[i] = 0.0  # nothing to correct yet
+    finals[:] = RUNNING
+    if jam >= 0:
+        w[LANES * jam : LANES * (jam + 1)] = 0.0
     for s in range(samples):
         for lane in range(LANES):
             w[lane] = start + s * substeps * h
         call(rhs, w)
         alive = 0
+        _note_jams(w, n, jam, finals)
         for lane in range(LANES):
+            if s + 1 == counts[lane] and finals[lane, 0] == RUNNING:
+                _note(w, n, lane, ENDED, finals)
             size = 0.0
             for i in range(2, 2 + 2 * n):
                 size += abs(w[i * LANES + lane])
             for i in range(2 + 2 * n, 2 + 3 * n):
                 size += 0.0 * w[i * LANES + lane]  # nothing, or no number
             if broken[lane] < 0:
-                if size < DIVERGED and lost[lane] < PATIENCE:
+                if size < DIVERGED and lost[lane] < PATIENCE and finals[lane, 0] != JAMMED:
                     alive += 1
                 else:
                     broken[lane] = max(0, s - lost[lane])
@@ -147,6 +182,7 @@ def integrate(
                     w[lane] = start + (s * substeps + k) * h
                 call(rhs, w)
             call(gill, w)
+            _note_jams(w, n, jam, finals)
         if project != 0:
             before[:] = w[2 * LANES : (2 + 2 * n) * LANES]
             call(project, w)

@@ -27,6 +27,7 @@ class Status(StrEnum):
     DIVERGED = "diverged"
     STEP_TOO_SMALL = "step_too_small"
     CANNOT_ASSEMBLE = "cannot_assemble"
+    JAMMED = "jammed"
 
 
 @dataclass(frozen=True)

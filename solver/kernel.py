@@ -35,12 +35,15 @@ class Kernel:
         Vector operations of one right-hand side.
     key : str
         SHA-256 of code, processor and compiler.
+    jam : int
+        Row that a right-hand side sets to 1 where a sliding joint jams, and leaves else; -1 where none rubs.
     """
 
     layout: Layout
     functions: tuple[int, int, int, int]
     operations: int
     key: str
+    jam: int
 
     def work_array(self) -> NDArray[np.float64]:
         """A zeroed, aligned work array."""
@@ -58,6 +61,7 @@ class KernelCode:
     layout: Layout
     operations: int
     constrained: bool
+    jam: int = -1
 
 
 def _simplified(name: str, symbols: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
@@ -67,9 +71,13 @@ def _simplified(name: str, symbols: list[ca.SX], outputs: list[ca.SX]) -> ca.Fun
 
 def _code(
     model: Model, layout: Layout, name: str, symbols: list[ca.SX], inputs: list[list[int]], outputs: list[ca.SX],
-    targets: list[list[int]], step: str, dialect: Dialect = VECTOR,
+    targets: list[list[int]], step: str, jam: tuple[ca.SX, int], dialect: Dialect = VECTOR,
 ) -> KernelCode:  # fmt: skip
-    """Right-hand side `name`, projection, ``prepare`` and one step of a method."""
+    """Right-hand side `name`, projection, ``prepare`` and one step of a method; `jam` and the place of its row."""
+    if model.rubbing is not None:
+        met, place = ca.SX.sym("met"), [jam[1]]
+        symbols, inputs = [*symbols, met], [*inputs, place]
+        outputs, targets = [*outputs, ca.fmax(met, jam[0])], [*targets, place]
     right = straight_line(
         _simplified(name, symbols, outputs), inputs, targets, fixed_input=3, hoist_at=layout.hoist, dialect=dialect
     )
@@ -89,18 +97,20 @@ def _code(
         slots += project.hoist_slots
     functions += [prepare.function("prepare"), step]
     text = "\n".join([dialect.head, *functions])
-    return KernelCode(text, replace(layout, hoisted=slots), right.body.operations, constrained)
+    row = -1 if model.rubbing is None else jam[1] // dialect.stride
+    return KernelCode(text, replace(layout, hoisted=slots), right.body.operations, constrained, row)
 
 
 def kernel_code(model: Model) -> KernelCode:
     """Print a model for Runge-Kutta-Gill: ``prepare``, ``rhs``, ``gill`` and ``project``."""
     n, k = model.size, len(model.parameters)
-    layout = Layout(n, k)
+    layout = Layout(n, k, extra=0 if model.rubbing is None else 1)
     symbols = [model.t, model.z, model.v, model.p]
     inputs = [[layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k)]
     return _code(
-        model, layout, "rhs", symbols, inputs, [model.acceleration], [layout.rows(layout.a, n)], gill_step(layout)
-    )
+        model, layout, "rhs", symbols, inputs, [model.acceleration], [layout.rows(layout.a, n)], gill_step(layout),
+        (model.jam, layout.extra_at),
+    )  # fmt: skip
 
 
 def adaptive_code(
@@ -118,7 +128,8 @@ def adaptive_code(
     dialect : Dialect
     """
     n, k, contacts = model.size, len(model.parameters), len(model.contacts)
-    layout = Layout(n, k, extra=StepRows.count(n, contacts, len(recorded)), stride=dialect.stride)
+    extra = StepRows.count(n, contacts, len(recorded)) + (model.rubbing is not None)
+    layout = Layout(n, k, extra=extra, stride=dialect.stride)
     rows = StepRows(layout, contacts, recorded)
     symbols = [model.t, model.z, model.v, model.p, model.touching]
     inputs = [
@@ -130,16 +141,16 @@ def adaptive_code(
         for start, name in ((rows.switch, "switch"), (rows.penetration, "penetration"), (rows.approach, "approach")):
             outputs.append(ca.vertcat(*(getattr(contact, name) for contact in model.contacts)))
             targets.append(layout.rows(start, contacts))
-    return _code(
-        model, layout, "held", symbols, inputs, outputs, targets, dopri_step(rows, scales, dialect.block("t")), dialect
-    )
+    jam = (ca.SX(0) if model.rubbing is None else model.rubbing.jam, rows.jam)
+    step = dopri_step(rows, scales, dialect.block("t"))
+    return _code(model, layout, "held", symbols, inputs, outputs, targets, step, jam, dialect)
 
 
 def _compiled(code: KernelCode, names: tuple[str, str]) -> Kernel:
     address = native.load(code.text)
     project = address("project") if code.constrained else 0
     functions = (address("prepare"), address(names[0]), address(names[1]), project)
-    return Kernel(code.layout, functions, code.operations, native.content_key(code.text))
+    return Kernel(code.layout, functions, code.operations, native.content_key(code.text), code.jam)
 
 
 def compile_model(model: Model) -> Kernel:

@@ -129,12 +129,14 @@ class _Builder:
         self,
         machine: Machine,
         open_joints: frozenset[str],
+        rubbing: frozenset[str],
         motion: PrescribedMotion | None,
         gravity: Number,
         expanded: bool,
     ) -> None:
         self.machine = machine
         self.open = open_joints
+        self.rubbing = rubbing
         self.motion = motion
         self.gravity = gravity
         self.expanded = expanded
@@ -268,7 +270,7 @@ class _Builder:
     def grow_slide(self, depth: dict[str, int]) -> list[str]:
         """Place one more link through a sliding joint, if any reaches out of what is placed."""
         for name, joint in self.machine.joints.items():
-            if not isinstance(joint, SlidingJoint) or joint.friction:
+            if not isinstance(joint, SlidingJoint) or name in self.rubbing:
                 continue  # friction needs the normal force, hence the closure equation
             near = [link for link in joint.links if link in depth and depth[link] < MAX_DEPTH]
             far = [link for link in joint.links if link not in self.poses]
@@ -349,6 +351,7 @@ def kinematics(
     motion: PrescribedMotion | None,
     gravity: Number,
     *,
+    rubbing: frozenset[str] = frozenset(),
     expanded: bool = False,
 ) -> Kinematics:
     """Choose coordinates and write every pose and the remaining closures.
@@ -362,6 +365,8 @@ def kinematics(
         Motion of the drive joint, a function of the time symbol.
     gravity : symbol or float
         m/s2 along -y.
+    rubbing : frozenset of str
+        Sliding joints with Coulomb friction: they keep their closure, whose multiplier is the normal force.
     expanded : bool
         Coordinates of its own for every link and a closure for every joint and the drive: nothing is eliminated, and
         every reaction is a multiplier.
@@ -371,7 +376,7 @@ def kinematics(
     AssemblyError
         The drive contradicts a sliding joint.
     """
-    builder = _Builder(machine, open_joints, motion, gravity, expanded)
+    builder = _Builder(machine, open_joints, rubbing, motion, gravity, expanded)
     builder.assign_angles()
     for link in (machine.frame, *machine.links):
         if link not in builder.poses:

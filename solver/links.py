@@ -109,11 +109,14 @@ def link_motion(reduced: Model, p: list[float], t: Array, z: Array, v: Array) ->
     contact = {path for joint in reduced.clearance_joints for path in contact_paths(reduced.machine, joint)}
     varying = tuple(path for path in reduced.parameters if path not in contact and path != "drive.speed")
     full = _expanded(reduced.machine, reduced.clearance_joints, varying)
+    count = len(t)
+    if count == 0:  # a case that failed at once: shapes are all there is
+        t, z, v = np.zeros(1), np.zeros((1, reduced.size)), np.zeros((1, reduced.size))
     evaluate = _evaluation(reduced, full).map(len(t))
     columns = np.repeat(np.array(p).reshape(-1, 1), len(t), axis=1)
-    parts = [np.asarray(part.full()).T for part in evaluate(t[None, :], z.T, v.T, columns)]
+    parts = [np.asarray(part.full()).T[:count] for part in evaluate(t[None, :], z.T, v.T, columns)]
     names = tuple(reduced.machine.links)
-    motion = [part.reshape(len(t), len(names), 3) for part in parts[:3]]
+    motion = [part.reshape(count, len(names), 3) for part in parts[:3]]
     reactions: dict[str, Array] = {}
     for name, column in zip(_names(full), parts[3].T, strict=True):
         reactions[name] = np.column_stack([reactions[name], column]) if name in reactions else column

@@ -6,6 +6,7 @@ forces are derived from them, so there is no second copy of an equation that cou
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +20,7 @@ from solver.errors import MachineError
 from solver.kinematics import Kinematics, kinematics
 from solver.machine import Machine, SlidingJoint
 from solver.numbers import Numbers, contact_paths
+from solver.rubbing import Rubbing, rubbing_joints, solve_with_friction
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,10 @@ class Model:
         With whether the surfaces push as a symbol.
     touching, held_acceleration : casadi.SX
         These symbols, one a clearance joint, and z'' as a function of them: smooth as long as they are held.
+    rubbing : Rubbing or None
+        Sliding joints with Coulomb friction, contacts held; ``None`` without any.
+    jam : casadi.SX
+        1 where they jam: accelerations and reactions have no meaning there; else 0.
     """
 
     machine: Machine
@@ -75,6 +81,8 @@ class Model:
     contacts: tuple[ContactForce, ...]
     touching: ca.SX
     held_acceleration: ca.SX
+    rubbing: Rubbing | None
+    jam: ca.SX
 
     @property
     def size(self) -> int:
@@ -97,8 +105,22 @@ class Model:
 
     @cached_property
     def right_hand_side(self) -> ca.Function:
-        """(t, z, v, p) -> z''."""
-        return self.function("right_hand_side", self.acceleration)
+        """(t, z, v, p) -> z''; no numbers where sliding joints jam."""
+        if self.rubbing is None:
+            return self.function("right_hand_side", self.acceleration)
+        return self.function("right_hand_side", self.acceleration + ca.if_else(self.jam, math.nan, 0))
+
+    @cached_property
+    def rubbing_state(self) -> ca.Function:
+        """(t, z, v, p) -> numbers of the rubbing joints as in :class:`~solver.rubbing.Rubbing`, but for `jam`."""
+        rubbing = self.rubbing
+        assert rubbing is not None
+        switch = ca.vertcat(*(contact.switch for contact in self.contacts))
+        columns = [
+            rubbing.friction, rubbing.friction_velocity, rubbing.rate, rubbing.leverage, rubbing.mobility,
+            rubbing.acceleration, rubbing.normal,
+        ]  # fmt: skip
+        return self.function("rubbing_state", *_with_contacts_decided(self.touching, switch, columns))
 
     @cached_property
     def projection(self) -> ca.Function:
@@ -150,13 +172,6 @@ def _border(machine: Machine, kin: Kinematics) -> list[int]:
     return [i for i in kin.indices_of(machine.frame) if i is not None]
 
 
-def _refuse_unmodelled(machine: Machine) -> None:
-    for name, joint in machine.joints.items():
-        if isinstance(joint, SlidingJoint) and joint.friction:
-            rule = "Coulomb friction in a sliding joint is not modelled; set it to 0 or use `viscous`"
-            raise MachineError(machine.name, f"joints.{name}.friction", joint.friction, rule)
-
-
 def build_model(
     machine: Machine, clearance_joints: Iterable[str] = (), varying: Iterable[str] = (), *, expanded: bool = False
 ) -> Model:
@@ -178,7 +193,6 @@ def build_model(
     MachineError
         A joint that is no turning joint, a path that no equation holds, or something the solver does not model.
     """
-    _refuse_unmodelled(machine)
     wanted = tuple(clearance_joints)
     for name in wanted:
         if name not in machine.turning_joints:
@@ -191,7 +205,11 @@ def build_model(
 
     t = ca.SX.sym("t")
     motion = drive.prescribed_motion(machine, number, t)
-    kin = kinematics(machine, frozenset(open_joints), motion, number("gravity", machine.gravity), expanded=expanded)
+    rubbing_names = rubbing_joints(machine, number)
+    kin = kinematics(
+        machine, frozenset(open_joints), motion, number("gravity", machine.gravity),
+        rubbing=frozenset(rubbing_names), expanded=expanded,
+    )  # fmt: skip
     z, v = kin.z, kin.v
     n = int(z.shape[0])
 
@@ -215,11 +233,18 @@ def build_model(
     phi_rate = rate(phi) if closed else ca.SX(0, 1)
     gamma = -rate(phi_rate) if closed else ca.SX(0, 1)
     solution = constrained_solver(mass, jacobian, _border(machine, kin))
-    held, reactions = solution.solve(scene.total, gamma)
+    rubbing, held_jam = None, ca.SX(0)
+    if rubbing_names:
+        held, reactions, rubbing = solve_with_friction(scene, rubbing_names, solution, gamma)
+        held_jam = rubbing.jam
+    else:
+        held, reactions = solution.solve(scene.total, gamma)
     held = ca.mtimes(kin.axes, held)
     switch = ca.vertcat(*(contact.switch for _, contact in contacts.values()))
-    force, acceleration, reactions, *pushes = _with_contacts_decided(
-        touching, switch, [scene.total, held, reactions, *(contact.on_pin.column for _, contact in contacts.values())]
+    force, acceleration, reactions, jam, *pushes = _with_contacts_decided(
+        touching,
+        switch,
+        [scene.total, held, reactions, held_jam, *(contact.on_pin.column for _, contact in contacts.values())],
     )
     unused = number.unused()
     if unused:
@@ -229,4 +254,5 @@ def build_model(
         machine, open_joints, number.paths, number.nominal, t, z, v, number.vector, kin, mass, force,
         solution, phi, phi_rate, acceleration, reactions, eccentricity,
         dict(zip(contacts, pushes, strict=True)), tuple(contact for _, contact in contacts.values()), touching, held,
+        rubbing, jam,
     )  # fmt: skip

@@ -47,6 +47,10 @@ class Numbers:
         self._nominal[path] = float(value)
         return self._symbols.get(path, float(value))
 
+    def varies(self, path: str) -> bool:
+        """Whether `path` is a lane parameter."""
+        return path in self._symbols
+
     @property
     def paths(self) -> tuple[str, ...]:
         """Lane parameters in kernel order."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from solver import adaptive, control, gill, sampling
 from solver.history import Settings, Status
 from solver.ir import LANES
+from solver.jamming import hold_remark, jam_message
 from solver.kernel import Kernel, compile_adaptive, compile_model
 from solver.machine import Machine, RotationDrive, TranslationDrive
 from solver.model import Model
@@ -34,6 +35,13 @@ _LONGEST_STEP = 0.1
 #: of them, because nothing says beforehand how fast a machine will turn that no motion is prescribed to: half a minute.
 _PATIENCE = 100
 _LEAST_PATIENCE = 2e7
+#: What an error-controlled run can end with.
+_STATUSES = {
+    control.OK: Status.OK,
+    control.DIVERGING: Status.DIVERGED,
+    control.STALLED: Status.STEP_TOO_SMALL,
+    control.JAMMED: Status.JAMMED,
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,7 @@ class Run:
     case : Prepared
     status : Status
     message : str
-        For a status other than ok.
+        For a status other than ok; else a remark on a joint that its friction holds, mostly empty.
     z, v, a : (r, samples) arrays
         Recorded coordinates, their velocities and accelerations: at the sample rate, the velocities at
         :data:`OVERSAMPLING` times that. Of a case that failed, the samples before.
@@ -126,15 +134,26 @@ def _gill_group(
     out = np.zeros((LANES, len(rows), max(counts)))
     broken = np.zeros(LANES, dtype=np.int64)
     record = np.array(rows, dtype=np.int64)
-    gill.integrate(kernel.functions, work, model.size, 0.0, h, substeps, record, out, broken)
+    finals = np.zeros((LANES, 2 + 2 * model.size))
+    wanted = np.array([counts[min(lane, len(lanes) - 1)] for lane in range(LANES)], dtype=np.int64)
+    gill.integrate(
+        kernel.functions, work, model.size, 0.0, h, substeps, record, out, broken, kernel.jam, wanted, finals
+    )
     spent = (time.process_time() - began) / len(lanes)
     for lane, case in enumerate(lanes):
-        status, message, reached = Status.OK, "", counts[lane]
+        status, reached = Status.OK, counts[lane]
+        end = (model, finals[lane, 1], *np.split(finals[lane, 2:], 2), case.vector)
         if 0 <= broken[lane] < reached:
-            status, reached = Status.DIVERGED, int(broken[lane])
+            reached = int(broken[lane])
+            status = Status.JAMMED if finals[lane, 0] == gill.JAMMED else Status.DIVERGED
+        if status is Status.JAMMED:
+            message = jam_message(*end)
+        elif status is Status.DIVERGED:
             message = (
                 f"diverged at {reached / rate:.6g} s with steps of {h:.3g} s; try a higher accuracy or a smaller step"
             )
+        else:
+            message = hold_remark(*end)
         z, v, a = np.split(out[lane, :, :reached], 3)
         yield Run(case, status, message, z[:, ::OVERSAMPLING], v, a[:, ::OVERSAMPLING], h, spent)
 
@@ -196,26 +215,30 @@ def _adaptive_group(
     reduced = (len(cases), len(recorded), -(-most_samples // OVERSAMPLING))
     coordinates, accelerations = np.zeros(reduced), np.zeros(reduced)
     outcome, reached, accepted = (np.zeros(len(cases), dtype=np.int64) for _ in range(3))
+    finals = np.zeros((len(cases), 1 + 2 * model.size))
     longest = np.array([min(case.smooth_step, _LONGEST_STEP) for case in cases])
     first = np.minimum(longest, np.array([case.longest_step for case in cases]))
     needed = np.array([max(_LEAST_PATIENCE, _PATIENCE * case.duration / case.longest_step) for case in cases])
     most = needed.astype(np.int64)
     adaptive.integrate(
         kernel.functions, kernel.work_array(), model.size, len(model.contacts), np.array(recorded, dtype=np.int64),
-        kernel.layout.p // LANES, np.array([np.concatenate([case.z, case.v]) for case in cases]),
+        kernel.layout.p // LANES, kernel.jam, np.array([np.concatenate([case.z, case.v]) for case in cases]),
         np.array([case.vector for case in cases]).reshape(len(cases), -1), counts, 1 / rate, tolerance,
         min(1e-8, 0.01 * tolerance * extent), first, longest, most, OVERSAMPLING, coordinates, velocities,
-        accelerations, outcome, reached, accepted,
+        accelerations, outcome, reached, accepted, finals,
     )  # fmt: skip
     spent = (time.process_time() - began) / len(cases)
     for i, case in enumerate(cases):
         samples = int(reached[i])
         whole = -(-samples // OVERSAMPLING)
         z, v, a = coordinates[i, :, :whole], velocities[i, :, :samples], accelerations[i, :, :whole]
-        status, message = Status.OK, ""
-        if outcome[i] != control.OK:
-            diverged = outcome[i] == control.DIVERGING
-            status = Status.DIVERGED if diverged else Status.STEP_TOO_SMALL
-            what = "diverged" if diverged else "no step was small enough, or too many were needed,"
+        status = _STATUSES[outcome[i]]
+        end = (model, finals[i, 0], *np.split(finals[i, 1:], 2), case.vector)
+        if status is Status.OK:
+            message = hold_remark(*end)
+        elif status is Status.JAMMED:
+            message = jam_message(*end)
+        else:
+            what = "diverged" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
             message = f"{what} at {samples / rate:.6g} s; try another tolerance, or `gill` with a small step"
         yield Run(case, status, message, z, v, a, samples / rate / max(int(accepted[i]), 1), spent)

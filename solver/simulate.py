@@ -172,11 +172,13 @@ def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: 
         limited = sampling.band_limited_acceleration(velocity, rate, OVERSAMPLING)
         smooth[:, [column for column, _ in rows]] = limited.T[:count]
     t = np.arange(count) / settings.sample_rate
+    remarks = [run.message, run.case.remark if run.status is Status.OK else ""]
+    message = "; ".join(remark for remark in remarks if remark)
     links = None
     if settings.links:
         z, v = run.z[:, :count].T, run.v[:, ::OVERSAMPLING][:, :count].T
         links = link_motion(model, run.case.vector, t, z, v)
     return History(
-        case, run.status, run.message or run.case.remark, t, motions[0], motions[1], motions[2], smooth,
+        case, run.status, message, t, motions[0], motions[1], motions[2], smooth,
         settings.sample_rate, run.case.transient, run.case.speed, run.step, run.seconds, links,
     )  # fmt: skip

@@ -88,7 +88,8 @@ def trajectories(
     record = np.arange(layout.z, layout.a, LANES)
     out = np.zeros((LANES, 2 * n, samples))
     broken = np.zeros(LANES, dtype=np.int64)
-    integrate(kernel.functions, work, n, 0.0, step, steps_a_sample, record, out, broken)
+    counts, finals = np.full(LANES, samples), np.zeros((LANES, 2 + 2 * n))
+    integrate(kernel.functions, work, n, 0.0, step, steps_a_sample, record, out, broken, kernel.jam, counts, finals)
     assert (broken < 0).all()
     t = np.arange(samples) * step * steps_a_sample
     runs = []

@@ -36,7 +36,7 @@ from solver.machine import (
 
 
 class JammedError(Exception):
-    """No signs of the sliding pairs' normal forces fit the motion, or several with different motions."""
+    """No signs of the sliding pairs' normal forces fit the motion, or several with different forces."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +73,19 @@ def solve(machine: Machine, clearances: Mapping[str, float], t: float, positions
         A machine whose reactions are not determined.
     """
     system = _System(State(machine, positions, velocities), clearances, t)
-    found: list[Solution] = []
+    found: list[tuple[Solution, Array]] = []
     for signs in itertools.product((1.0, -1.0), repeat=len(system.rubbing)):
         solution = system.solve(signs)
-        normal = (solution.reactions[name][0] for name in system.rubbing)
-        if all(sign * force >= 0 for sign, force in zip(signs, normal, strict=True)):
-            found.append(solution)
+        normal = np.array([solution.reactions[name][0] for name in system.rubbing])
+        if (normal * signs >= 0).all():
+            found.append((solution, normal))
     if not found:
         raise JammedError("no signs of the normal forces are consistent with the motion")
-    first = found[0].accelerations
-    scale = max(1.0, float(np.abs(first).max()))
-    if any(np.abs(other.accelerations - first).max() > 1e-9 * scale for other in found[1:]):
-        raise JammedError("several signs of the normal forces are consistent with different motions")
-    return found[0]
+    solution, first = found[0]
+    # Also where all move alike: a pair whose sliding is prescribed has forces that nothing determines then.
+    if any(np.abs(other - first).max() > 1e-9 * np.abs(first).max() for _, other in found[1:]):
+        raise JammedError("several signs of the normal forces are consistent with different forces")
+    return solution
 
 
 class _System:

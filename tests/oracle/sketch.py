@@ -1,22 +1,22 @@
-"""Random machines and random states of them, for hypothesis.
+"""Random machines and random states of them, the same for the same seed.
 
-Hypothesis chooses what a machine is made of; the dimensions come from a generator whose seed it chooses. A machine
-grows from its frame: a link on a turning or sliding pair, two links that close a loop (a dyad, which neither adds nor
-takes a freedom), or a body held by supports alone. Any turning pair may get clearance, any pair the drive.
+A machine grows from its frame: a link on a turning or sliding pair, two links that close a loop (a dyad, which neither
+adds nor takes a freedom), or a body held by supports alone. Any turning pair may get clearance, any pair the drive.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from solver.machine import Machine, parse_machine
 from solver.model import Model
+from solver.rubbing import MOST
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,6 @@ class Sketch:
 @dataclass
 class _Draft:
     rng: np.random.Generator
-    draw: Any
     links: dict[str, dict[str, Any]] = field(default_factory=dict)
     joints: dict[str, dict[str, Any]] = field(default_factory=dict)
     supports: list[dict[str, Any]] = field(default_factory=list)
@@ -69,12 +68,15 @@ class _Draft:
         mass = self.between(0.2, 5.0)
         radius = float(self.rng.uniform(0.05, 0.2))
         if self.links and self.rng.random() < _LOCKED_SHARE:
-            more = self.draw(st.sampled_from(_LOCKS))
+            more = self.choose(_LOCKS)
         self.links[name] = {"mass": mass, "inertia": mass * radius**2, "cg": cg, **more}
         return name
 
+    def choose(self, options: Sequence[Any]) -> Any:
+        return options[int(self.rng.integers(len(options)))]
+
     def pick(self) -> str:
-        return self.draw(st.sampled_from(sorted(self.links)))
+        return str(self.choose(sorted(self.links)))
 
     def joint(self, kind: str, one: str, other: str) -> None:
         """Kind T or S, the two links in either order."""
@@ -84,9 +86,13 @@ class _Draft:
         if kind == "S":
             angle = float(self.rng.uniform(0, 2 * math.pi))
             named = {"vertical": [0, 1], "downward": [0, -1], "horizontal": [1, 0]}
-            direction = named.get(self.draw(st.sampled_from(_DIRECTIONS)), [math.cos(angle), math.sin(angle)])
+            direction = named.get(self.choose(_DIRECTIONS), [math.cos(angle), math.sin(angle)])
             data |= {"kind": "sliding", "direction": direction}
             data["viscous"] = float(self.rng.choice([0.0, self.between(1, 100)]))
+            friction = float(self.rng.choice([0.0, self.between(0.02, 1.0), self.rng.uniform(0.3, 1.0)]))
+            rubbing = sum(1 for joint in self.joints.values() if joint.get("friction"))
+            data["friction"] = friction if rubbing < MOST else 0.0
+            data["friction_velocity"] = self.between(1e-3, 0.1)
         else:
             data |= {"kind": "turning", "pin": str(self.rng.choice(links)), "contact": self.contact()}
             data["pin_radius"] = float(self.rng.choice([0.0, self.between(1e-3, 2e-2)]))
@@ -103,13 +109,13 @@ class _Draft:
         }
 
     def grow(self, room: int) -> None:
-        move = self.draw(st.sampled_from(_MOVES if len(self.links) > 1 and room > 1 else _SINGLE_MOVES))
+        move = self.choose(_MOVES if len(self.links) > 1 and room > 1 else _SINGLE_MOVES)
         base = self.pick()
         if move == "dyad":
-            other = self.draw(st.sampled_from([name for name in self.links if name != base]))
+            other = self.choose([name for name in self.links if name != base])
             first = self.link(self.near(self.links[base]["cg"], spread=0.3))
             second = self.link(self.near(self.links[other]["cg"], self.links[first]["cg"], spread=0.3))
-            pairs = self.draw(st.sampled_from(_DYADS))
+            pairs = self.choose(_DYADS)
             for kind, links in zip(pairs, ((base, first), (first, second), (second, other)), strict=True):
                 self.joint(kind, *links)
         elif move == "body":
@@ -120,9 +126,9 @@ class _Draft:
 
     def support(self, link: str) -> None:
         others = [name for name in self.links if name != link]
-        to_link = self.draw(st.sampled_from([None, *others]))
+        to_link = self.choose([None, *others])
         data: dict[str, Any] = {"link": link, "at": self.near(self.links[link]["cg"]), "to_link": to_link}
-        kind = self.draw(st.sampled_from(("spring", "spring", "damper", "mount")))
+        kind = self.choose(("spring", "spring", "damper", "mount"))
         stiffness = [self.between(1e2, 1e5) for _ in range(2)]
         damping = [self.between(1, 300) for _ in range(2)]
         if kind == "mount":
@@ -139,10 +145,10 @@ class _Draft:
         self.supports.append({"kind": kind, **data})
 
     def drive(self) -> dict[str, Any] | None:
-        if not self.joints or self.draw(st.integers(0, 5)) == 0:
+        if not self.joints or self.rng.random() < 0.15:
             return None
-        name = self.draw(st.sampled_from(sorted(self.joints)))
-        kind = self.draw(st.sampled_from(_DRIVES[self.joints[name]["kind"]]))
+        name = self.choose(sorted(self.joints))
+        kind = self.choose(_DRIVES[self.joints[name]["kind"]])
         data: dict[str, Any] = {"kind": kind, "joint": name}
         phase = float(self.rng.uniform(-3, 3))
         ramped = self.rng.random() < 0.4
@@ -167,7 +173,7 @@ class _Draft:
         data: dict[str, Any] = {"link": link, "at": self.near(self.links[link]["cg"])}
         rows = self.rng.uniform(-1, 1, (3, 3)) * [200, 200, 10]
         kinds = ("constant", "over_time", "over_angle") if by_angle else ("constant", "over_time")
-        kind = self.draw(st.sampled_from(kinds))
+        kind = self.choose(kinds)
         if kind == "constant":
             return data | {"force": list(rows[0, :2]), "torque": rows[0, 2]}
         start = float(self.rng.uniform(-0.5, 0.5))
@@ -175,32 +181,29 @@ class _Draft:
         return data | {kind: [[x, *row] for x, row in zip(arguments, rows.tolist(), strict=True)]}
 
 
-@st.composite
-def sketches(draw: Any) -> Sketch:
-    """Machines of 3 to 12 links with everything that a machine file can say."""
-    count = draw(st.integers(3, 12))
-    seed = draw(st.integers(0, 2**32 - 1))
-    draft = _Draft(np.random.default_rng(seed), draw)
-    draft.link([0.0, 0.0], **draw(st.sampled_from(({}, {}, *_LOCKS))))
+def sketch(seed: int) -> Sketch:
+    """A machine of 3 to 12 links with anything that a machine file can say."""
+    draft = _Draft(np.random.default_rng(seed))
+    count = int(draft.rng.integers(3, 13))
+    draft.link([0.0, 0.0], **draft.choose(({}, {}, *_LOCKS)))
     while len(draft.links) < count:
         draft.grow(count - len(draft.links))
-    for _ in range(draw(st.integers(0, 4))):
+    for _ in range(int(draft.rng.integers(5))):
         draft.support(draft.pick())
     drive = draft.drive()
     turning = [name for name, joint in draft.joints.items() if joint["kind"] == "turning"]
-    count = min(draw(st.integers(0, 3)), len(turning))
-    worn = draw(st.lists(st.sampled_from(turning), min_size=count, max_size=count, unique=True)) if turning else []
+    worn = [str(name) for name in draft.rng.permutation(turning)[: draft.rng.integers(4)]]
     by_angle = drive is not None and drive["kind"] in ("rotation", "torque")
     names = list(draft.links)
     draft.rng.shuffle(names)  # the frame may stand anywhere in the file
     tree = {
         "name": "drawn",
         "frame": "L0",
-        "gravity": draw(st.sampled_from((9.81, 0.0, -3.0))),
+        "gravity": draft.choose((9.81, 0.0, -3.0)),
         "links": {name: draft.links[name] for name in names},
         "joints": draft.joints,
         "supports": draft.supports,
-        "loads": [draft.load(by_angle=by_angle) for _ in range(draw(st.integers(0, 2)))],
+        "loads": [draft.load(by_angle=by_angle) for _ in range(int(draft.rng.integers(3)))],
         "drive": drive,
     }
     return Sketch(parse_machine(tree), {name: draft.between(1e-5, 1e-2) for name in worn}, seed)

@@ -114,6 +114,12 @@ def filled(kernel: Any, model: Model, drawn: list[Any], *, t: float | None = Non
     return work
 
 
+def gill(kernel: Any, work: np.ndarray, size: int, start: float, h: float, substeps: int, *rows: np.ndarray) -> None:
+    broken, counts = np.zeros(LANES, dtype=np.int64), np.full(LANES, rows[1].shape[2])
+    finals = np.zeros((LANES, 2 + 2 * size))
+    integrate(kernel.functions, work, size, start, h, substeps, *rows, broken, kernel.jam, counts, finals)
+
+
 def rows(work: np.ndarray, start: int, count: int) -> np.ndarray:
     """(LANES, count)."""
     return work[start : start + LANES * count].reshape(count, LANES).T
@@ -189,7 +195,7 @@ def test_restoring_the_closures() -> None:
     work = filled(kernel, model, moved, t=0.01)
     record = np.arange(kernel.layout.z, kernel.layout.a, LANES)
     out = np.zeros((LANES, record.size, 3))
-    integrate(kernel.functions, work, model.size, 0.01, 1e-12, 1, record, out, np.zeros(LANES, dtype=np.int64))
+    gill(kernel, work, model.size, 0.01, 1e-12, 1, record, out)
     closures = model.function("closures", model.phi, model.phi_rate)
     gaps = np.array(  # lane, sample, (places, rates)
         [
@@ -234,7 +240,7 @@ def test_steps_are_gills() -> None:
     work = filled(kernel, model, drawn)
     record = np.arange(kernel.layout.z, kernel.layout.a, LANES)
     out = np.zeros((LANES, record.size, 2))
-    integrate(kernel.functions, work, model.size, start, h, steps, record, out, np.zeros(LANES, dtype=np.int64))
+    gill(kernel, work, model.size, start, h, steps, record, out)
     for lane, (values, _, z, v) in enumerate(drawn):
         p = model.vector(values)
 
