@@ -136,6 +136,14 @@ class Model:
         return self.function("constraint", stacked, ca.jacobian(stacked, self.z), ca.jacobian(stacked, self.t))
 
     @cached_property
+    def constraint_bias(self) -> ca.Function:
+        """(t, z, v, p) -> second time derivative of closures and eccentricities stacked, without accelerations."""
+        bias = ca.vertcat(self.phi, self.eccentricity)
+        for _ in range(2):
+            bias = ca.jtimes(bias, self.z, self.v) + ca.jacobian(bias, self.t)
+        return self.function("constraint_bias", bias)
+
+    @cached_property
     def inertia(self) -> ca.Function:
         """(t, z, v, p) -> mass matrix and generalised forces of the coordinates themselves."""
         axes = self.kinematics.axes

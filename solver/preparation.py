@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from solver.drive import drive_rates
 from solver.errors import AssemblyError, MachineError, SettingsError
+from solver.friction_rates import friction_rate, without_sliding_friction
 from solver.history import Settings
 from solver.machine import Machine, RotationDrive, TranslationDrive
 from solver.model import Model, build_model
@@ -89,19 +90,49 @@ def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...
     return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
 
 
+def _top_speed(machine: Machine) -> float:
+    """Fastest speed of a rotation, rad/s, with its sign; 1 for other drives."""
+    drive = machine.drive
+    if not isinstance(drive, RotationDrive):
+        return 1.0
+    return max((speed for _, speed in drive.speed), key=abs) if isinstance(drive.speed, tuple) else drive.speed
+
+
+@lru_cache(maxsize=64)
+def _turning(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    """The model with a rotation at a constant speed of 1 rad/s, a lane parameter; other drives as they are."""
+    drive = machine.drive
+    if isinstance(drive, RotationDrive):
+        drive = drive.model_copy(update={"speed": math.copysign(1.0, _top_speed(machine)), "ripple": ()})
+    kept = tuple(path for path in varying if not path.startswith("drive."))
+    return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
+
+
+@lru_cache(maxsize=64)
+def _poses(machine: Machine, joints: tuple[str, ...]) -> list[tuple[float, Array]]:
+    """Twelve poses of the machine as filed over one turn at 1 rad/s, or one period of a sliding drive."""
+    model = _turning(machine, joints, ())
+    poses = walk(model, model.vector({}), 1.0)
+    return poses[:: max(1, len(poses) // 12)]
+
+
 @lru_cache(maxsize=64)
 def mobility_of(machine: Machine, joints: tuple[str, ...]) -> dict[str, float]:
     """Contact mobilities of the machine as filed, over twelve poses; also refuses what cannot be assembled."""
-    drive, speed = machine.drive, 1.0
-    if isinstance(drive, RotationDrive):
-        # One turn at a speed of 1, whatever the drive does in time.
-        speeds = [speed for _, speed in drive.speed] if isinstance(drive.speed, tuple) else [drive.speed]
-        speed = math.copysign(1.0, max(speeds, key=abs))
-        drive = drive.model_copy(update={"speed": speed, "ripple": ()})
-    model = build_model(machine.model_copy(update={"drive": drive}), joints)
-    values = model.vector({})
-    poses = walk(model, values, speed)
-    return contact_mobility(model, poses[:: max(1, len(poses) // 12)], values)
+    model = _turning(machine, joints, ())
+    return contact_mobility(model, _poses(machine, joints), model.vector({}))
+
+
+def _friction_rate(
+    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: dict[str, float],
+    mobility: dict[str, float],
+) -> float:  # fmt: skip
+    """Largest rate of friction of a case, 1/s."""
+    model = _turning(machine, joints, varying)
+    top = values.get("drive.speed", _top_speed(machine)) or 1.0
+    turning = abs(top) if isinstance(machine.drive, RotationDrive) else 1.0
+    poses = [(t / turning, z) for t, z in _poses(machine, joints)]
+    return friction_rate(model, poses, model.vector({**values, "drive.speed": top}), values, mobility)
 
 
 @dataclass(frozen=True)
@@ -115,7 +146,7 @@ class _Smooth:
 @lru_cache(maxsize=1024)
 def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
     """Of the machine without clearances, its drive standing, with the given numbers by path."""
-    model = _standing(machine, (), tuple(path for path, _ in values))
+    model = _standing(without_sliding_friction(machine), (), tuple(path for path, _ in values))
     p = model.vector(dict(values))
     suspension = suspension_modes(model, p)
     try:
@@ -165,14 +196,15 @@ def prepare(
     z = start_pose(standing, still)
     joints = model.clearance_joints
     v = start_velocity(model, vector, z)
-    motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(path, joints)))
+    motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
     speed, fastest = drive_rates(machine, complete)
     transient, remark = transient_time(motions.suspension, speed)
     duration = settings.duration
     if duration is None:
         duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)
     rule = STEP_RULES[settings.accuracy]
-    longest = settings.step or largest_step(rule, mobility, complete, motions.eigenvalues, fastest)
+    rubbing = _friction_rate(machine, joints, varying, complete, mobility) if settings.integrator == "gill" else 0.0
+    longest = settings.step or largest_step(rule, mobility, complete, motions.eigenvalues, fastest, rubbing)
     smooth = largest_step(BETWEEN_IMPACTS, {}, complete, motions.eigenvalues, fastest)
     recorded = model.size if settings.links else 3
     if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
@@ -184,6 +216,8 @@ def prepare(
     return Prepared(index, vector, z, v, speed, transient, remark, duration, longest, smooth)
 
 
-def _is_smooth(path: str, joints: tuple[str, ...]) -> bool:
-    """Whether a number has to do with the motions between impacts, not with a contact or the drive."""
+def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:
+    """Whether a number has to do with the motions between impacts, not with a contact, rubbing or the drive."""
+    if any(path.startswith(f"joints.{name}.friction") for name in machine.sliding_joints):
+        return False
     return not path.startswith("drive.") and not any(path.startswith(f"joints.{joint}.") for joint in joints)

@@ -31,6 +31,9 @@ class StepRule:
         Largest product of step and contact damping rate; Runge-Kutta-Gill is stable to 2.78.
     smooth : float
         Largest product of step and the fastest eigenvalue of everything but contacts.
+    rubbing : float
+        Largest product of step and the rate at which friction settles a sliding velocity. Its force is bounded: one
+        that is not resolved chatters, but does not grow.
     per_revolution : float
         Least steps in a revolution of the drive.
     """
@@ -38,19 +41,20 @@ class StepRule:
     contact: float
     decay: float
     smooth: float
+    rubbing: float
     per_revolution: float
 
 
 #: Chosen from measured harmonic errors, see ``docs/solver.md``.
 STEP_RULES: dict[Accuracy, StepRule] = {
-    "draft": StepRule(0.8, 1.2, 0.5, 360),
-    "standard": StepRule(0.16, 0.4, 0.2, 1440),
-    "reference": StepRule(0.008, 0.02, 0.02, 7200),
+    "draft": StepRule(0.8, 1.2, 0.5, 2.0, 360),
+    "standard": StepRule(0.16, 0.4, 0.2, 1.0, 1440),
+    "reference": StepRule(0.008, 0.02, 0.02, 0.1, 7200),
 }
 
 #: What an error-controlled step keeps to as well: an estimate cannot see what it steps over, and near the limit of
 #: stability it lets noise of the size of its tolerance grow.
-BETWEEN_IMPACTS = StepRule(math.inf, math.inf, 0.5, 120)
+BETWEEN_IMPACTS = StepRule(math.inf, math.inf, 0.5, math.inf, 120)
 
 #: The start-up transient of the suspension is dropped until it has decayed to this part of itself (-40 dB).
 RESIDUE = 0.01
@@ -94,8 +98,8 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
     Parameters
     ----------
     model : Model
-        Without clearances and with its drive standing: what is left are the motions of the suspension, and of links
-        that nothing drives.
+        Without clearances and sliding friction, its drive standing: what is left are the motions of the suspension,
+        and of links that nothing drives.
     p : sequence of float
         Lane parameters.
     """
@@ -117,8 +121,9 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
 
 
 def largest_step(
-    rule: StepRule, mobility: dict[str, float], values: dict[str, float], eigenvalues: Array, speed: float
-) -> float:
+    rule: StepRule, mobility: dict[str, float], values: dict[str, float], eigenvalues: Array, speed: float,
+    rubbing: float = 0.0,
+) -> float:  # fmt: skip
     """Longest step that a rule allows a case, s; infinite where nothing moves.
 
     Parameters
@@ -132,6 +137,8 @@ def largest_step(
         Of the smooth motion, 1/s.
     speed : float
         Fastest prescribed motion, rad/s.
+    rubbing : float
+        Largest rate of friction, 1/s, see :mod:`solver.friction_rates`.
     """
     limits = [math.inf]
     for joint, w in mobility.items():
@@ -141,6 +148,7 @@ def largest_step(
         limits.append(rule.decay / rate if rate else math.inf)
     fastest = float(np.abs(eigenvalues).max(initial=0.0))
     limits.append(rule.smooth / fastest if fastest else math.inf)
+    limits.append(rule.rubbing / rubbing if rubbing else math.inf)
     limits.append(2 * math.pi / abs(speed) / rule.per_revolution if speed else math.inf)
     return min(limits)
 
