@@ -39,7 +39,7 @@ bench: $(STAMP) ## the measurements that docs/decisions.md speaks of
 pins: ## make constraints.txt anew from the newest versions that fit pyproject.toml
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --editable '.[dev,cuda]'
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 	touch $(STAMP)
 

@@ -70,6 +70,8 @@ class Settings:
         Revolutions of the drive after the transient where no duration is given; seconds where nothing turns.
     links : bool
         Also give the motion of every link and every reaction.
+    device : str
+        ``cpu``, or ``cuda``: one case a thread of a CUDA device; ``adaptive`` only.
     """
 
     duration: float | None = None
@@ -80,6 +82,7 @@ class Settings:
     step: float | None = None
     revolutions: float = 10.0
     links: bool = False
+    device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:
         for name in ("duration", "sample_rate", "rtol", "step", "revolutions"):
@@ -96,6 +99,10 @@ class Settings:
             raise SettingsError(f"rtol: {self.rtol:g}: only the adaptive method has a tolerance; gill has a step")
         if self.step is not None and self.integrator == "adaptive":
             raise SettingsError(f"step: {self.step:g}: only gill has a fixed step; the adaptive method has rtol")
+        if self.device not in ("cpu", "cuda"):
+            raise SettingsError(f"device: {self.device}: must be cpu or cuda")
+        if self.device == "cuda" and self.integrator == "gill":
+            raise SettingsError("device: cuda: only the adaptive method runs there, not gill")
 
     @property
     def integrator(self) -> str:

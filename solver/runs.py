@@ -216,10 +216,7 @@ def _adaptive_group(
     coordinates, accelerations = np.zeros(reduced), np.zeros(reduced)
     outcome, reached, accepted = (np.zeros(len(cases), dtype=np.int64) for _ in range(3))
     finals = np.zeros((len(cases), 1 + 2 * model.size))
-    longest = np.array([min(case.smooth_step, _LONGEST_STEP) for case in cases])
-    first = np.minimum(longest, np.array([case.longest_step for case in cases]))
-    needed = np.array([max(_LEAST_PATIENCE, _PATIENCE * case.duration / case.longest_step) for case in cases])
-    most = needed.astype(np.int64)
+    first, longest, most = step_bounds(cases)
     adaptive.integrate(
         kernel.functions, kernel.work_array(), model.size, len(model.contacts), np.array(recorded, dtype=np.int64),
         kernel.layout.p // LANES, kernel.jam, np.array([np.concatenate([case.z, case.v]) for case in cases]),
@@ -232,13 +229,38 @@ def _adaptive_group(
         samples = int(reached[i])
         whole = -(-samples // OVERSAMPLING)
         z, v, a = coordinates[i, :, :whole], velocities[i, :, :samples], accelerations[i, :, :whole]
-        status = _STATUSES[outcome[i]]
-        end = (model, finals[i, 0], *np.split(finals[i, 1:], 2), case.vector)
-        if status is Status.OK:
-            message = hold_remark(*end)
-        elif status is Status.JAMMED:
-            message = jam_message(*end)
-        else:
-            what = "diverged" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
-            message = f"{what} at {samples / rate:.6g} s; try another tolerance, or `gill` with a small step"
+        status, message = how_it_ended(model, case, int(outcome[i]), finals[i], samples / rate)
         yield Run(case, status, message, z, v, a, samples / rate / max(int(accepted[i]), 1), spent)
+
+
+def step_bounds(cases: Sequence[Prepared]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """First and longest steps of error-controlled runs, s, and the trial steps after which they count as stalled."""
+    longest = np.array([min(case.smooth_step, _LONGEST_STEP) for case in cases])
+    first = np.minimum(longest, np.array([case.longest_step for case in cases]))
+    needed = np.array([max(_LEAST_PATIENCE, _PATIENCE * case.duration / case.longest_step) for case in cases])
+    most = needed.astype(np.int64)
+    return first, longest, most
+
+
+def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reached: float) -> tuple[Status, str]:
+    """Status and message of an error-controlled run.
+
+    Parameters
+    ----------
+    model : Model
+    case : Prepared
+    outcome : int
+        See :mod:`solver.control`.
+    final : (1 + 2 n,) array
+        Time, coordinates and velocities with which it ended.
+    reached : float
+        Time that it has samples of, s.
+    """
+    status = _STATUSES[outcome]
+    end = (model, final[0], *np.split(final[1:], 2), case.vector)
+    if status is Status.OK:
+        return status, hold_remark(*end)
+    if status is Status.JAMMED:
+        return status, jam_message(*end)
+    what = "diverged" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
+    return status, f"{what} at {reached:.6g} s; try another tolerance, or `gill` with a small step"

@@ -6,8 +6,16 @@ only sine, cosine and tanh are left to the library, whose calls stop nothing her
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from solver.emit import Dialect
 from solver.ir import Block
+from solver.kernel import KernelCode
+
+Function = Callable[..., Any]
+#: A compiler: takes a function and returns one that can be called in its place.
+Compile = Callable[[Function], Function]
 
 _BINARY = {"fadd": "+", "fsub": "-", "fmul": "*", "fdiv": "/"}
 _CALLS = {"fabs": "abs", "maxnum": "max", "minnum": "min"}
@@ -91,3 +99,26 @@ def _tanh(block: Block, x: str) -> str:
 
 #: One case a call, in Python.
 SCALAR = Dialect(ScalarBlock, _sine_cosine, _tanh, 1, "from math import cos, floor, sin, sqrt, tanh\n")
+
+
+def kernel_functions(code: KernelCode, compiled: Compile) -> dict[str, Function]:
+    """Compile the functions of scalar source: ``prepare``, ``held``, ``dopri``, ``project``.
+
+    Parameters
+    ----------
+    code : KernelCode
+        In the scalar dialect. Without closures ``project`` does nothing.
+    compiled : callable
+        The compiler.
+    """
+    scope: dict[str, Any] = {}
+    exec(compile(code.text, "<kernel>", "exec"), scope)
+    names = ["prepare", "held", "dopri", *(["project"] if code.constrained else [])]
+    for name in names:
+        scope[name] = compiled(scope[name])  # also where `dopri` looks for `held`
+    functions = {name: scope[name] for name in names}
+    return {"project": compiled(_nothing), **functions}
+
+
+def _nothing(w: Any) -> None:
+    """No closures to restore."""

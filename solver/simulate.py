@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from solver import sampling
 from solver.case_numbers import full_paths
-from solver.errors import AssemblyError
+from solver.errors import AssemblyError, SettingsError
 from solver.fault import check_fault
 from solver.history import Case, History, Settings, Status
 from solver.links import link_motion
@@ -36,6 +36,19 @@ def check_assembly(machine: Machine) -> None:
         Names the angle and the joint that stays open.
     """
     mobility_of(machine, ())
+
+
+def _runs(settings: Settings) -> Callable[..., Iterator[Run]]:
+    """What integrates groups of cases; Numba's CUDA is imported only where it is asked for."""
+    if settings.device == "cpu":
+        return gill_runs if settings.integrator == "gill" else adaptive_runs
+    try:
+        from solver.device import check_device
+        from solver.device_runs import device_runs
+    except ImportError as error:
+        raise SettingsError("device: cuda: Numba has no CUDA here; install the extra jointplay[cuda]") from error
+    check_device()
+    return device_runs
 
 
 def simulate(machine: Machine, case: Case | None = None, settings: Settings | None = None) -> History:
@@ -89,6 +102,7 @@ def simulate_batch(
         Settings that cannot be met.
     """
     settings = settings or Settings()
+    runs = _runs(settings)
     results: dict[int, History] = {}
     for group in _groups(machine, cases, settings):
         model = group.model
@@ -101,7 +115,6 @@ def simulate_batch(
             given = [(case, starts[case.index]) for case in ready]
             ready = [case if start is None else replace(case, z=start.z, v=start.v) for case, start in given]
         recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
-        runs = gill_runs if settings.integrator == "gill" else adaptive_runs
         for run in runs(machine, model, group.varying, ready, recorded, settings):
             index = run.case.index
             results[index] = _history(cases[index], model, run, recorded, settings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     help="How finely to integrate [default: standard].",
 )
 @click.option("--rtol", type=click.FloatRange(1e-12, 1e-2), help="Scaled error of a step, in place of --accuracy.")
+@click.option(
+    "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Where to integrate."
+)
 @click.option("--links", is_flag=True, help="Also every link's motion and every reaction (.h5 and .npz).")
 @click.option(
     "-o",
@@ -50,6 +53,7 @@ def command(
     sample_rate: float,
     accuracy: Accuracy | None,
     rtol: float | None,
+    device: Literal["cpu", "cuda"],
     links: bool,
     output: Path,
     plot: Path | None,
@@ -76,7 +80,12 @@ def command(
     parameters = {} if speed is None else {"drive.speed": speed}
     case = Case(fault=parse_fault(fault, found), parameters=parameters)
     settings = Settings(
-        duration=duration, sample_rate=sample_rate, accuracy=accuracy or "standard", rtol=rtol, links=links
+        duration=duration,
+        sample_rate=sample_rate,
+        accuracy=accuracy or "standard",
+        rtol=rtol,
+        links=links,
+        device=device,
     )
     history = simulate(found, case, settings)
     if history.status == Status.CANNOT_ASSEMBLE:

@@ -18,7 +18,7 @@ from solver.ir import LANES
 from solver.kernel import adaptive_code, compile_model
 from solver.machine import Machine, parse_machine, shipped_machine
 from solver.model import Model, build_model
-from solver.scalar import SCALAR
+from solver.scalar import SCALAR, kernel_functions
 
 #: Vector code and symbols round differently (order of sums, its own sine); as part of the largest acceleration.
 ROUNDING = 1e-12
@@ -150,8 +150,7 @@ def test_scalar_source(scene: tuple[Machine, Model]) -> None:
     machine, model = scene
     code = adaptive_code(model, [1.0] * 2 * model.size, (), SCALAR)
     layout, step = code.layout, StepRows(code.layout, len(model.contacts), ())
-    kernel: dict[str, Any] = {}
-    exec(code.text, kernel)
+    kernel = kernel_functions(code, lambda function: function)
     drawn = lanes(model)
     lanes_kernel = compile_model(model)
     work = filled(lanes_kernel, model, drawn)

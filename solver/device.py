@@ -1,0 +1,235 @@
+"""Cases on a CUDA device: one case a thread, each with its own time and step.
+
+Imported only where a device is asked for. With ``NUMBA_ENABLE_CUDASIM=1`` Numba runs the same functions on the
+processor, as plain Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import cuda
+from numpy.typing import NDArray
+
+from solver import stepper
+from solver.control import DIVERGING, RUNNING
+from solver.dopri import StepRows
+from solver.errors import SettingsError
+from solver.gill import PATIENCE
+from solver.kernel import KernelCode, adaptive_code
+from solver.model import Model
+from solver.scalar import SCALAR
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: A block is one warp: a few hundred cases then spread over all multiprocessors.
+_THREADS = 32
+#: Trial steps of a case between two returns to the host: short enough for Ctrl-C and for the watchdog of a device that
+#: also drives a screen, long enough that loading and storing the work arrays does not count.
+_STRETCH = 2000
+
+
+def check_device() -> None:
+    """Refuse to go on without a device.
+
+    Raises
+    ------
+    SettingsError
+    """
+    if not cuda.is_available():
+        raise SettingsError("device: cuda: no CUDA device that Numba can use was found")
+
+
+def memory() -> float:
+    """Free memory of the device, bytes."""
+    return float(cuda.current_context().get_memory_info()[0])
+
+
+def case_kernel(code: KernelCode, rows: StepRows) -> Callable[..., None]:
+    """What a thread runs, before compilation: its case, some trial steps further.
+
+    Parameters
+    ----------
+    code : KernelCode
+        In the scalar dialect.
+    rows : StepRows
+        Of its work array.
+
+    Notes
+    -----
+    Between launches `kept` holds the work array and the state of every case, one case a column so that neighbouring
+    threads read neighbouring numbers; `fresh` begins the cases. In a launch the work array lies in the thread's local
+    memory, whose addresses are constants: they need no arithmetic, and the compiler can tell them apart.
+    """
+    begin, advance = stepper.case_functions(code, rows, cuda.jit(device=True))
+    length, places = code.layout.total, stepper.state_length(rows.contacts)
+    float64 = np.float64
+
+    def advance_case(
+        kept: Array, fresh: bool, count: int, first: Array, longest: Array, ends: Indices, most: Indices,
+        interval: float, tolerance: float, precision: float, oversampling: int, recorded: Indices, coordinates: Array,
+        velocities: Array, accelerations: Array,
+    ) -> None:  # fmt: skip
+        c = cuda.grid(1)
+        if c >= kept.shape[1]:
+            return
+        w = cuda.local.array(length, float64)
+        s = cuda.local.array(places, float64)
+        for r in range(length):
+            w[r] = kept[r, c]
+        for r in range(places):
+            s[r] = kept[length + r, c]
+        if fresh:
+            begin(w, s, first[c])
+        advance(
+            w, s, count, first[c], longest[c], ends[c], most[c], interval, tolerance, precision, oversampling, recorded,
+            coordinates[c], velocities[c], accelerations[c],
+        )  # fmt: skip
+        for r in range(length):
+            kept[r, c] = w[r]
+        for r in range(places):
+            kept[length + r, c] = s[r]
+
+    return advance_case
+
+
+@dataclass(frozen=True)
+class CaseLimits:
+    """Bounds of every case; (cases,) arrays.
+
+    Attributes
+    ----------
+    first, longest : array
+        First and longest step, s.
+    samples : array of int
+        Samples wanted.
+    trials : array of int
+        Trial steps after which a case counts as stalled.
+    """
+
+    first: Array
+    longest: Array
+    samples: Indices
+    trials: Indices
+
+
+@dataclass(frozen=True)
+class Records:
+    """Recorded motion; coordinates and accelerations at every `oversampling`-th sample.
+
+    Attributes
+    ----------
+    oversampling : int
+    coordinates, velocities, accelerations : (cases, r, samples) arrays
+    """
+
+    oversampling: int
+    coordinates: Array
+    velocities: Array
+    accelerations: Array
+
+    @staticmethod
+    def empty(cases: int, channels: int, samples: int, oversampling: int) -> Records:
+        """Room for all samples."""
+        reduced = (cases, channels, -(-samples // oversampling))
+        return Records(oversampling, np.zeros(reduced), np.zeros((cases, channels, samples)), np.zeros(reduced))
+
+
+@dataclass(frozen=True)
+class Ends:
+    """How every case ended.
+
+    Attributes
+    ----------
+    outcome, reached, accepted : (cases,) arrays of int
+        See :mod:`solver.control`; samples recorded; accepted steps.
+    finals : (cases, 1 + 2 n) array
+        Time, coordinates and velocities.
+    """
+
+    outcome: Indices
+    reached: Indices
+    accepted: Indices
+    finals: Array
+
+
+@dataclass(frozen=True)
+class DeviceKernel:
+    """A model compiled for the device.
+
+    Attributes
+    ----------
+    code : KernelCode
+        In the scalar dialect.
+    rows : StepRows
+    launch : object
+        The compiled :func:`case_kernel`.
+    """
+
+    code: KernelCode
+    rows: StepRows
+    launch: Any
+
+    def integrate(
+        self, starts: Array, parameters: Array, limits: CaseLimits, interval: float, tolerance: float,
+        precision: float, records: Records,
+    ) -> Ends:  # fmt: skip
+        """Integrate cases side by side.
+
+        Parameters
+        ----------
+        starts : (cases, 2 n) array
+            Coordinates and velocities.
+        parameters : (cases, k) array
+        limits : CaseLimits
+        interval : float
+            Time between samples, s.
+        tolerance : float
+            Bound of the scaled error of a step.
+        precision : float
+            Penetration within which the instant of a switch must be met, m.
+        records : Records
+            Filled in.
+        """
+        layout, length, cases = self.code.layout, self.code.layout.total, len(starts)
+        kept = np.zeros((length + stepper.state_length(self.rows.contacts), cases))
+        kept[layout.z : layout.z + 2 * layout.size] = starts.T
+        kept[layout.p : layout.p + layout.parameters] = parameters.T
+        there = cuda.to_device(kept)
+        inputs = [cuda.to_device(bound) for bound in (limits.first, limits.longest, limits.samples, limits.trials)]
+        recorded = cuda.to_device(np.array(self.rows.recorded, dtype=np.int64))
+        motions = (records.coordinates, records.velocities, records.accelerations)
+        results = [cuda.to_device(motion) for motion in motions]
+        constants = (interval, tolerance, precision, records.oversampling)
+        launch = self.launch[-(-cases // _THREADS), _THREADS]
+        fresh, running = True, True
+        while running:
+            launch(there, fresh, _STRETCH, *inputs, *constants, recorded, *results)
+            running = bool((there[length + stepper.OUTCOME].copy_to_host() == RUNNING).any())
+            fresh = False
+        for motion, result in zip(motions, results, strict=True):
+            result.copy_to_host(motion)
+        kept = there.copy_to_host()
+        state = kept[length:]
+        outcome, reached, accepted, held, unbelieved = (
+            state[place].astype(np.int64)
+            for place in (stepper.OUTCOME, stepper.SAMPLE, stepper.ACCEPTED, stepper.HELD_AT, stepper.UNBELIEVED)
+        )
+        # Samples since the closures last held are of no use where they are lost.
+        reached = np.where((outcome == DIVERGING) & (unbelieved >= PATIENCE), held, reached)
+        finals = np.vstack([state[stepper.NOW], kept[layout.z : layout.z + 2 * layout.size]]).T
+        return Ends(outcome, reached, accepted, finals)
+
+
+def compile_device(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> DeviceKernel:
+    """Compile a model for the device; parameters as :func:`solver.kernel.adaptive_code`.
+
+    The compiler itself runs at the first launch.
+    """
+    code = adaptive_code(model, scales, recorded, SCALAR)
+    rows = StepRows(code.layout, len(model.contacts), recorded)
+    return DeviceKernel(code, rows, cuda.jit(case_kernel(code, rows)))

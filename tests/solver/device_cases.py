@@ -1,0 +1,78 @@
+"""Cases that ``test_device.py`` runs on the processor and, in a process of its own, under Numba's simulator of CUDA.
+
+Short and few: the simulator is plain Python with a thread of the operating system for each thread of a device.
+"""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from test_simulate import crank_at
+
+from solver.fault import FaultState
+from solver.history import Case, History, Settings
+from solver.machine import Machine, load_machine, parse_machine, shipped_machine
+from solver.simulate import simulate_batch
+
+Table = tuple[Machine, list[Case], Settings]
+
+P1 = load_machine(Path(__file__).parents[1] / "data" / "reference" / "p1.yaml")
+SHORT = Settings(duration=0.01, sample_rate=5000)
+SLIDE = {"kind": "translation", "joint": "G", "speed": 0.1}
+
+
+def rubbing() -> Any:
+    """The shipped slider-crank with friction in its guide."""
+    tree = shipped_machine("slider-crank").model_dump(mode="json")
+    tree["joints"]["G1"] |= {"friction": 0.1, "friction_velocity": 0.05}
+    return tree
+
+
+TABLES: dict[str, Table] = {
+    "healthy slider-crank, closed loop": (
+        shipped_machine("slider-crank"),
+        [Case(), Case(parameters={"drive.speed": 40.0})],
+        SHORT,
+    ),
+    "P1 with clearance": (
+        P1,
+        [Case(FaultState({"B": 2e-4}), {"drive.speed": speed}) for speed in (30.0, 62.8)],
+        replace(SHORT, duration=0.02),
+    ),
+    "quick-return, two worn joints, every link": (
+        shipped_machine("quick-return"),
+        [Case(FaultState({"A": 1e-4, "F": 5e-5}))],
+        replace(SHORT, links=True, accuracy="draft"),
+    ),
+    "more cases than a block has threads": (
+        P1,
+        [Case(parameters={"drive.speed": 20.0 + i}) for i in range(34)],
+        replace(SHORT, duration=0.002, accuracy="draft"),
+    ),
+    "a guide that rubs, and one that jams": (
+        parse_machine(rubbing()),
+        [Case(parameters={"joints.G1.friction": friction}) for friction in (0.2, 3.5)],
+        Settings(duration=0.05, sample_rate=1000, accuracy="draft"),
+    ),
+    "a slide driven past its reach": (
+        parse_machine(crank_at(1.0, drive=SLIDE)),
+        [Case(), Case(parameters={"drive.speed": -0.01})],
+        Settings(duration=0.3, sample_rate=1000),
+    ),
+}
+
+
+def histories(device: str) -> dict[str, list[History]]:
+    """All tables, simulated."""
+    return {
+        name: simulate_batch(machine, cases, replace(settings, device=device))  # type: ignore[arg-type]
+        for name, (machine, cases, settings) in TABLES.items()
+    }
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_bytes(pickle.dumps(histories("cuda")))

@@ -1,0 +1,124 @@
+"""Cases as threads of a CUDA device, under Numba's simulator, against the lanes of the processor."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from device_cases import TABLES, histories
+
+from solver.errors import SettingsError
+from solver.history import History, Settings
+from solver.machine import shipped_machine
+from solver.simulate import Status, simulate
+
+#: Differences as parts of the largest value. Both sides take the same steps; their sines round differently, and impacts
+#: amplify that. Measured: at most 5e-12, 8e-11 and 7e-10; ten times that is allowed for other sines.
+CLOSE = {"displacement": 5e-11, "velocity": 8e-10, "acceleration": 7e-9}
+
+
+def run(*command: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A process in which Numba meets these variables when it is first imported."""
+    return subprocess.run(
+        [sys.executable, *map(str, command)], env=os.environ | environment, capture_output=True, text=True
+    )
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[History]]:
+    """The tables under the simulator."""
+    path = tmp_path_factory.mktemp("device") / "histories"
+    done = run(Path(__file__).with_name("device_cases.py"), path, NUMBA_ENABLE_CUDASIM="1")
+    assert done.returncode == 0, done.stderr
+    found: dict[str, list[History]] = pickle.loads(path.read_bytes())
+    return found
+
+
+@pytest.fixture(scope="module")
+def expected() -> dict[str, list[History]]:
+    return histories("cpu")
+
+
+@pytest.mark.parametrize("name", TABLES, ids=lambda name: name.replace(" ", "-"))
+def test_threads_agree_with_lanes(
+    name: str, simulated: dict[str, list[History]], expected: dict[str, list[History]]
+) -> None:
+    for thread, lane in zip(simulated[name], expected[name], strict=True):
+        assert thread.case == lane.case
+        assert (thread.status, thread.message, len(thread.t)) == (lane.status, lane.message, len(lane.t))
+        assert thread.step == pytest.approx(lane.step, rel=1e-12)
+        for motion, bound in CLOSE.items():
+            gap = np.abs(getattr(thread, motion) - getattr(lane, motion)).max(axis=0)
+            assert (gap <= bound * np.abs(getattr(lane, motion)).max(axis=0)).all(), motion
+        if lane.links is not None:
+            assert thread.links is not None
+            gap = np.abs(thread.links.displacement - lane.links.displacement)
+            assert gap.max() < CLOSE["displacement"] * np.abs(lane.links.displacement).max()
+
+
+def test_a_failing_case_is_a_status_and_its_neighbour_goes_on(simulated: dict[str, list[History]]) -> None:
+    past, within = simulated["a slide driven past its reach"]
+    assert past.status in (Status.DIVERGED, Status.STEP_TOO_SMALL)
+    assert np.isfinite(past.acceleration).all()
+    assert within.status is Status.OK
+
+
+def test_a_jam_is_named(simulated: dict[str, list[History]]) -> None:
+    rubbing, jammed = simulated["a guide that rubs, and one that jams"]
+    assert rubbing.status is Status.OK
+    assert jammed.status is Status.JAMMED
+    assert "sliding joint G1" in jammed.message
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"device": "gpu"}, "device: gpu: must be cpu or cuda"),
+        ({"device": "cuda", "method": "gill"}, "device: cuda: only the adaptive method runs there, not gill"),
+        ({"device": "cuda", "step": 1e-5}, "device: cuda: only the adaptive method runs there, not gill"),
+    ],
+)
+def test_settings(settings: dict[str, object], line: str) -> None:
+    with pytest.raises(SettingsError) as refusal:
+        Settings(**settings)  # type: ignore[arg-type]
+    assert str(refusal.value) == line
+
+
+def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("solver.device", "solver.device_runs"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    monkeypatch.setitem(sys.modules, "numba.cuda", None)
+    monkeypatch.delattr("numba.cuda", raising=False)
+    with pytest.raises(
+        SettingsError, match=r"^device: cuda: Numba has no CUDA here; install the extra jointplay\[cuda\]$"
+    ):
+        simulate(shipped_machine("slider-crank"), settings=Settings(device="cuda"))
+
+
+SIMULATE = ["-m", "app.cli", "simulate", "slider-crank", "--duration", "2 ms", "--sample-rate", "5 kHz"]
+
+
+def test_the_command_without_a_device(tmp_path: Path) -> None:
+    done = run(*SIMULATE, "--device", "cuda", "-o", tmp_path / "o.npz", NUMBA_DISABLE_CUDA="1")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.splitlines() == ["jointplay: device: cuda: no CUDA device that Numba can use was found"]
+
+
+def test_the_command_with_a_device(tmp_path: Path) -> None:
+    done = run(*SIMULATE, "--device", "cuda", "-o", tmp_path / "o.npz", NUMBA_ENABLE_CUDASIM="1")
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "o.npz") as written:
+        assert len(written["t"]) == 11
+
+
+def test_the_processor_never_imports_numbas_cuda(tmp_path: Path) -> None:
+    spy = "import atexit, sys, app.cli; atexit.register(lambda: print('numba.cuda' in sys.modules)); app.cli.main()"
+    done = run("-c", spy, *SIMULATE[2:], "-o", tmp_path / "o.npz")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "False"

@@ -1,0 +1,68 @@
+"""One case step by step, as plain Python: what a device's thread does between two returns to the host."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from solver import stepper
+from solver.control import OK, RUNNING
+from solver.dopri import StepRows
+from solver.kernel import adaptive_code
+from solver.machine import shipped_machine
+from solver.model import build_model
+from solver.pose import start_pose, start_velocity
+from solver.scalar import SCALAR
+
+SAMPLES, INTERVAL, FIRST = 120, 1e-4, 1e-4
+
+
+class Run:
+    """Slider-crank with a worn joint from rest, 12 ms: flights and impacts."""
+
+    def __init__(self) -> None:
+        self.model = build_model(shipped_machine("slider-crank"), ("A",))
+        n, recorded = self.model.size, (0, 1)
+        code = adaptive_code(self.model, [1.0] * n + [20.0] * n, recorded, SCALAR)
+        rows = StepRows(code.layout, 1, recorded)
+        self.begin, self.advance = stepper.case_functions(code, rows, lambda function: function)
+        self.w, self.s = np.zeros(code.layout.total), np.zeros(stepper.state_length(1))
+        p = np.array(self.model.vector({"joints.A.clearance": 1e-4}))
+        z = start_pose(self.model, list(p))
+        layout = code.layout
+        for start, column in ((layout.z, z), (layout.v, start_velocity(self.model, list(p), z)), (layout.p, p)):
+            self.w[start : start + len(column)] = column
+        self.records = [np.zeros((2, SAMPLES)) for _ in range(3)]
+        self.begin(self.w, self.s, FIRST)
+
+    def go(self, count: int, *, most: int = 10**6) -> None:
+        constants = (FIRST, 1e-3, SAMPLES, most, INTERVAL, 1e-7, 1e-9, 1)
+        self.advance(self.w, self.s, count, *constants, np.array([0, 1]), *self.records)
+
+
+def finished(**limits: Any) -> Run:
+    run = Run()
+    run.go(10**6, **limits)
+    return run
+
+
+def test_a_run_may_be_left_after_any_trial_step() -> None:
+    whole, parts = finished(), Run()
+    calls = 0
+    while parts.s[stepper.OUTCOME] == RUNNING:
+        parts.w, parts.s = parts.w.copy(), parts.s.copy()  # nothing else is kept
+        parts.go(1)
+        calls += 1
+    assert calls == whole.s[stepper.TRIALS] > 50
+    assert whole.s[stepper.OUTCOME] == OK
+    assert np.array_equal(parts.s, whole.s)
+    for ours, theirs in zip(parts.records, whole.records, strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+def test_too_many_trials_stall() -> None:
+    run = finished(most=20)
+    assert run.s[stepper.OUTCOME] == stepper.STALLED
+    assert run.s[stepper.TRIALS] < 40
+    assert 0 < run.s[stepper.SAMPLE] < SAMPLES
