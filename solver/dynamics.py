@@ -160,10 +160,10 @@ def inertia(scene: Scene) -> ca.SX:
     mass_matrix = ca.SX(n, n)
     coupling: dict[tuple[str, str], Complex] = {}
     for name, link in scene.machine.links.items():
-        if link.mass is None or link.inertia is None:
-            continue  # only a fixed frame
-        mass, pose = number(f"links.{name}.mass", link.mass), kin.poses[name]
-        moment = number(f"links.{name}.inertia", link.inertia)
+        pose = kin.poses[name]
+        # Only a fixed link may leave them out: the frame has no coordinates then, another link is held by closures.
+        mass = 1.0 if link.mass is None else number(f"links.{name}.mass", link.mass)
+        moment = 1.0 if link.inertia is None else number(f"links.{name}.inertia", link.inertia)
         if pose.angle_index is not None:
             mass_matrix[pose.angle_index, pose.angle_index] += moment
             # A unit vector's bias is -omega^2 + i times the angle's prescribed acceleration.
