@@ -6,6 +6,7 @@ processor, as plain Python.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -205,7 +206,9 @@ class DeviceKernel:
         motions = (records.coordinates, records.velocities, records.accelerations)
         results = [cuda.to_device(motion) for motion in motions]
         constants = (interval, tolerance, precision, records.oversampling)
-        launch = self.launch[-(-cases // _THREADS), _THREADS]
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Grid size")  # Numba's: few cases are no mistake here
+            launch = self.launch[-(-cases // _THREADS), _THREADS]
         fresh, running = True, True
         while running:
             launch(there, fresh, _STRETCH, *inputs, *constants, recorded, *results)
