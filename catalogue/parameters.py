@@ -6,12 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from catalogue.draws import Distribution
 from catalogue.errors import PlanError
+from solver.case_numbers import SHORTHANDS
 from solver.fields import nearest
-from solver.machine import Contact, Machine, RotationDrive
+from solver.machine import Machine, RotationDrive
 
 __all__ = ["MachineNumbers", "nominal_drive_speed"]
 
-SHARED = (*(f"contact.{name}" for name in Contact.model_fields), "pin_radius")
+SHARED = SHORTHANDS
 """Short paths that stand for the same number of every turning joint."""
 
 DRIVE_SPEED = "drive.speed"
@@ -49,15 +50,18 @@ class MachineNumbers:
         self.by_path: dict[str, float] = dict(_numbers(machine.model_dump(), ""))
 
     def targets(self, path: str) -> tuple[str, ...]:
-        """Paths in the machine file that `path` of a plan stands for: itself, or the same number of all turning joints.
+        """Paths in the machine file that `path` of a plan stands for: itself, or this number of all turning joints.
+
+        A joint whose contact law has no such number is left out.
 
         Raises
         ------
         PlanError
             The machine has no such number.
         """
-        if path in SHARED and self._turning:
-            return tuple(f"joints.{joint}.{path}" for joint in self._turning)
+        shared = [f"joints.{joint}.{path}" for joint in self._turning] if path in SHARED else []
+        if any(target in self.by_path for target in shared):
+            return tuple(target for target in shared if target in self.by_path)
         if path not in self.by_path:
             rule = f"is not a number of machine {self._name}{nearest(path, [*SHARED, *self.by_path])}"
             raise PlanError("plan", f"uncertain.{path}", None, rule)

@@ -26,6 +26,7 @@ from solver.control import (
     SHRINK,
     STALLED,
     crossing,
+    remember,
 )
 from solver.gill import DIVERGED, LOST, PATIENCE, call
 from solver.ir import LANES
@@ -33,6 +34,14 @@ from solver.ir import LANES
 Array = NDArray[np.float64]
 
 _crossing = njit(cache=True, error_model="numpy")(crossing)
+_remember_one = njit(cache=True, error_model="numpy")(remember)
+
+
+@njit(cache=True, error_model="numpy")
+def _remember(w: Array, memory: int, contact: int, penetration: int, approach: int, lane: int) -> None:
+    """Bring one memory of a lane up to date with an accepted state; rows in place of places."""
+    rows = (penetration + contact) * LANES, (approach + contact) * LANES
+    _remember_one(w, memory * LANES + lane, rows[0] + lane, rows[1] + lane)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -42,6 +51,7 @@ def integrate(
     n: int,
     contacts: int,
     recorded: NDArray[np.int64],
+    remembering: NDArray[np.int64],
     parameter_row: int,
     jam: int,
     starts: Array,
@@ -57,6 +67,7 @@ def integrate(
     coordinates: Array,
     velocities: Array,
     accelerations: Array,
+    memories: Array,
     outcome: NDArray[np.int64],
     reached: NDArray[np.int64],
     accepted: NDArray[np.int64],
@@ -74,8 +85,10 @@ def integrate(
         Coordinates, clearance joints.
     recorded : (r,) array of int
         Coordinates with dense output.
+    remembering : (m,) array of int
+        Clearance joints whose law remembers.
     parameter_row : int
-        Row of the first lane parameter.
+        Row of the first lane parameter; those of the memories follow the last.
     jam : int
         Row that says whether sliding joints jammed within a step, -1 where none rubs.
     starts : (cases, 2 n) array
@@ -97,6 +110,8 @@ def integrate(
         Coordinates and accelerations are recorded at every so many samples.
     coordinates, velocities, accelerations : (cases, r, samples) arrays
         Filled in.
+    memories : (cases, m, samples) array
+        What the contacts remember, recorded as the coordinates; filled in.
     outcome, reached : (cases,) arrays of int
         How each case ended, and the samples it has; filled in.
     accepted : (cases,) array of int
@@ -114,6 +129,7 @@ def integrate(
     last = slopes + 6 * n
     dense = slopes + 12 * n
     kept = 2 + 3 * n
+    memory = parameter_row + parameters.shape[1]
     case = np.full(LANES, -1)
     t = np.zeros(LANES)
     h = np.zeros(LANES)
@@ -145,6 +161,8 @@ def integrate(
                     w[(parameter_row + i) * LANES + lane] = parameters[following, i]
                 for j in range(contacts):
                     w[(touching + j) * LANES + lane] = 0.0
+                for m in range(remembering.size):
+                    w[(memory + m) * LANES + lane] = 0.0
                 following += 1
                 busy += 1
             call(prepare, w)
@@ -156,6 +174,8 @@ def integrate(
                 if case[lane] >= 0 and sample[lane] == 0 and t[lane] == 0.0:
                     for j in range(contacts):
                         w[(touching + j) * LANES + lane] = 1.0 if w[(switch + j) * LANES + lane] > 0.0 else 0.0
+                    for m in range(remembering.size):  # a contact at the start begins there
+                        _remember(w, memory + m, remembering[m], penetration, approach, lane)
             loading, stale = False, True
         if busy == 0:
             return
@@ -271,6 +291,9 @@ def integrate(
                         coordinates[c, r, sample[lane] // oversampling] = start + x * (
                             c2 + y * (c3 + x * (c4 + y * c5))
                         )
+                if sample[lane] % oversampling == 0:
+                    for m in range(remembering.size):
+                        memories[c, m, sample[lane] // oversampling] = w[(memory + m) * LANES + lane]
                 sample[lane] += 1
             t[lane] = now
             if broken or sample[lane] >= ends[c]:
@@ -296,6 +319,8 @@ def integrate(
                 w[(touching + event) * LANES + lane] = 1.0 - w[(touching + event) * LANES + lane]
                 stale = True
                 grown = max(grown, natural[lane])
+            for m in range(remembering.size):
+                _remember(w, memory + m, remembering[m], penetration, approach, lane)
             natural[lane] = 0.0
             h[lane] = min(grown, longest_steps[c])
             steps[lane] += 1

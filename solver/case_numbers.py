@@ -7,7 +7,8 @@ import math
 from solver.errors import MachineError
 from solver.fields import nearest
 from solver.history import Case
-from solver.machine import Machine
+from solver.machine import Machine, TurningJoint
+from solver.machine_parts import LEAST_RESTITUTION
 from solver.numbers import CONTACT_NUMBERS, contact_path
 
 _CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
@@ -15,7 +16,7 @@ _CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clear
 SHORTHANDS = (*_CONTACT, "pin_radius")
 #: Last part of paths whose numbers must be greater than 0, and of those that must not be negative.
 _POSITIVE = ("mass", "inertia", "friction_velocity")
-_NOT_NEGATIVE = ("damping", "friction", "viscous", "pin_radius", "stiffness", "free_length")
+_NOT_NEGATIVE = ("damping", "friction", "viscous", "pin_radius", "stiffness", "free_length", "hysteresis")
 
 
 def _check(machine: Machine, path: str, value: float) -> float:
@@ -28,14 +29,22 @@ def _check(machine: Machine, path: str, value: float) -> float:
         raise MachineError(machine.name, path, value, "must be greater than 0")
     if name in _NOT_NEGATIVE and value < 0:
         raise MachineError(machine.name, path, value, "must not be negative")
+    if name == "restitution" and not LEAST_RESTITUTION <= value <= 1:
+        raise MachineError(machine.name, path, value, f"must be between {LEAST_RESTITUTION:g} and 1")
     return float(value)
+
+
+def _has(machine: Machine, joint: str, name: str) -> bool:
+    """Whether a contact number means something in a turning joint."""
+    found = machine.joints[joint]
+    return isinstance(found, TurningJoint) and found.contact.has(name)
 
 
 def full_paths(machine: Machine, case: Case) -> dict[str, float]:
     """Parameters of a case by full path, and its clearances.
 
     Numbers of a contact that is closed in this case, and the viscous resistance of a joint that has clearance, have no
-    effect there and are left out.
+    effect there and are left out. A short path means the joints whose contact law has such a number.
 
     Parameters
     ----------
@@ -53,13 +62,22 @@ def full_paths(machine: Machine, case: Case) -> dict[str, float]:
         first, _, rest = path.partition(".")
         joint, _, number = rest.partition(".")
         if path in SHORTHANDS:
+            name = path.rpartition(".")[2]
+            if value and not any(_has(machine, turning, name) for turning in machine.turning_joints):
+                raise MachineError(machine.name, path, given, f"no contact law of this machine has a {name}")
             for worn in case.fault.joints:
-                values.setdefault(contact_path(worn, path.rpartition(".")[2]), value)
+                if _has(machine, worn, name):
+                    values.setdefault(contact_path(worn, name), value)
         elif first == "joints" and joint in machine.turning_joints:
             if number not in (*SHORTHANDS, "viscous"):
                 rule = f"no such number{nearest(number, [*SHORTHANDS, 'viscous'])}"
                 raise MachineError(machine.name, path, given, rule)
-            if (joint in case.fault) != (number == "viscous"):
+            name = number.rpartition(".")[2]
+            if not _has(machine, joint, name):
+                # Nothing is what every law has of the numbers that it does not have.
+                if value:
+                    raise MachineError(machine.name, path, given, f"the contact law of this joint has no {name}")
+            elif (joint in case.fault) != (number == "viscous"):
                 values[path] = value
         else:
             values[path] = value

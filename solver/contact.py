@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import casadi as ca
 
+from solver.contact_laws import NormalForce
 from solver.numbers import Number
 from solver.vectors import Complex
 
@@ -18,12 +21,14 @@ class ContactNumbers:
     """Numbers of one clearance joint, constants or symbols; SI units."""
 
     clearance: Number
-    stiffness: Number
-    damping: Number
     friction: Number
     viscous: Number
     friction_velocity: Number
     pin_radius: Number
+
+
+#: (penetration, approach) -> normal force: a law of :mod:`solver.contact_laws` with its numbers.
+NormalLaw: TypeAlias = Callable[[ca.SX, ca.SX], NormalForce]
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class ContactForce:
     penetration, approach : casadi.SX
         e - c, m, and its rate, m/s.
     switch : casadi.SX
-        m; the surfaces push exactly where it is positive: penetration, or force over stiffness where that is less.
+        m; the surfaces push exactly where it is positive: penetration, or what the force makes of it if that is less.
     """
 
     on_pin: Complex
@@ -51,9 +56,10 @@ class ContactForce:
 
 
 def impact_pair(
-    e: Complex, e_rate: Complex, pin_omega: Number, socket_omega: Number, numbers: ContactNumbers, touching: ca.SX
-) -> ContactForce:
-    """Linear spring and damper along the normal, never attractive; regularised Coulomb and viscous friction across it.
+    e: Complex, e_rate: Complex, pin_omega: Number, socket_omega: Number, numbers: ContactNumbers, law: NormalLaw,
+    touching: ca.SX,
+) -> ContactForce:  # fmt: skip
+    """A contact law along the normal, never attractive; regularised Coulomb and viscous friction across it.
 
     Parameters
     ----------
@@ -62,6 +68,7 @@ def impact_pair(
     pin_omega, socket_omega : symbol
         Angular velocities of the two links, rad/s.
     numbers : ContactNumbers
+    law : callable
     touching : casadi.SX
         1 where the surfaces push, 0 where they do not: a symbol, replaced by ``switch > 0`` or held over a step.
 
@@ -74,15 +81,16 @@ def impact_pair(
     normal = Complex(e.re / eccentricity, e.im / eccentricity)
     penetration = eccentricity - numbers.clearance
     approach = normal.dot(e_rate)
-    elastic = numbers.stiffness * penetration + numbers.damping * approach
-    # Nothing touches at e <= c, and a pair of surfaces cannot pull.
-    switch = ca.fmin(penetration, elastic / numbers.stiffness)
+    normal_force = law(penetration, approach)
     # Selecting the normal force to zero takes friction and moments with it.
-    pushing = ca.if_else(touching > 0, elastic, 0)
+    pushing = ca.if_else(touching > 0, normal_force.elastic, 0)
     arm_socket = eccentricity + numbers.pin_radius
     # Velocity of the pin's body relative to the socket's at the common contact point, along the tangent (-n_y, n_x).
     slip = normal.cross(e_rate) + pin_omega * numbers.pin_radius - socket_omega * arm_socket
     rubbing = numbers.friction * pushing * ca.tanh(slip / numbers.friction_velocity)
     rubbing += ca.if_else(touching > 0, numbers.viscous * slip, 0)
     on_pin = normal * Complex(-pushing, -rubbing)
-    return ContactForce(on_pin, -rubbing * numbers.pin_radius, rubbing * arm_socket, penetration, approach, switch)
+    moment_on_socket = rubbing * arm_socket
+    return ContactForce(
+        on_pin, -rubbing * numbers.pin_radius, moment_on_socket, penetration, approach, normal_force.switch
+    )

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.contact_laws import SLOWEST_APPROACH
+
 #: Outcome of a case; `RUNNING` before it has one.
 OK, DIVERGING, STALLED, JAMMED, RUNNING = 0, 1, 2, 3, -1
 
@@ -40,3 +45,21 @@ def crossing(p0: float, r0: float, p1: float, r1: float) -> float:
         else:
             low = middle
     return high
+
+
+def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: int) -> None:
+    """What one contact remembers (:mod:`solver.contact_laws`), brought up to date with an accepted state.
+
+    Nothing where the surfaces are apart; the velocity of approach where they have just met.
+
+    Parameters
+    ----------
+    w : array
+        Work array.
+    memory, penetration, approach : int
+        Places of these numbers of one contact in one lane.
+    """
+    if w[penetration] <= 0.0:
+        w[memory] = 0.0
+    elif w[memory] == 0.0:
+        w[memory] = max(abs(w[approach]), SLOWEST_APPROACH)

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from solver.device import CaseLimits, DeviceKernel, Records, compile_device, memory
+from solver.errors import SettingsError
 from solver.history import Settings
 from solver.machine import Machine
 from solver.model import Model
@@ -34,7 +35,17 @@ def device_runs(
     machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
     settings: Settings,
 ) -> Iterator[Run]:  # fmt: skip
-    """Dormand-Prince steps under error control, one case a thread; parameters as :func:`solver.runs.gill_runs`."""
+    """Dormand-Prince steps under error control, one case a thread; parameters as :func:`solver.runs.gill_runs`.
+
+    Raises
+    ------
+    SettingsError
+        A contact law that remembers.
+    """
+    if model.remembering:
+        joint = model.clearance_joints[model.remembering[0]]
+        rule = f"the contact law of joint {joint} remembers its impacts, which only runs on the processor do"
+        raise SettingsError(f"device: {settings.device}: {rule}")
     kernel = _kernel(machine, model.clearance_joints, varying, tuple(recorded))
     room = min(_RECORD_BYTES, 0.5 * memory())
     queue = sorted(prepared, key=lambda case: case.duration)  # threads of a warp end together
@@ -67,4 +78,6 @@ def _group(
         z, a = (motion[i, :, :whole] for motion in (records.coordinates, records.accelerations))
         v = records.velocities[i, :, :reached]
         status, message = how_it_ended(model, case, int(ends.outcome[i]), ends.finals[i], reached / rate)
-        yield Run(case, status, message, z, v, a, reached / rate / max(int(ends.accepted[i]), 1), spent)
+        yield Run(
+            case, status, message, z, v, a, np.zeros((0, whole)), reached / rate / max(int(ends.accepted[i]), 1), spent
+        )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from solver.elementary import hyperbolic_tangent, sine_cosine
+from solver.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
 from solver.ir import DECLARATIONS, LANES, Block
 
 _ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul"}
@@ -23,7 +23,9 @@ _UNARY: dict[int, Callable[[Block, str], str]] = {
     ca.OP_SQ: lambda block, a: block.mul(a, a),
     ca.OP_TWICE: lambda block, a: block.add(a, a),
 }
-_OTHER_UNARY = (ca.OP_TANH, ca.OP_INV, ca.OP_SIN, ca.OP_COS, ca.OP_SQRT, ca.OP_FABS, ca.OP_FLOOR, ca.OP_NOT)
+_OTHER_UNARY = (
+    ca.OP_TANH, ca.OP_EXP, ca.OP_LOG, ca.OP_INV, ca.OP_SIN, ca.OP_COS, ca.OP_SQRT, ca.OP_FABS, ca.OP_FLOOR, ca.OP_NOT,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Dialect:
     ----------
     block : callable
         From a prefix of names to an empty function.
-    sine_cosine, tanh : callable
+    sine_cosine, tanh, exp, log : callable
         What prints them.
     stride : int
         From one row of the work array to the next.
@@ -45,12 +47,14 @@ class Dialect:
     block: Callable[[str], Block]
     sine_cosine: Callable[[Block, str], tuple[str, str]]
     tanh: Callable[[Block, str], str]
+    exp: Callable[[Block, str], str]
+    log: Callable[[Block, str], str]
     stride: int
     head: str
 
 
 #: Rows of lanes for the processor.
-VECTOR = Dialect(Block, sine_cosine, hyperbolic_tangent, LANES, DECLARATIONS)
+VECTOR = Dialect(Block, sine_cosine, hyperbolic_tangent, exponential, logarithm, LANES, DECLARATIONS)
 
 
 @dataclass(frozen=True)
@@ -136,8 +140,9 @@ class _Printer:
             if texts[0] not in self.waves:
                 self.waves[texts[0]] = self.dialect.sine_cosine(block, texts[0])
             return _Value(self.waves[texts[0]][0 if op == ca.OP_SIN else 1], fixed)
-        if op == ca.OP_TANH:
-            return _Value(self.dialect.tanh(block, texts[0]), fixed)
+        if op in (ca.OP_TANH, ca.OP_EXP, ca.OP_LOG):
+            functions = {ca.OP_TANH: self.dialect.tanh, ca.OP_EXP: self.dialect.exp, ca.OP_LOG: self.dialect.log}
+            return _Value(functions[op](block, texts[0]), fixed)
         if op in (ca.OP_DIV, ca.OP_INV):
             inverse = self.reciprocal(arguments[-1])
             if op == ca.OP_INV:

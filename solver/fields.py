@@ -81,11 +81,14 @@ class Quantity(_Field):
         What it measures; strings with units are read accordingly.
     above, at_least : float or None
         Exclusive and inclusive lower bound.
+    at_most : float or None
+        Inclusive upper bound.
     """
 
     dimension: Dimension
     above: float | None = None
     at_least: float | None = None
+    at_most: float | None = None
 
     def validate(self, value: Any) -> float:
         """Return the SI number or raise :class:`RuleError`."""
@@ -97,6 +100,8 @@ class Quantity(_Field):
             raise RuleError(f"must be greater than {self.above:g}")
         if self.at_least is not None and not number >= self.at_least:
             raise RuleError(f"must not be less than {self.at_least:g}")
+        if self.at_most is not None and not number <= self.at_most:
+            raise RuleError(f"must not be greater than {self.at_most:g}")
         return number
 
     def json_schema(self) -> dict[str, Any]:
@@ -106,6 +111,8 @@ class Quantity(_Field):
             number["exclusiveMinimum"] = self.above
         if self.at_least is not None:
             number["minimum"] = self.at_least
+        if self.at_most is not None:
+            number["maximum"] = self.at_most
         text = {"type": "string", "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"}
         about = f"{self.dimension.name} in {self.dimension.unit}, or a string with a unit"
         return {"anyOf": [number, text], "description": about, "examples": [self.dimension.example]}

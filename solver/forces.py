@@ -6,14 +6,15 @@ follow by virtual work, Q = (d displacement / dz)' force, so no moment arm is ev
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import casadi as ca
 
-from solver.contact import ContactForce, ContactNumbers, impact_pair
+from solver import contact_laws
+from solver.contact import ContactForce, ContactNumbers, NormalLaw, impact_pair
 from solver.drive import known_effort
 from solver.kinematics import Kinematics
-from solver.machine import Machine, Mount, SlidingJoint, Spring, TurningJoint
+from solver.machine import Contact, Machine, Mount, SlidingJoint, Spring, TurningJoint
 from solver.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
 from solver.tables import linear, periodic
 from solver.vectors import Complex, Vector, constant
@@ -237,8 +238,11 @@ def viscous_joints(scene: Scene, open_joints: frozenset[str]) -> None:
         scene.add(displacement, -scene.number(f"joints.{name}.viscous", joint.viscous) * rate)
 
 
-def contact(scene: Scene, name: str, touching: ca.SX) -> tuple[ca.SX, ContactForce]:
-    """Contact of one clearance joint: the vector from socket to pin centre (m), and the force on the pin."""
+def contact(scene: Scene, name: str, touching: ca.SX, memory: ca.SX) -> tuple[ca.SX, ContactForce]:
+    """Contact of one clearance joint: the vector from socket to pin centre (m), and the force on the pin.
+
+    `memory` is what a law that takes a restitution remembers, see :mod:`solver.contact_laws`.
+    """
     joint = scene.machine.joints[name]
     assert isinstance(joint, TurningJoint)
     pin = joint.pin
@@ -247,12 +251,29 @@ def contact(scene: Scene, name: str, touching: ca.SX) -> tuple[ca.SX, ContactFor
     vector = poses[pin].point(joint.at) - poses[socket].point(joint.at)
     e = terms.value(vector)
     nominal = {key: getattr(joint.contact, key, 0.0) for key in CONTACT_NUMBERS} | {"pin_radius": joint.pin_radius}
-    numbers = {key: scene.number(contact_path(name, key), nominal[key]) for key in CONTACT_NUMBERS}
-    force = impact_pair(
-        e, terms.rate(vector), poses[pin].omega, poses[socket].omega, ContactNumbers(**numbers), touching
-    )
+    known = [key for key in CONTACT_NUMBERS if joint.contact.has(key)]
+    numbers = {key: scene.number(contact_path(name, key), nominal[key]) for key in known}
+    shared = ContactNumbers(**{field.name: numbers[field.name] for field in fields(ContactNumbers)})
+    law = _normal_law(joint.contact, numbers, memory)
+    force = impact_pair(e, terms.rate(vector), poses[pin].omega, poses[socket].omega, shared, law, touching)
     # The force moves the centres apart; off the centres, at the common contact point, it also turns both links.
     scene.push(vector, force.on_pin)
     scene.twist(pin, force.moment_on_pin)
     scene.twist(socket, force.moment_on_socket)
     return e.column, force
+
+
+def _normal_law(contact: Contact, numbers: dict[str, Number], memory: ca.SX) -> NormalLaw:
+    """The law of the machine file with its numbers, as a function of penetration and approach."""
+
+    def law(penetration: ca.SX, approach: ca.SX) -> contact_laws.NormalForce:
+        stiffness = numbers["stiffness"]
+        if contact.exponent is None:
+            return contact_laws.linear(stiffness, numbers["damping"], penetration, approach)
+        if contact.restitution is None:
+            hysteresis = numbers["hysteresis"]
+        else:
+            hysteresis = contact_laws.impact_hysteresis(contact.law, numbers["restitution"], approach, memory)
+        return contact_laws.hertzian(stiffness, contact.exponent, hysteresis, penetration, approach)
+
+    return law

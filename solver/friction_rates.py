@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.machine import Machine, SlidingJoint
+from solver.contact_rates import deepest_point
+from solver.machine import Machine, SlidingJoint, TurningJoint
 from solver.model import Model
 from solver.numbers import contact_path
 from solver.pose import inner_coordinates
@@ -51,8 +52,8 @@ def friction_rate(
     Notes
     -----
     A pin is pressed by the force F that its joint would carry were it ideal, and hits with the speed that F gives it
-    across the play 2 c: at its peak by F + sqrt(K / w) sqrt(4 c F w). A guide is pressed by its normal force in the
-    ideal machine and by what the impacts of all clearance joints add.
+    across the play 2 c: at its peak by F + sqrt(K / w) sqrt(4 c F w), with d^n by F + K D^n, D the depth. A guide
+    is pressed by its normal force in the ideal machine and by what the impacts of all clearance joints add.
     """
     count = len(model.kinematics.closures)
     reactions = np.abs([_ideal_reactions(model, t, z, p) for t, z in poses])
@@ -60,7 +61,11 @@ def friction_rate(
     for i, joint in enumerate(model.clearance_joints):
         number = {name: values.get(contact_path(joint, name), 0.0) for name in _NUMBERS}
         pressed = float(np.hypot(*reactions[:, count + 2 * i : count + 2 * i + 2].T).max())
-        impact = math.sqrt(number["stiffness"] * 4 * number["clearance"] * pressed)
+        found = model.machine.joints[joint]
+        exponent = found.contact.exponent or 1.0 if isinstance(found, TurningJoint) else 1.0
+        speed = math.sqrt(4 * number["clearance"] * pressed * mobility[joint])
+        depth = deepest_point(number["stiffness"] * mobility[joint], exponent, speed)
+        impact = number["stiffness"] * depth**exponent
         impacts += impact
         if number["friction"]:
             rates.append(number["friction"] * (pressed + impact) * mobility[joint] / number["friction_velocity"])

@@ -19,6 +19,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from solver.control import remember
 from solver.ir import LANES, Block
 from solver.layout import Layout
 
@@ -31,6 +32,7 @@ PATIENCE = 20
 #: How a lane stands.
 RUNNING, ENDED, JAMMED = 0, 1, 2
 
+_remember_one = njit(cache=True, error_model="numpy")(remember)
 _ROOT = math.sqrt(0.5)
 #: (a, b, c, time of the stage's result in steps)
 _STAGES = (
@@ -82,6 +84,18 @@ def _call(typing_context: Any, address: Any, work: Any) -> Any:
 call: Any = intrinsic(_call)
 
 
+@njit(cache=True, error_model="numpy")
+def _remember(w: NDArray[np.float64], n: int, memory: int, memories: int) -> None:
+    """Memories of all lanes after the right-hand side of an accepted state.
+
+    It need not be evaluated again: with nothing remembered it took the same velocity that is remembered now.
+    """
+    apart = LANES * memories
+    for i in range(apart):
+        penetration = LANES * (2 + 5 * n) + i
+        _remember_one(w, memory + i, penetration, penetration + apart)
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def _note(w: NDArray[np.float64], n: int, lane: int, how: int, finals: NDArray[np.float64]) -> None:
     """Keep how a lane has ended, its time and its state."""
@@ -105,7 +119,7 @@ def _note_jams(w: NDArray[np.float64], n: int, jam: int, finals: NDArray[np.floa
 def integrate(
     kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, start: float, h: float, substeps: int,
     record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64], jam: int,
-    counts: NDArray[np.int64], finals: NDArray[np.float64],
+    counts: NDArray[np.int64], finals: NDArray[np.float64], memory: int = 0, memories: int = 0,
 ) -> None:  # fmt: skip
     """Integrate one group of lanes with a fixed step and record samples.
 
@@ -134,6 +148,8 @@ def integrate(
     finals : (LANES, 2 + 2 n) array
         :data:`JAMMED`, :data:`ENDED` or :data:`RUNNING`; time, coordinates and velocities there or at the last sample;
         filled in.
+    memory, memories : int
+        Offset of what contacts remember, and how many do.
 
     Notes
     -----
@@ -156,6 +172,7 @@ def integrate(
         for lane in range(LANES):
             w[lane] = start + s * substeps * h
         call(rhs, w)
+        _remember(w, n, memory, memories)
         alive = 0
         _note_jams(w, n, jam, finals)
         for lane in range(LANES):
@@ -181,6 +198,7 @@ def integrate(
                 for lane in range(LANES):
                     w[lane] = start + (s * substeps + k) * h
                 call(rhs, w)
+                _remember(w, n, memory, memories)
             call(gill, w)
             _note_jams(w, n, jam, finals)
         if project != 0:

@@ -40,7 +40,8 @@ class Case:
     parameters : mapping of str to float
         By path in the machine file (``links.bed.mass``, ``supports.0.stiffness.1``, ``joints.A.contact.friction``,
         ``drive.speed``), or for every clearance joint at once: ``contact.stiffness``, ``contact.damping``,
-        ``contact.friction``, ``contact.viscous``, ``contact.friction_velocity``, ``pin_radius``. SI units.
+        ``contact.restitution``, ``contact.hysteresis``, ``contact.friction``, ``contact.viscous``,
+        ``contact.friction_velocity``, ``pin_radius``. SI units.
     """
 
     fault: FaultState = HEALTHY

@@ -6,6 +6,7 @@ and the two halves that an AVX2 machine needs are interleaved, which hides the l
 
 from __future__ import annotations
 
+import math
 import struct
 
 #: Cases that run side by side: two AVX2 registers or one AVX-512 register of doubles.
@@ -16,6 +17,10 @@ _WHOLE = f"<{LANES} x i64>"
 
 #: Fast-math inside the kernels. Non-finite results are looked for outside, in code compiled without these.
 _FAST = "nnan ninf nsz arcp contract"
+
+#: 1.5 2^52: doubles of this size are whole numbers, which stand in their lowest bits.
+_MAGIC = 6755399441055744.0
+_MAGIC_BITS, _ROOT_OF_HALF = struct.unpack(">qq", struct.pack(">dd", _MAGIC, math.sqrt(0.5)))
 
 _INTRINSICS = ("sqrt", "floor", "fabs", "maxnum", "minnum", "fma")
 _ARGUMENTS = {"maxnum": 2, "minnum": 2, "fma": 3}
@@ -119,9 +124,19 @@ class Block:
     def nearest(self, x: str, factor: float) -> tuple[str, str]:
         """Whole number nearest to `factor` x, as a row of doubles and as a row of integers (low bits only)."""
         # Adding 1.5 2^52 rounds to a whole number and leaves it in the low bits of the mantissa.
-        magic = self.constant(6755399441055744.0)
+        magic = self.constant(_MAGIC)
         shifted = self.fma(x, self.constant(factor), magic)
         return self.sub(shifted, magic), self._new(f"bitcast {ROW} {shifted} to {_WHOLE}")
+
+    def split(self, x: str) -> tuple[str, str]:
+        """Mantissa m in [sqrt(1/2), sqrt(2)) and exponent k, as rows of doubles, of x = m 2^k > 0 (normal numbers)."""
+        bits = self._new(f"bitcast {ROW} {x} to {_WHOLE}")
+        shifted = self.integer("sub", bits, _ROOT_OF_HALF)
+        # Adding whole numbers to the bits of 1.5 2^52 adds them to its value.
+        exponent = self.integer("add", self.integer("ashr", shifted, 52), _MAGIC_BITS)
+        mantissa = self.integer("add", self.integer("and", shifted, (1 << 52) - 1), _ROOT_OF_HALF)
+        whole = self._new(f"bitcast {_WHOLE} {exponent} to {ROW}")
+        return self._new(f"bitcast {_WHOLE} {mantissa} to {ROW}"), self.sub(whole, self.constant(_MAGIC))
 
     def integer(self, operation: str, bits: str, value: int) -> str:
         """``shl``, ``and``, ``add`` ... of a row of integers and a constant."""

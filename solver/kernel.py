@@ -103,14 +103,21 @@ def _code(
 
 def kernel_code(model: Model) -> KernelCode:
     """Print a model for Runge-Kutta-Gill: ``prepare``, ``rhs``, ``gill`` and ``project``."""
-    n, k = model.size, len(model.parameters)
-    layout = Layout(n, k, extra=0 if model.rubbing is None else 1)
-    symbols = [model.t, model.z, model.v, model.p]
-    inputs = [[layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k)]
-    return _code(
-        model, layout, "rhs", symbols, inputs, [model.acceleration], [layout.rows(layout.a, n)], gill_step(layout),
-        (model.jam, layout.extra_at),
-    )  # fmt: skip
+    n, k, memories = model.size, len(model.parameters), len(model.remembering)
+    layout = Layout(n, k, extra=2 * memories + (model.rubbing is not None), memories=memories)
+    symbols = [model.t, model.z, model.v, model.p, model.memory]
+    inputs = [
+        [layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k),
+        layout.rows(layout.memory, memories),
+    ]  # fmt: skip
+    outputs, targets = [model.acceleration], [layout.rows(layout.a, n)]
+    at = layout.extra_at
+    if memories:
+        for name in ("penetration", "approach"):
+            outputs.append(ca.vertcat(*(getattr(model.contacts[j], name) for j in model.remembering)))
+            targets.append(layout.rows(at, memories))
+            at += layout.stride * memories
+    return _code(model, layout, "rhs", symbols, inputs, outputs, targets, gill_step(layout), (model.jam, at))
 
 
 def adaptive_code(
@@ -128,13 +135,14 @@ def adaptive_code(
     dialect : Dialect
     """
     n, k, contacts = model.size, len(model.parameters), len(model.contacts)
+    memories = len(model.remembering)
     extra = StepRows.count(n, contacts, len(recorded)) + (model.rubbing is not None)
-    layout = Layout(n, k, extra=extra, stride=dialect.stride)
+    layout = Layout(n, k, extra=extra, stride=dialect.stride, memories=memories)
     rows = StepRows(layout, contacts, recorded)
-    symbols = [model.t, model.z, model.v, model.p, model.touching]
+    symbols = [model.t, model.z, model.v, model.p, model.touching, model.memory]
     inputs = [
         [layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k),
-        layout.rows(rows.touching, contacts),
+        layout.rows(rows.touching, contacts), layout.rows(layout.memory, memories),
     ]  # fmt: skip
     outputs, targets = [model.held_acceleration], [layout.rows(layout.a, n)]
     if contacts:

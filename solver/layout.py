@@ -23,6 +23,8 @@ class Layout:
         Rows for the method's own use.
     stride : int
         From one row to the next: the lanes of a row.
+    memories : int
+        Contacts that remember.
     """
 
     size: int
@@ -30,6 +32,7 @@ class Layout:
     hoisted: int = 0
     extra: int = 0
     stride: int = LANES
+    memories: int = 0
 
     def _row(self, index: int) -> int:
         return self.stride * index
@@ -75,14 +78,19 @@ class Layout:
         return self._row(2 + 5 * self.size + self.extra)
 
     @property
+    def memory(self) -> int:
+        """What contacts remember, see :mod:`solver.contact_laws`."""
+        return self._row(2 + 5 * self.size + self.extra + self.parameters)
+
+    @property
     def hoist(self) -> int:
         """What depends on the parameters alone."""
-        return self._row(2 + 5 * self.size + self.extra + self.parameters)
+        return self.memory + self._row(self.memories)
 
     @property
     def total(self) -> int:
         """Length of the work array."""
-        return self._row(2 + 5 * self.size + self.extra + self.parameters + self.hoisted)
+        return self.hoist + self._row(self.hoisted)
 
     def rows(self, start: int, count: int) -> list[int]:
         """Offsets of `count` rows from `start`."""

@@ -60,7 +60,7 @@ def _names(model: Model) -> list[str]:
 
 
 def _evaluation(reduced: Model, full: Model) -> ca.Function:
-    """(t, z, v, p of the reduced model) -> pose, velocity, acceleration of all links; reactions in global axes."""
+    """(t, z, v, p, memory of the reduced model) -> pose, velocity, acceleration of links; reactions in global axes."""
     kin = reduced.kinematics
     names = list(reduced.machine.links)
     pose = ca.vertcat(*(
@@ -86,15 +86,19 @@ def _evaluation(reduced: Model, full: Model) -> ca.Function:
         elif kind != "y":
             forces.append(full.reactions[row])
     forces += [terms.to_ground(_pair(push, 0)).column for push in full.push.values()]
-    reactions = full.function("reactions", ca.vertcat(*forces) if forces else ca.SX(0, 1))(*arguments)
-    return reduced.function("links", displacement, velocity, acceleration, reactions)
+    reactions = full.function_of_memory("reactions", ca.vertcat(*forces) if forces else ca.SX(0, 1))(
+        *arguments, reduced.memory
+    )
+    return reduced.function_of_memory("links", displacement, velocity, acceleration, reactions)
 
 
 def _pair(vector: ca.SX, row: int) -> Complex:
     return Complex(vector[row], vector[row + 1])
 
 
-def link_motion(reduced: Model, p: list[float], t: Array, z: Array, v: Array) -> LinkMotion:
+def link_motion(
+    reduced: Model, p: list[float], t: Array, z: Array, v: Array, memory: Array | None = None
+) -> LinkMotion:
     """Evaluate links and reactions at recorded states.
 
     Parameters
@@ -105,6 +109,8 @@ def link_motion(reduced: Model, p: list[float], t: Array, z: Array, v: Array) ->
     t : (n,) array
     z, v : (n, k) arrays
         Recorded coordinates and velocities.
+    memory : (n, m) array, optional
+        What contacts remember; nothing by default: contacts count as beginning at every state.
     """
     contact = {path for joint in reduced.clearance_joints for path in contact_paths(reduced.machine, joint)}
     varying = tuple(path for path in reduced.parameters if path not in contact and path != "drive.speed")
@@ -113,8 +119,10 @@ def link_motion(reduced: Model, p: list[float], t: Array, z: Array, v: Array) ->
     if count == 0:  # a case that failed at once: shapes are all there is
         t, z, v = np.zeros(1), np.zeros((1, reduced.size)), np.zeros((1, reduced.size))
     evaluate = _evaluation(reduced, full).map(len(t))
+    if memory is None or count == 0:
+        memory = np.zeros((len(t), len(reduced.remembering)))
     columns = np.repeat(np.array(p).reshape(-1, 1), len(t), axis=1)
-    parts = [np.asarray(part.full()).T[:count] for part in evaluate(t[None, :], z.T, v.T, columns)]
+    parts = [np.asarray(part.full()).T[:count] for part in evaluate(t[None, :], z.T, v.T, columns, memory.T)]
     names = tuple(reduced.machine.links)
     motion = [part.reshape(count, len(names), 3) for part in parts[:3]]
     reactions: dict[str, Array] = {}

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from solver import machine_rules, units
+from solver import contact_rules, machine_rules, units
 from solver.errors import MachineError
 from solver.fields import Name, Quantity, Title, nearest, no_default
 from solver.machine_errors import first_error
@@ -101,6 +101,12 @@ class Machine(Part):
     loads: tuple[Load, ...] = ()
     sensors: tuple[Sensor, ...] = ()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_units_of_another_law(cls, data: Any) -> Any:
+        contact_rules.refuse_units_of_another_law(data)
+        return data
+
     @model_validator(mode="after")
     def _complete(self, info: ValidationInfo) -> Machine:
         fill = self.__dict__.update  # the model is frozen for everybody else
@@ -113,8 +119,7 @@ class Machine(Part):
     def _completed_joint(self, joint: TurningJoint | SlidingJoint) -> TurningJoint | SlidingJoint:
         if isinstance(joint, SlidingJoint):
             return joint
-        own = {name: getattr(joint.contact, name) for name in joint.contact.model_fields_set}
-        contact = Contact(**{**self.defaults.contact.model_dump(), **own})
+        contact = joint.contact.over(self.defaults.contact)
         return joint.model_copy(update={"pin": joint.pin or joint.links[0], "contact": contact})
 
     @property

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
 
 from solver import units
 from solver.fields import Direction, Name, NumberOrTable, Point, Quantity, RuleError, Table, Vector, nearest, no_default
+from solver.restitution import HYSTERESIS, ContactLaw
 
 __all__ = [
     "Contact",
@@ -69,18 +70,61 @@ class Part(BaseModel):
         return data
 
 
+#: Exponent of a Hertzian contact of curved surfaces.
+HERTZ_EXPONENT = 1.5
+#: Least restitution to ask for: below, the hysteresis of some laws exceeds a hundred and grows without bound.
+LEAST_RESTITUTION = 0.01
+#: Numbers of the normal force, and those that each law has.
+NORMAL_NUMBERS = ("stiffness", "damping", "exponent", "restitution", "hysteresis")
+LAW_NUMBERS = {
+    "linear": ("stiffness", "damping"),
+    "hertz": ("stiffness", "exponent", "hysteresis"),
+    **dict.fromkeys(HYSTERESIS, ("stiffness", "exponent", "restitution")),
+}
+
+
 class Contact(Part):
     """Contact of pin and socket in a turning joint that has clearance.
 
-    ``stiffness`` [N/m], ``damping`` [N s/m], ``friction`` (coefficient), ``viscous`` [N s/m] along the surface,
-    ``friction_velocity`` [m/s]: the friction is ``mu Fn tanh(v / friction_velocity)``.
+    ``law`` of the normal force, with d the penetration: ``linear`` is K d + C d', with ``stiffness`` K [N/m] and
+    ``damping`` C [N s/m]; ``hertz`` is K d^n (1 + a d') with ``stiffness`` [N/m^n], ``exponent`` n and ``hysteresis``
+    a [s/m]; the others are K d^n (1 + c d'/v0) with c from ``restitution`` and v0 the velocity of approach when the
+    contact begins. ``friction`` (coefficient), ``viscous`` [N s/m] along the surface, ``friction_velocity`` [m/s]: the
+    friction is ``mu Fn tanh(v / friction_velocity)``.
     """
 
+    law: ContactLaw = "linear"
     stiffness: Annotated[float, Quantity(units.STIFFNESS, above=0)] = 1.0e7
     damping: Damping = 300.0
+    exponent: Annotated[float, Quantity(units.RATIO, at_least=1, at_most=3)] | None = None
+    restitution: Annotated[float, Quantity(units.RATIO, at_least=LEAST_RESTITUTION, at_most=1)] | None = None
+    hysteresis: Annotated[float, Quantity(units.HYSTERESIS, at_least=0)] | None = None
     friction: FrictionCoefficient = 0.05
     viscous: Damping = 0.0
     friction_velocity: FrictionVelocity = 0.01
+
+    @model_validator(mode="after")
+    def _complete(self) -> Contact:
+        if self.law != "linear":  # the model is frozen for everybody else
+            given = self.model_fields_set
+            damping = self.damping if "damping" in given else 0.0
+            self.__dict__.update(damping=damping, exponent=self.exponent or HERTZ_EXPONENT)
+        return self
+
+    def over(self, defaults: Contact) -> Contact:
+        """What this contact says, and `defaults` where it says nothing; numbers of a law do not pass to another law."""
+        own = {name: getattr(self, name) for name in self.model_fields_set}
+        same_law = own.get("law", defaults.law) == defaults.law
+        inherited = {
+            name: getattr(defaults, name)
+            for name in defaults.model_fields_set
+            if same_law or name not in ("law", *NORMAL_NUMBERS)
+        }
+        return Contact(**{**inherited, **own})
+
+    def has(self, number: str) -> bool:
+        """Whether the law of this contact knows a number of its normal force; True for all other numbers."""
+        return number in LAW_NUMBERS[self.law] or number not in NORMAL_NUMBERS
 
 
 class Defaults(Part):

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from solver.contact_rules import contact_breaches
 from solver.errors import MachineError
 from solver.fields import nearest
 from solver.machine_errors import shown
@@ -35,7 +36,7 @@ def check(machine: Machine, source: str) -> None:
     MachineError
         For the first rule that is broken, in the order in which a user would repair them.
     """
-    for rules in (_links, _joints, _drive, _initial, _supports, _loads, _sensors, _connections):
+    for rules in (_links, _joints, _contacts, _drive, _initial, _supports, _loads, _sensors, _connections):
         for breach in rules(machine):
             raise MachineError(source, breach.path, shown(breach.value), breach.rule)
 
@@ -69,6 +70,13 @@ def _joints(machine: Machine) -> Iterator[Breach]:
             yield Breach(f"{path}.links", ", ".join(joint.links), "must be two different links")
         if isinstance(joint, TurningJoint) and joint.pin not in joint.links:
             yield Breach(f"{path}.pin", joint.pin, f"must be one of the joint's links, {' or '.join(joint.links)}")
+
+
+def _contacts(machine: Machine) -> Iterator[Breach]:
+    turning = {name: joint for name, joint in machine.joints.items() if isinstance(joint, TurningJoint)}
+    contacts = {f"joints.{name}.contact": joint.contact for name, joint in turning.items()}
+    for path, value, rule in contact_breaches(machine.defaults.contact, contacts):
+        yield Breach(path, value, rule)
 
 
 def _drive(machine: Machine) -> Iterator[Breach]:

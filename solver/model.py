@@ -15,6 +15,7 @@ import casadi as ca
 
 from solver import drive, forces
 from solver.contact import ContactForce
+from solver.contact_laws import remembers
 from solver.dynamics import Solver, constrained_solver, inertia
 from solver.errors import MachineError
 from solver.kinematics import Kinematics, kinematics
@@ -58,6 +59,10 @@ class Model:
         Sliding joints with Coulomb friction, contacts held; ``None`` without any.
     jam : casadi.SX
         1 where they jam: accelerations and reactions have no meaning there; else 0.
+    remembering : tuple of int
+        Clearance joints (as in `contacts`) whose law remembers, see :mod:`solver.contact_laws`.
+    memory : casadi.SX
+        What they remember, m/s, a symbol each; 0 while the surfaces are apart.
     """
 
     machine: Machine
@@ -83,6 +88,8 @@ class Model:
     held_acceleration: ca.SX
     rubbing: Rubbing | None
     jam: ca.SX
+    remembering: tuple[int, ...]
+    memory: ca.SX
 
     @property
     def size(self) -> int:
@@ -100,8 +107,21 @@ class Model:
         return self.kinematics.indices_of(self.machine.frame)
 
     def function(self, name: str, *outputs: ca.SX) -> ca.Function:
-        """A CasADi function of (t, z, v, p): evaluated without any compilation, microseconds a call."""
-        return ca.Function(name, [self.t, self.z, self.v, self.p], list(outputs))
+        """A CasADi function of (t, z, v, p): evaluated without any compilation, microseconds a call.
+
+        Contacts count as beginning now: nothing is remembered.
+        """
+        return ca.Function(name, [self.t, self.z, self.v, self.p], [self.unremembered(part) for part in outputs])
+
+    def function_of_memory(self, name: str, *outputs: ca.SX) -> ca.Function:
+        """A CasADi function of (t, z, v, p, memory)."""
+        return ca.Function(name, [self.t, self.z, self.v, self.p, self.memory], list(outputs))
+
+    def unremembered(self, expression: ca.SX) -> ca.SX:
+        """The expression with nothing remembered."""
+        if not self.remembering:
+            return expression
+        return ca.substitute(expression, self.memory, ca.SX.zeros(len(self.remembering)))
 
     @cached_property
     def right_hand_side(self) -> ca.Function:
@@ -233,7 +253,12 @@ def build_model(
     forces.effort(scene)
     forces.viscous_joints(scene, frozenset(open_joints))
     touching = ca.SX.sym("touching", len(open_joints))
-    contacts = {name: forces.contact(scene, name, touching[i]) for i, name in enumerate(open_joints)}
+    remembering = tuple(i for i, name in enumerate(open_joints) if remembers(machine, name))
+    memory = ca.SX.sym("memory", len(remembering))
+    memories = dict(zip(remembering, ca.vertsplit(memory), strict=True)) if remembering else {}
+    contacts = {
+        name: forces.contact(scene, name, touching[i], memories.get(i, ca.SX(0))) for i, name in enumerate(open_joints)
+    }
 
     closed = bool(kin.closures)
     phi = ca.vertcat(*(c.phi for c in kin.closures)) if closed else ca.SX(0, 1)
@@ -262,5 +287,5 @@ def build_model(
         machine, open_joints, number.paths, number.nominal, t, z, v, number.vector, kin, mass, force,
         solution, phi, phi_rate, acceleration, reactions, eccentricity,
         dict(zip(contacts, pushes, strict=True)), tuple(contact for _, contact in contacts.values()), touching, held,
-        rubbing, jam,
+        rubbing, jam, remembering, memory,
     )  # fmt: skip

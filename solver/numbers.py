@@ -12,7 +12,10 @@ Number = ca.SX | float
 
 #: Numbers of a clearance joint. They are lane parameters, because they differ from case to case; but for what the
 #: machine file has as 0 and no case changes: friction, say, then costs nothing.
-CONTACT_NUMBERS = ("clearance", "stiffness", "damping", "friction", "viscous", "friction_velocity", "pin_radius")
+CONTACT_NUMBERS = (
+    "clearance", "stiffness", "damping", "restitution", "hysteresis", "friction", "viscous", "friction_velocity",
+    "pin_radius",
+)  # fmt: skip
 
 
 def contact_paths(machine: Machine, joint: str) -> list[str]:

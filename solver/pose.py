@@ -201,7 +201,7 @@ def start_pose(model: Model, p: Sequence[float]) -> Array:
     stacked = ca.vertcat(model.phi, model.eccentricity)
     multipliers = ca.SX.sym("l", stacked.shape[0])
     gradient = ca.jacobian(stacked, model.z)
-    force = ca.mtimes(model.kinematics.axes, model.force) + ca.mtimes(gradient.T, multipliers)
+    force = ca.mtimes(model.kinematics.axes, model.unremembered(model.force)) + ca.mtimes(gradient.T, multipliers)
     unknowns = ca.vertcat(model.z, multipliers)
     equations = ca.vertcat(force, stacked)
     newton = ca.Function(

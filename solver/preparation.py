@@ -9,6 +9,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.contact_rates import contact_rates
+from solver.contact_rules import restitution_remarks
 from solver.drive import drive_rates
 from solver.errors import AssemblyError, MachineError, SettingsError
 from solver.friction_rates import friction_rate, without_sliding_friction
@@ -51,7 +53,7 @@ class Prepared:
     transient : float
         s.
     remark : str
-        Where the transient rule does not hold.
+        What a reader of the results should know: where the transient rule does not hold, say.
     duration : float
         s.
     longest_step : float
@@ -198,14 +200,16 @@ def prepare(
     v = start_velocity(model, vector, z)
     motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
     speed, fastest = drive_rates(machine, complete)
-    transient, remark = transient_time(motions.suspension, speed)
+    transient, *remarks = transient_time(motions.suspension, speed)
+    remarks += restitution_remarks(machine, joints, complete)
     duration = settings.duration
     if duration is None:
         duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)
     rule = STEP_RULES[settings.accuracy]
     rubbing = _friction_rate(machine, joints, varying, complete, mobility) if settings.integrator == "gill" else 0.0
-    longest = settings.step or largest_step(rule, mobility, complete, motions.eigenvalues, fastest, rubbing)
-    smooth = largest_step(BETWEEN_IMPACTS, {}, complete, motions.eigenvalues, fastest)
+    contacts = contact_rates(machine, mobility, complete, fastest).values()
+    longest = settings.step or largest_step(rule, contacts, motions.eigenvalues, fastest, rubbing)
+    smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, fastest)
     recorded = model.size if settings.links else 3
     if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
         too_much = f"{duration * settings.sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
@@ -213,7 +217,7 @@ def prepare(
     if duration * max(settings.sample_rate, 1 / longest) > MOST_STEPS:
         too_long = f"needs more than {MOST_STEPS:.0e} steps of {min(longest, 1 / settings.sample_rate):.3g} s"
         raise SettingsError(f"duration: {duration:g} s: {too_long}")
-    return Prepared(index, vector, z, v, speed, transient, remark, duration, longest, smooth)
+    return Prepared(index, vector, z, v, speed, transient, "; ".join(filter(None, remarks)), duration, longest, smooth)
 
 
 def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver import adaptive, control, gill, sampling
+from solver.contact_rates import extent_of
 from solver.history import Settings, Status
 from solver.ir import LANES
 from solver.jamming import hold_remark, jam_message
@@ -57,6 +58,8 @@ class Run:
     z, v, a : (r, samples) arrays
         Recorded coordinates, their velocities and accelerations: at the sample rate, the velocities at
         :data:`OVERSAMPLING` times that. Of a case that failed, the samples before.
+    memory : (m, samples) array
+        What contacts remember, at the sample rate.
     step : float
         s; the mean of an error-controlled run.
     seconds : float
@@ -69,6 +72,7 @@ class Run:
     z: Array
     v: Array
     a: Array
+    memory: Array
     step: float
     seconds: float
 
@@ -131,13 +135,27 @@ def _gill_group(
     h = 1 / (rate * substeps)
     counts = [_samples(case, settings) for case in lanes]
     rows = [start + LANES * i for start in (layout.z, layout.v, layout.a) for i in recorded]
+    rows += layout.rows(layout.memory, layout.memories)
     out = np.zeros((LANES, len(rows), max(counts)))
     broken = np.zeros(LANES, dtype=np.int64)
     record = np.array(rows, dtype=np.int64)
     finals = np.zeros((LANES, 2 + 2 * model.size))
     wanted = np.array([counts[min(lane, len(lanes) - 1)] for lane in range(LANES)], dtype=np.int64)
     gill.integrate(
-        kernel.functions, work, model.size, 0.0, h, substeps, record, out, broken, kernel.jam, wanted, finals
+        kernel.functions,
+        work,
+        model.size,
+        0.0,
+        h,
+        substeps,
+        record,
+        out,
+        broken,
+        kernel.jam,
+        wanted,
+        finals,
+        layout.memory,
+        layout.memories,
     )
     spent = (time.process_time() - began) / len(lanes)
     for lane, case in enumerate(lanes):
@@ -154,14 +172,9 @@ def _gill_group(
             )
         else:
             message = hold_remark(*end)
-        z, v, a = np.split(out[lane, :, :reached], 3)
-        yield Run(case, status, message, z[:, ::OVERSAMPLING], v, a[:, ::OVERSAMPLING], h, spent)
-
-
-def extent_of(machine: Machine) -> float:
-    """Largest distance between joints and centres of gravity as drawn, m; 1 where all are in one place."""
-    points = [joint.at for joint in machine.joints.values()] + [link.cg for link in machine.links.values()]
-    return max((math.dist(p, q) for p in points for q in points), default=0.0) or 1.0
+        z, v, a, memory = np.split(out[lane, :, :reached], [len(recorded) * i for i in (1, 2, 3)])
+        reduced = [motion[:, ::OVERSAMPLING] for motion in (z, a, memory)]
+        yield Run(case, status, message, reduced[0], v, reduced[1], reduced[2], h, spent)
 
 
 def _scales(machine: Machine, model: Model) -> list[float]:
@@ -208,29 +221,32 @@ def _adaptive_group(
     began = time.process_time()
     rate = settings.sample_rate * OVERSAMPLING
     tolerance = settings.rtol or TOLERANCES[settings.accuracy]
-    extent = min(scale for scale in _scales(machine, model)[: model.size] or [1.0])
+    smallest = min(scale for scale in _scales(machine, model)[: model.size] or [1.0])
     counts = np.array([_samples(case, settings) for case in cases], dtype=np.int64)
     most_samples = int(counts.max())
     velocities = np.zeros((len(cases), len(recorded), most_samples))
     reduced = (len(cases), len(recorded), -(-most_samples // OVERSAMPLING))
     coordinates, accelerations = np.zeros(reduced), np.zeros(reduced)
+    memories = np.zeros((len(cases), len(model.remembering), reduced[2]))
     outcome, reached, accepted = (np.zeros(len(cases), dtype=np.int64) for _ in range(3))
     finals = np.zeros((len(cases), 1 + 2 * model.size))
     first, longest, most = step_bounds(cases)
     adaptive.integrate(
         kernel.functions, kernel.work_array(), model.size, len(model.contacts), np.array(recorded, dtype=np.int64),
-        kernel.layout.p // LANES, kernel.jam, np.array([np.concatenate([case.z, case.v]) for case in cases]),
+        np.array(model.remembering, dtype=np.int64), kernel.layout.p // LANES, kernel.jam,
+        np.array([np.concatenate([case.z, case.v]) for case in cases]),
         np.array([case.vector for case in cases]).reshape(len(cases), -1), counts, 1 / rate, tolerance,
-        min(1e-8, 0.01 * tolerance * extent), first, longest, most, OVERSAMPLING, coordinates, velocities,
-        accelerations, outcome, reached, accepted, finals,
+        min(1e-8, 0.01 * tolerance * smallest), first, longest, most, OVERSAMPLING, coordinates, velocities,
+        accelerations, memories, outcome, reached, accepted, finals,
     )  # fmt: skip
     spent = (time.process_time() - began) / len(cases)
     for i, case in enumerate(cases):
         samples = int(reached[i])
         whole = -(-samples // OVERSAMPLING)
         z, v, a = coordinates[i, :, :whole], velocities[i, :, :samples], accelerations[i, :, :whole]
+        memory = memories[i, :, :whole]
         status, message = how_it_ended(model, case, int(outcome[i]), finals[i], samples / rate)
-        yield Run(case, status, message, z, v, a, samples / rate / max(int(accepted[i]), 1), spent)
+        yield Run(case, status, message, z, v, a, memory, samples / rate / max(int(accepted[i]), 1), spent)
 
 
 def step_bounds(cases: Sequence[Prepared]) -> tuple[Array, Array, NDArray[np.int64]]:

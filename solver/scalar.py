@@ -1,7 +1,7 @@
 """Kernels as scalar Python source, for compilers of Python: one case a call where the vector code has a row of lanes.
 
 Every function is ``f(w)`` with the case's own work array. Instructions and their order are those of the vector code;
-only sine, cosine and tanh are left to the library, whose calls stop nothing here.
+only sine, cosine, tanh, exp and log are left to the library, whose calls stop nothing here.
 """
 
 from __future__ import annotations
@@ -93,12 +93,15 @@ def _sine_cosine(block: Block, x: str) -> tuple[str, str]:
     return block.call("sin", x), block.call("cos", x)
 
 
-def _tanh(block: Block, x: str) -> str:
-    return block.call("tanh", x)
+def _function(name: str) -> Callable[[Block, str], str]:
+    return lambda block, x: block.call(name, x)
 
 
 #: One case a call, in Python.
-SCALAR = Dialect(ScalarBlock, _sine_cosine, _tanh, 1, "from math import cos, floor, sin, sqrt, tanh\n")
+SCALAR = Dialect(
+    ScalarBlock, _sine_cosine, _function("tanh"), _function("exp"), _function("log"), 1,
+    "from math import cos, exp, floor, log, sin, sqrt, tanh\n",
+)  # fmt: skip
 
 
 def kernel_functions(code: KernelCode, compiled: Compile) -> dict[str, Function]:

@@ -190,7 +190,7 @@ def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: 
     links = None
     if settings.links:
         z, v = run.z[:, :count].T, run.v[:, ::OVERSAMPLING][:, :count].T
-        links = link_motion(model, run.case.vector, t, z, v)
+        links = link_motion(model, run.case.vector, t, z, v, run.memory[:, :count].T)
     return History(
         case, run.status, message, t, motions[0], motions[1], motions[2], smooth,
         settings.sample_rate, run.case.transient, run.case.speed, run.step, run.seconds, links,

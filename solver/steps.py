@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from solver.contact_rates import ContactRates
 from solver.model import Model
-from solver.numbers import contact_path
 
 Array = NDArray[np.float64]
 Accuracy = Literal["draft", "standard", "reference"]
@@ -121,18 +121,15 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
 
 
 def largest_step(
-    rule: StepRule, mobility: dict[str, float], values: dict[str, float], eigenvalues: Array, speed: float,
-    rubbing: float = 0.0,
-) -> float:  # fmt: skip
+    rule: StepRule, contacts: Iterable[ContactRates], eigenvalues: Array, speed: float, rubbing: float = 0.0
+) -> float:
     """Longest step that a rule allows a case, s; infinite where nothing moves.
 
     Parameters
     ----------
     rule : StepRule
-    mobility : dict of str to float
-        Of each clearance joint, 1/kg.
-    values : dict of str to float
-        Contact stiffness, damping and viscous friction by path; what is missing is 0.
+    contacts : iterable of ContactRates
+        Of each clearance joint.
     eigenvalues : array
         Of the smooth motion, 1/s.
     speed : float
@@ -141,11 +138,9 @@ def largest_step(
         Largest rate of friction, 1/s, see :mod:`solver.friction_rates`.
     """
     limits = [math.inf]
-    for joint, w in mobility.items():
-        frequency = math.sqrt(values[contact_path(joint, "stiffness")] * w)
-        limits.append(rule.contact / frequency if frequency else math.inf)
-        rate = sum(values.get(contact_path(joint, name), 0.0) for name in ("damping", "viscous")) * w
-        limits.append(rule.decay / rate if rate else math.inf)
+    for rates in contacts:
+        limits.append(rule.contact / rates.frequency if rates.frequency else math.inf)
+        limits.append(rule.decay / rates.decay if rates.decay else math.inf)
     fastest = float(np.abs(eigenvalues).max(initial=0.0))
     limits.append(rule.smooth / fastest if fastest else math.inf)
     limits.append(rule.rubbing / rubbing if rubbing else math.inf)

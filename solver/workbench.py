@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from solver.contact_rates import extent_of
 from solver.errors import SettingsError
 from solver.harmonics import compared, harmonic_levels, mean_difference_db, order_band_levels, whole_rate
 from solver.history import Case, History, Settings, Status
@@ -16,7 +17,7 @@ from solver.ir import LANES
 from solver.machine import Machine, TranslationDrive
 from solver.pose import Start
 from solver.preparation import model_of
-from solver.runs import TOLERANCES, extent_of
+from solver.runs import TOLERANCES
 from solver.segments import FloatArray
 from solver.simulate import simulate_batch, start_of
 

@@ -26,13 +26,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Samples (n,) in time; coordinates and rates (n, k)."""
+    """Samples (n,) in time; coordinates and rates (n, k); what contacts remember (n, m)."""
 
     model: Model
     p: list[float]
     t: Array
     z: Array
     v: Array
+    memory: Array
 
     def coordinate(self, name: str) -> tuple[Array, Array]:
         """A coordinate and its rate, (n,) each."""
@@ -42,7 +43,7 @@ class Trajectory:
     @cached_property
     def motion(self) -> LinkMotion:
         """Of all links, and the reactions."""
-        return link_motion(self.model, self.p, self.t, self.z, self.v)
+        return link_motion(self.model, self.p, self.t, self.z, self.v, self.memory)
 
 
 def trajectory(
@@ -85,15 +86,18 @@ def trajectories(
         for name, (place, rate) in starts[run].items():
             k = names.index(name)
             work[layout.z + LANES * k + lane], work[layout.v + LANES * k + lane] = place, rate
-    record = np.arange(layout.z, layout.a, LANES)
-    out = np.zeros((LANES, 2 * n, samples))
+    record = np.array([*range(layout.z, layout.a, LANES), *layout.rows(layout.memory, layout.memories)])
+    out = np.zeros((LANES, record.size, samples))
     broken = np.zeros(LANES, dtype=np.int64)
     counts, finals = np.full(LANES, samples), np.zeros((LANES, 2 + 2 * n))
-    integrate(kernel.functions, work, n, 0.0, step, steps_a_sample, record, out, broken, kernel.jam, counts, finals)
+    integrate(
+        kernel.functions, work, n, 0.0, step, steps_a_sample, record, out, broken, kernel.jam, counts, finals,
+        layout.memory, layout.memories,
+    )  # fmt: skip
     assert (broken < 0).all()
     t = np.arange(samples) * step * steps_a_sample
     runs = []
     for lane in range(len(starts)):
-        z, v = out[lane, :n].T.copy(), out[lane, n:].T.copy()
-        runs.append(Trajectory(model, vectors[lane], t, z, v))
+        z, v, memory = (part.T.copy() for part in np.split(out[lane], [n, 2 * n]))
+        runs.append(Trajectory(model, vectors[lane], t, z, v, memory))
     return runs

@@ -31,6 +31,7 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
 
         check_ending(drawing)
     from solver.account import account
+    from solver.contact_rules import restitution_remarks
     from solver.fault import parse_fault
     from solver.machine import resolve_machine
     from solver.simulate import check_assembly
@@ -44,10 +45,13 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
 
         save_drawing(found, state.joints, drawing)
     matrix = matrix_of(found, state)
+    notes = restitution_remarks(found, found.turning_joints)
     if as_json:
-        print_json(document(found, state, sizes, matrix, arrays, drawing))
+        print_json(document(found, state, sizes, matrix, arrays, drawing) | {"notes": notes})
     else:
         click.echo(report(found, state, sizes, matrix, arrays))
+        for note in notes:
+            click.echo(f"note: {note}")
         if drawing is not None:
             click.echo(f"\ndrawn: {drawing}")
 

@@ -131,6 +131,20 @@ def test_check_shows_the_arrays_of_the_matrix() -> None:
     assert (arrays["xi"][1], arrays["n"][2][1], arrays["s"][5][0]) == ([0, None, 1, None, None, None], 1, 1)
 
 
+def test_check_says_where_a_contact_law_returns_another_restitution(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    contact = "{law: lankarani-nikravesh, stiffness: 6.6e10, restitution: 0.5}"
+    at_a = "at: [0.05, 0.05], pin: rod"
+    path.write_text(invoke("machines", "slider-crank").stdout.replace(at_a, f"{at_a}, contact: {contact}"))
+    note = "joint A: contact law lankarani-nikravesh asked for a restitution of 0.5 returns 0.725"
+    assert invoke("check", path).stdout.endswith(f"note: {note}\n")
+    assert json.loads(invoke("check", path, "--json").stdout)["notes"] == [note]
+    assert json.loads(invoke("check", "slider-crank", "--json").stdout)["notes"] == []
+    short = ("--duration", "20 ms", "-o", tmp_path / "out.npz")
+    assert f"note: {note}\n" in invoke("simulate", path, "--fault", "A=0.1mm", *short).stdout
+    assert "note" not in invoke("simulate", path, "--fault", "B=0.1mm", *short).stdout
+
+
 @pytest.mark.parametrize("name", ["machine.svg", "machine.png"])
 def test_check_draws(name: str, tmp_path: Path) -> None:
     result = invoke("check", "slider-crank", "--fault", "B=0.1mm", "--drawing", tmp_path / name)

@@ -62,8 +62,11 @@ class Solution:
         return float(np.linalg.cond(scaled / np.abs(scaled).max(axis=0)))
 
 
-def solve(machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array) -> Solution:
-    """Write the equations at one state and solve them.
+def solve(
+    machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array,
+    began: Mapping[str, float] | None = None,
+) -> Solution:  # fmt: skip
+    """Write the equations at one state and solve them; contacts began with these velocities, or begin now.
 
     Raises
     ------
@@ -72,7 +75,7 @@ def solve(machine: Machine, clearances: Mapping[str, float], t: float, positions
     numpy.linalg.LinAlgError
         A machine whose reactions are not determined.
     """
-    system = _System(State(machine, positions, velocities), clearances, t)
+    system = _System(State(machine, positions, velocities), clearances, t, began or {})
     found: list[tuple[Solution, Array]] = []
     for signs in itertools.product((1.0, -1.0), repeat=len(system.rubbing)):
         solution = system.solve(signs)
@@ -91,8 +94,8 @@ def solve(machine: Machine, clearances: Mapping[str, float], t: float, positions
 class _System:
     """[A] and {C}: Newton-Euler rows first, then two rows a joint, then the drive's."""
 
-    def __init__(self, state: State, clearances: Mapping[str, float], t: float) -> None:
-        self.state, self.machine, self.clearances, self.t = state, state.machine, clearances, t
+    def __init__(self, state: State, clearances: Mapping[str, float], t: float, began: Mapping[str, float]) -> None:
+        self.state, self.machine, self.clearances, self.t, self.began = state, state.machine, clearances, t, began
         n, j = len(self.machine.links), len(self.machine.joints)
         known_motion = isinstance(self.machine.drive, RotationDrive | TranslationDrive)
         size = 3 * n + 2 * j + known_motion
@@ -227,7 +230,7 @@ class _System:
 
     def clearance(self, name: str) -> None:
         """Rows that say the force on the pin is what the state makes it; it acts at one common point."""
-        contact = ContactState.of(self.state, name, self.clearances[name])
+        contact = ContactState.of(self.state, name, self.clearances[name], self.began.get(name, 0.0))
         for k, unit in enumerate(np.eye(2)):
             column = self.columns[name] + k
             self.pair(contact.pin, contact.socket, contact.point, unit, column)

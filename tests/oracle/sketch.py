@@ -33,6 +33,8 @@ _LOCKS: tuple[dict[str, Any], ...] = (
 )
 #: Links other than the frame with a lock.
 _LOCKED_SHARE = 0.05
+#: Half of the contacts are linear.
+_LAWS = (*["linear"] * 5, "hertz", "hunt-crossley", "flores", "gonthier", "lankarani-nikravesh")
 _DIRECTIONS = ("any", "vertical", "horizontal", "downward")
 _DRIVES = {"turning": ("rotation", "rotation", "torque"), "sliding": ("translation", "force", "force")}
 #: Longest time of a random state, s: with speeds to 30 rad/s the drive turns up to one radian.
@@ -99,10 +101,20 @@ class _Draft:
             data["viscous"] = float(self.rng.choice([0.0, self.between(1e-3, 1.0)]))
         self.joints[f"J{len(self.joints)}"] = data
 
-    def contact(self) -> dict[str, float]:
+    def normal_law(self) -> dict[str, Any]:
+        law = str(self.rng.choice(_LAWS))
+        if law == "linear":
+            damping = float(self.rng.choice([0.0, self.between(10, 1e3)]))
+            return {"law": law, "stiffness": self.between(1e5, 1e8), "damping": damping}
+        loss = {"hysteresis": self.between(0.01, 10)} if law == "hertz" else {"restitution": self.between(0.05, 1)}
+        exponent = float(self.rng.choice([1.5, 1.5, 1.0, 2.5, self.between(1, 3)]))
+        # Forces at 0.1 mm are those of the linear law.
+        stiffness = self.between(1e5, 1e8) * 1e-4 ** (1 - exponent)
+        return {"law": law, "stiffness": stiffness, "exponent": exponent, **loss}
+
+    def contact(self) -> dict[str, Any]:
         return {
-            "stiffness": self.between(1e5, 1e8),
-            "damping": float(self.rng.choice([0.0, self.between(10, 1e3)])),
+            **self.normal_law(),
             "friction": float(self.rng.choice([0.0, self.between(0.02, 1.0)])),
             "viscous": float(self.rng.choice([0.0, self.between(0.1, 100)])),
             "friction_velocity": self.between(1e-3, 0.1),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.machine import Machine, SlidingJoint, TurningJoint
+from solver.machine import Contact, Machine, SlidingJoint, TurningJoint
 
 Array = NDArray[np.float64]
 
@@ -120,8 +120,23 @@ class State:
                 total += 0.5 * support.stiffness * (math.hypot(*gap) - float(support.free_length or 0.0)) ** 2
         for name, clearance in clearances.items():
             contact = ContactState.of(self, name, clearance)
-            total += 0.5 * contact.stiffness * max(0.0, contact.penetration) ** 2
+            n = contact.exponent
+            total += contact.stiffness * max(0.0, contact.penetration) ** (n + 1) / (n + 1)
         return total
+
+
+def hysteresis(contact: Contact, rate: float, began: float) -> float:
+    """a of K d^n (1 + a d'), s/m; `began` is the velocity with which the contact began, 0 where it begins now."""
+    if contact.law == "hertz":
+        return float(contact.hysteresis or 0.0)
+    e = float(contact.restitution or 0.0)
+    c = {
+        "hunt-crossley": 3 * (1 - e) / 2,
+        "flores": 8 * (1 - e) / (5 * e),
+        "gonthier": (1 - e**2) / e,
+        "lankarani-nikravesh": 3 * (1 - e**2) / 4,
+    }[contact.law]
+    return c / (began or max(abs(rate), 1e-3))
 
 
 @dataclass(frozen=True)
@@ -134,10 +149,11 @@ class ContactState:
     force: Array
     penetration: float
     stiffness: float
+    exponent: float
     normal_force: float
 
     @classmethod
-    def of(cls, state: State, name: str, clearance: float) -> ContactState:
+    def of(cls, state: State, name: str, clearance: float, began: float = 0.0) -> ContactState:
         joint = state.machine.joints[name]
         assert isinstance(joint, TurningJoint)
         pin = state.index(joint.pin)
@@ -147,13 +163,18 @@ class ContactState:
         e = centre - state.point(socket, joint.at)
         size = math.hypot(*e)
         if size <= clearance:
-            return cls(pin, socket, centre, np.zeros(2), size - clearance, law.stiffness, 0.0)
+            return cls(pin, socket, centre, np.zeros(2), size - clearance, law.stiffness, law.exponent or 1.0, 0.0)
         n = e / size
         point = centre + joint.pin_radius * n
         rate = float(n @ (state.velocity(pin, joint.at) - state.velocity(socket, joint.at)))
-        pushing = max(0.0, law.stiffness * (size - clearance) + law.damping * rate)
+        depth = size - clearance
+        if law.law == "linear":
+            pushing = max(0.0, law.stiffness * depth + law.damping * rate)
+        else:
+            loss = 1 + hysteresis(law, rate, began) * rate
+            pushing = max(0.0, law.stiffness * depth ** float(law.exponent or 0.0) * loss)
         tangent = across(n)
         slip = float(tangent @ (state.velocity_at(pin, point) - state.velocity_at(socket, point)))
         rubbing = -(law.friction * pushing * math.tanh(slip / law.friction_velocity) + law.viscous * slip)
         force = -pushing * n + (rubbing if pushing > 0 else 0.0) * tangent
-        return cls(pin, socket, point, force, size - clearance, law.stiffness, pushing)
+        return cls(pin, socket, point, force, depth, law.stiffness, law.exponent or 1.0, pushing)

@@ -83,6 +83,7 @@ def features(sketch: Sketch, state: State) -> set[str]:
             seen.add("pin in flight" if contact.penetration <= 0 else "pin leaves without pull")
         else:
             seen.add("pin pressed")
+            seen.add(f"law {law.contact.law}")
             seen |= {f"contact {key}" for key in ("damping", "friction", "viscous") if getattr(law.contact, key)}
             seen |= {"pin radius"} if law.pin_radius else set()
     for support in machine.supports:
@@ -107,8 +108,10 @@ EXPECTED = {
     "viscous turning": 20, "rubbing slide": 20, "vertical rubbing slide": 10, "several rubbing slides": 15,
     "rubbing on a fixed frame": 5, "rubbing on a floating frame": 15, "rubbing beside a worn joint": 10, "jammed": 2,
     "pin in flight": 10, "pin pressed": 20, "pin leaves without pull": 2, "contact damping": 10, "contact friction": 10,
-    "contact viscous": 10, "pin radius": 10, "spring to ground": 10, "spring to link": 10, "damper to ground": 5,
-    "damper to link": 5, "mount to ground": 5, "mount to link": 5, "load constant": 10, "load over time": 10,
+    "contact viscous": 10, "pin radius": 10, "law linear": 10, "law hertz": 2, "law hunt-crossley": 2, "law flores": 2,
+    "law gonthier": 2, "law lankarani-nikravesh": 2, "spring to ground": 10, "spring to link": 10,
+    "damper to ground": 5, "damper to link": 5, "mount to ground": 5, "mount to link": 5, "load constant": 10,
+    "load over time": 10,
     "load over angle": 3, "rotation": 10, "rotation ripple": 5, "rotation ramp": 3, "translation": 5,
     "translation harmonics": 2, "translation ramp": 2, "torque": 5, "torque curve": 2, "force": 5, "force curve": 2,
     "rotation of a worn joint": 2,

@@ -28,6 +28,22 @@ def loaded(name: str, **more: Any) -> Machine:
     return parse_machine({**shipped_machine(name).model_dump(mode="json"), **more})
 
 
+#: Contacts that remember, one of each law with a restitution, and exponents with and without a root.
+LAWS = {
+    "O": {"law": "lankarani-nikravesh", "stiffness": 5e8, "restitution": 0.6},
+    "A": {"law": "flores", "stiffness": 1e7, "restitution": 0.5, "exponent": 1.1},
+    "B": {"law": "hunt-crossley", "stiffness": 2e10, "restitution": 0.7, "exponent": 2},
+    "D": {"law": "gonthier", "stiffness": 5e8, "restitution": 0.4},
+}
+
+
+def laws_machine() -> Machine:
+    joints: Any = shipped_machine("four-bar").model_dump(mode="json")["joints"]
+    for joint, contact in LAWS.items():
+        joints[joint]["contact"] = contact
+    return loaded("four-bar", joints=joints)
+
+
 CUTTING = [[0.0, 0.0, 0.0, 0.0], [1.2, -800.0, 20.0, 3.0], [3.1, 0.0, 0.0, 0.0]]
 SCENES = {
     "quick-return, two worn joints, ripple, cutting force": (
@@ -66,6 +82,7 @@ SCENES = {
         ("C",),
         (),
     ),
+    "four-bar, every contact law": (laws_machine(), tuple(LAWS), ()),
     "four-bar, every joint worn": (shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints), ()),
 }
 
@@ -143,6 +160,33 @@ def test_lanes(scene: tuple[Machine, Model]) -> None:
         gap = np.abs(accelerations - solution.accelerations)
         assert gap[:, :2].max() < 1e-10 * solution.scale[0]
         assert gap[:, 2].max() < 1e-10 * solution.scale[1]
+
+
+def test_memories() -> None:
+    """Contacts that began at some velocity, on all lanes; the other half begins now."""
+    machine, model = laws_machine(), build_model(laws_machine(), LAWS)
+    assert [model.clearance_joints[i] for i in model.remembering] == list(LAWS)
+    kernel, drawn = compile_model(model), lanes(model)
+    began = np.exp(np.random.default_rng(9).uniform(-5, 1, (LANES, len(LAWS))))
+    began[::2, ::2], began[1::2, 1::2] = 0.0, 0.0
+    work = filled(kernel, model, drawn)
+    memory = kernel.layout.memory
+    for row in range(len(LAWS)):
+        work[memory + LANES * row : memory + LANES * (row + 1)] = began[:, row]
+    repeat(kernel.functions, work, 1)
+    motion, pressed = LinkMotion(model), 0
+    for (values, t, z, v), compiled, velocities_then in zip(
+        drawn, rows(work, kernel.layout.a, model.size), began, strict=True
+    ):
+        positions, velocities, accelerations = motion(t, z, v, compiled, model.vector(values))
+        other, clearances = changed(machine, values)
+        then = dict(zip(LAWS, velocities_then, strict=True))
+        solution = solve(other, clearances, t, positions, velocities, then)
+        gap = np.abs(accelerations - solution.accelerations)
+        assert gap[:, :2].max() < 1e-10 * solution.scale[0]
+        assert gap[:, 2].max() < 1e-10 * solution.scale[1]
+        pressed += sum(then[joint] > 0 and solution.reactions[joint].any() for joint in LAWS)
+    assert pressed >= 5
 
 
 def test_scalar_source(scene: tuple[Machine, Model]) -> None:

@@ -20,7 +20,7 @@ def test_the_matrix_example_is_a_machine() -> None:
     assert read_matrix_form(read_tree(example, "page"), "page").clearance_joints == ("A",)
 
 
-@pytest.mark.parametrize("key", ["links", "joints", "supports"])
+@pytest.mark.parametrize("key", ["links", "joints", "defaults", "supports"])
 def test_the_other_examples_are_parts_of_machines(key: str) -> None:
     (example,) = (text for text in EXAMPLES if text.startswith(f"{key}:"))
     names = {"bed": [0, 0], "crank": [1, 0], "block": [2, 0], "rocker": [3, 0]}

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from solver.contact_rates import ContactRates, contact_rates
 from solver.fault import FaultState
 from solver.friction_rates import friction_rate
 from solver.machine import parse_machine, shipped_machine
@@ -34,14 +35,16 @@ def test_mobility_of_a_free_pin_is_the_sum_of_both_bodies() -> None:
 
 
 def test_stiffer_contacts_take_smaller_steps() -> None:
-    rule = STEP_RULES["standard"]
-    values = {"joints.B.contact.stiffness": 1e7, "joints.B.contact.damping": 0.0, "joints.B.contact.viscous": 0.0}
-    soft = largest_step(rule, {"B": 4.0}, values, np.zeros(0), 0.0)
-    assert soft == pytest.approx(rule.contact / math.sqrt(4e7))
-    stiff = largest_step(rule, {"B": 4.0}, {**values, "joints.B.contact.stiffness": 1e9}, np.zeros(0), 0.0)
-    assert stiff == pytest.approx(soft / 10)
-    damped = largest_step(rule, {"B": 4.0}, {**values, "joints.B.contact.damping": 1e6}, np.zeros(0), 0.0)
-    assert damped == pytest.approx(rule.decay / 4e6)
+    rule, machine = STEP_RULES["standard"], shipped_machine("slider-crank")
+
+    def step(stiffness: float, damping: float) -> float:
+        values = {"joints.B.contact.stiffness": stiffness, "joints.B.contact.damping": damping}
+        rates = contact_rates(machine, {"B": 4.0}, values, 0.0)
+        return largest_step(rule, rates.values(), np.zeros(0), 0.0)
+
+    assert step(1e7, 0.0) == pytest.approx(rule.contact / math.sqrt(4e7))
+    assert step(1e9, 0.0) == pytest.approx(step(1e7, 0.0) / 10)
+    assert step(1e7, 1e6) == pytest.approx(rule.decay / 4e6)
 
 
 def test_friction_settles_a_block_at_its_rate() -> None:
@@ -78,9 +81,8 @@ def test_fixed_steps_resolve_strong_friction() -> None:
 
 
 def test_levels_of_accuracy_are_ordered() -> None:
-    values = {"joints.B.contact.stiffness": 1e7, "joints.B.contact.damping": 300.0, "joints.B.contact.viscous": 0.0}
     steps = [
-        largest_step(STEP_RULES[level], {"B": 4.0}, values, np.array([100j]), 60.0)
+        largest_step(STEP_RULES[level], [ContactRates(math.sqrt(4e7), 1200.0)], np.array([100j]), 60.0)
         for level in ("draft", "standard", "reference")
     ]
     assert steps == sorted(steps, reverse=True)
