@@ -15,6 +15,9 @@ from hypothesis import strategies as st
 from catalogue.draws import Distribution, rounded_levels, unit_draws
 from catalogue.errors import PlanError
 from catalogue.plan import Plan, load_plan, parse_plan, preset, preset_names, resolve_plan
+from solver.case_numbers import full_paths
+from solver.fault import FaultState
+from solver.history import Case
 from solver.machine import Machine, parse_machine, shipped_machine, shipped_machine_text
 
 QUICK_RETURN = shipped_machine("quick-return")
@@ -115,6 +118,24 @@ def test_factor_on_unequal_joints_keeps_their_ratio() -> None:
     assert stiff / soft == pytest.approx(3.0)
     assert "contact.stiffness" not in entry.parameters
     assert "contact.damping" in entry.parameters
+
+
+def test_numbers_of_a_contact_law() -> None:
+    """Restitution is drawn where a joint has one; the default scatter of a damping that no joint has draws nothing."""
+    tree: dict[str, Any] = QUICK_RETURN.model_dump(mode="json")
+    for name in QUICK_RETURN.turning_joints:
+        tree["joints"][name]["contact"] = {"law": "flores", "stiffness": 1e10, "restitution": 0.8}
+    tree["joints"]["C"]["contact"] = {"stiffness": 1e7, "damping": 0}
+    machine = parse_machine(tree)
+    uncertain = {"contact.restitution": {"uniform": [0.5, 0.9]}, "contact.damping": {"lognormal": 1.2}}
+    entry = plan_of(hypotheses=["singles"], uncertain=uncertain).entries(machine)[0]
+    assert 0.5 <= entry.parameters["contact.restitution"] <= 0.9
+    assert entry.parameters["contact.damping"] == 0
+    for joint in "AC":
+        values = full_paths(machine, Case(FaultState({joint: 1e-4}), entry.parameters))
+        assert (f"joints.{joint}.contact.restitution" in values) == (joint == "A")
+    with pytest.raises(PlanError, match=r"uncertain\.contact\.restitution: is not a number of machine quick-return"):
+        plan_of(uncertain=uncertain).entries(QUICK_RETURN)
 
 
 def test_jitter_fills_the_gaps_between_levels_and_nothing_else_changes() -> None:
