@@ -96,11 +96,11 @@ def main() -> None:
     out = np.zeros((LANES, 3, steps // 5 + 1))
     record = np.array(kernel.layout.rows(kernel.layout.z, 3), dtype=np.int64)
     broken, counts = np.zeros(LANES, dtype=np.int64), np.full(LANES, out.shape[2])
-    finals = np.zeros((LANES, 2 + 2 * n))
+    finals, begins = np.zeros((LANES, 2 + 2 * n)), np.zeros(LANES)
 
     def lanes() -> None:
         work[:] = start
-        gill.integrate(kernel.functions, work, n, 0.0, STEP, 5, record, out, broken, kernel.jam, counts, finals)
+        gill.integrate(kernel.functions, work, n, begins, STEP, 5, record, out, broken, kernel.jam, counts, finals)
 
     ours = processor_seconds(lanes) / LANES / SIMULATED
     evaluation = ours * STEP / 4

@@ -7,6 +7,7 @@ contact begins or ends to push. A lane whose case has ended takes the next one f
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -28,52 +29,148 @@ from solver.control import (
     crossing,
     remember,
 )
+from solver.dense import record, samples_until
 from solver.gill import DIVERGED, LOST, PATIENCE, call
 from solver.ir import LANES
+from solver.lanes import BUSY, ENDED, FREE, NEXT, STALE, Lanes, Queue, Records, Rows
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Structured = NDArray[Any]
 
 _crossing = njit(cache=True, error_model="numpy")(crossing)
-_remember_one = njit(cache=True, error_model="numpy")(remember)
+_remember = njit(cache=True, error_model="numpy")(remember)
 
 
-@njit(cache=True, error_model="numpy")
-def _remember(w: Array, memory: int, contact: int, penetration: int, approach: int, lane: int) -> None:
-    """Bring one memory of a lane up to date with an accepted state; rows in place of places."""
-    rows = (penetration + contact) * LANES, (approach + contact) * LANES
-    _remember_one(w, memory * LANES + lane, rows[0] + lane, rows[1] + lane)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
+    """Bring what the contacts of a lane remember up to date with an accepted state."""
+    for m in range(remembering.size):
+        penetration, approach = rows.penetration + remembering[m], rows.approach + remembering[m]
+        _remember(w, (rows.memory + m) * LANES + lane, penetration * LANES + lane, approach * LANES + lane)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _load(
+    w: Array, n: int, contacts: int, rows: Rows, cases: Structured, starts: Array, parameters: Array,
+    lanes: Structured, remembering: Integers, free: Integers, cursor: Integers,
+) -> int:  # fmt: skip
+    """Give idle lanes the next cases of the queue, as long as there is room for their records; how many got one."""
+    loaded = 0
+    for lane in range(LANES):
+        c = cursor[NEXT]
+        if lanes[lane].case >= 0 or c >= cases.size or cursor[FREE] == 0:
+            continue
+        cursor[FREE] -= 1
+        mine, case = lanes[lane], cases[c]
+        mine.case, mine.slot, mine.fresh = c, free[cursor[FREE]], 1
+        mine.begin = mine.t = case.begin
+        mine.h, mine.natural = case.first_step, 0.0
+        mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
+        for i in range(2 * n):
+            w[(2 + i) * LANES + lane] = starts[c, i]
+        for i in range(parameters.shape[1]):
+            w[(rows.parameters + i) * LANES + lane] = parameters[c, i]
+        for j in range(contacts):
+            w[(rows.touching + j) * LANES + lane] = 0.0
+        for m in range(remembering.size):
+            w[(rows.memory + m) * LANES + lane] = 0.0
+        cursor[NEXT] += 1
+        cursor[BUSY] += 1
+        loaded += 1
+    return loaded
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _end(
+    w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
+    ended: Integers, cursor: Integers,
+) -> None:  # fmt: skip
+    """Put the lane's case away: how it ended, and where it stands."""
+    mine = lanes[lane]
+    case = cases[mine.case]
+    case.outcome, case.reached, case.begin = outcome, reached, mine.t
+    for i in range(2 * n):
+        starts[mine.case, i] = w[(2 + i) * LANES + lane]
+    ended[cursor[ENDED], 0], ended[cursor[ENDED], 1] = mine.case, mine.slot
+    cursor[ENDED] += 1
+    cursor[BUSY] -= 1
+    mine.case = -1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Array) -> None:
+    """Penetration, its rate and the switch function now are those at the start of the next step."""
+    for j in range(contacts):
+        old[0, j, lane] = w[(rows.penetration + j) * LANES + lane]
+        old[1, j, lane] = w[(rows.approach + j) * LANES + lane]
+        old[2, j, lane] = w[(rows.switch + j) * LANES + lane]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, old: Array) -> tuple[int, float]:
+    """Contact that begins or ceases to push first within the step, and the part of the step at which; -1 for none."""
+    event, part = -1, 1.0
+    for j in range(contacts):
+        s1 = w[(rows.switch + j) * LANES + lane]
+        r1 = w[(rows.approach + j) * LANES + lane]
+        where = 2.0
+        if w[(rows.touching + j) * LANES + lane] > 0.5:
+            if s1 < 0.0:
+                s0 = old[2, j, lane]
+                where = s0 / (s0 - s1) if s0 > 0.0 else 0.5
+        elif s1 > 0.0 or old[1, j, lane] > 0.0 > r1:
+            # Also where both ends are open but the pair came near and went: it may have touched in between.
+            if old[0, j, lane] < 0.0:
+                p1 = w[(rows.penetration + j) * LANES + lane]
+                where = _crossing(old[0, j, lane], step * old[1, j, lane], p1, step * r1)
+            elif s1 > 0.0:  # still inside after its force had gone: pressed in again
+                s0 = old[2, j, lane]
+                where = s0 / (s0 - s1) if s0 < 0.0 else 0.5
+        if where <= 1.0 and (event < 0 or where < part):
+            event, part = j, where
+    return event, part
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: Array) -> bool:
+    """Restore the closures of the lanes that are due, and only of them; whether there were any.
+
+    The others are left exactly as they are, so that no result depends on which cases run beside it.
+    """
+    due = False
+    for lane in range(LANES):
+        due = due or (lanes[lane].case >= 0 and lanes[lane].since >= PROJECT_EVERY)
+    if not due:
+        return False
+    for i in range(2 * n * LANES):
+        saved[i] = w[2 * LANES + i]
+    for lane in range(LANES):
+        w[lane] = lanes[lane].t
+    call(project, w)
+    for lane in range(LANES):
+        mine, moved = lanes[lane], LOST
+        if mine.case >= 0 and mine.since >= PROJECT_EVERY:
+            mine.since = 0
+            moved = 0.0
+            for i in range(n):
+                moved += abs(w[(2 + i) * LANES + lane] - saved[i * LANES + lane])
+            if moved < LOST:
+                mine.lost, mine.held_at = 0, mine.sample
+            else:  # also a correction that is no number
+                mine.lost += 1
+        if not (moved < LOST):
+            for i in range(2 * n):
+                w[(2 + i) * LANES + lane] = saved[i * LANES + lane]
+    return True
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def integrate(
-    kernel: tuple[int, int, int, int],
-    w: Array,
-    n: int,
-    contacts: int,
-    recorded: NDArray[np.int64],
-    remembering: NDArray[np.int64],
-    parameter_row: int,
-    jam: int,
-    starts: Array,
-    parameters: Array,
-    ends: NDArray[np.int64],
-    interval: float,
-    tolerance: float,
-    precision: float,
-    first_steps: Array,
-    longest_steps: Array,
-    most_steps: NDArray[np.int64],
-    oversampling: int,
-    coordinates: Array,
-    velocities: Array,
-    accelerations: Array,
-    memories: Array,
-    outcome: NDArray[np.int64],
-    reached: NDArray[np.int64],
-    accepted: NDArray[np.int64],
-    finals: Array,
-) -> None:
-    """Integrate a queue of cases of one model.
+    kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, tolerance: float,
+    precision: float, queue: Queue, records: Records, state: Lanes,
+) -> None:  # fmt: skip
+    """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 
     Parameters
     ----------
@@ -83,273 +180,149 @@ def integrate(
         Work array.
     n, contacts : int
         Coordinates, clearance joints.
-    recorded : (r,) array of int
-        Coordinates with dense output.
-    remembering : (m,) array of int
-        Clearance joints whose law remembers.
-    parameter_row : int
-        Row of the first lane parameter; those of the memories follow the last.
-    jam : int
-        Row that says whether sliding joints jammed within a step, -1 where none rubs.
-    starts : (cases, 2 n) array
-        Coordinates and velocities.
-    parameters : (cases, k) array
-    ends : (cases,) array of int
-        Samples wanted of every case.
-    interval : float
-        Time between samples, s.
+    rows : Rows
     tolerance : float
         Bound of the scaled error of a step.
     precision : float
         Penetration within which the instant of a switch must be met, m.
-    first_steps, longest_steps : (cases,) arrays
-        s.
-    most_steps : (cases,) array of int
-        Trial steps of a case after which it counts as stalled.
-    oversampling : int
-        Coordinates and accelerations are recorded at every so many samples.
-    coordinates, velocities, accelerations : (cases, r, samples) arrays
-        Filled in.
-    memories : (cases, m, samples) array
-        What the contacts remember, recorded as the coordinates; filled in.
-    outcome, reached : (cases,) arrays of int
-        How each case ended, and the samples it has; filled in.
-    accepted : (cases,) array of int
-        Accepted steps of each case; filled in.
-    finals : (cases, 1 + 2 n) array
-        Time, coordinates and velocities with which each case ended; filled in.
+    queue : Queue
+    records : Records
+    state : Lanes
+        Of the call before, or idle ones; its ended cases must have been taken, and their slots freed.
     """
     prepare, held, dopri, project = kernel
-    cases, channels = starts.shape[0], recorded.size
-    rows = 2 + 5 * n
-    touching, switch = rows, rows + contacts
-    penetration, approach = rows + 2 * contacts, rows + 3 * contacts
-    error = rows + 4 * contacts
-    slopes = error + 1
-    last = slopes + 6 * n
-    dense = slopes + 12 * n
-    kept = 2 + 3 * n
-    memory = parameter_row + parameters.shape[1]
-    case = np.full(LANES, -1)
-    t = np.zeros(LANES)
-    h = np.zeros(LANES)
-    natural = np.zeros(LANES)
-    sample = np.zeros(LANES, dtype=np.int64)
-    trials = np.zeros(LANES, dtype=np.int64)
-    steps = np.zeros(LANES, dtype=np.int64)
-    forced = np.zeros(LANES, dtype=np.int64)
-    lost = np.zeros(LANES, dtype=np.int64)
-    held_at = np.zeros(LANES, dtype=np.int64)  # samples when the closures last held
-    old = np.zeros((3, max(1, contacts), LANES))
-    saved = np.zeros(2 * n * LANES)
-    following = 0
-    busy = 0
-    stale = True  # slopes at the start of the step must be computed
+    jam = rows.jam
+    # Taken out of their tuples once: compiled code counts references whenever an array is.
+    cases, starts, parameters = queue.cases, queue.starts, queue.parameters
+    lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
+    free, ended, remembering = state.free, state.ended, state.remembering
+    channels, velocities = records.channels, records.velocities
+    coordinates, accelerations, memories = records.coordinates, records.accelerations, records.memories
+    interval = records.interval
     loading = True
     while True:
         if loading:
-            for lane in range(LANES):
-                if case[lane] >= 0 or following >= cases:
-                    continue
-                case[lane] = following
-                t[lane], h[lane], natural[lane], sample[lane] = 0.0, first_steps[following], 0.0, 0
-                trials[lane], steps[lane], forced[lane], lost[lane] = 0, 0, 0, 0
-                held_at[lane] = 0
-                for i in range(2 * n):
-                    w[(2 + i) * LANES + lane] = starts[following, i]
-                for i in range(parameters.shape[1]):
-                    w[(parameter_row + i) * LANES + lane] = parameters[following, i]
-                for j in range(contacts):
-                    w[(touching + j) * LANES + lane] = 0.0
-                for m in range(remembering.size):
-                    w[(memory + m) * LANES + lane] = 0.0
-                following += 1
-                busy += 1
-            call(prepare, w)
-            for lane in range(LANES):
-                w[lane] = t[lane]
-            call(held, w)
-            # Whether a contact pushes at the start follows from the switch, which does not depend on the assumption.
-            for lane in range(LANES):
-                if case[lane] >= 0 and sample[lane] == 0 and t[lane] == 0.0:
-                    for j in range(contacts):
-                        w[(touching + j) * LANES + lane] = 1.0 if w[(switch + j) * LANES + lane] > 0.0 else 0.0
-                    for m in range(remembering.size):  # a contact at the start begins there
-                        _remember(w, memory + m, remembering[m], penetration, approach, lane)
-            loading, stale = False, True
-        if busy == 0:
+            if _load(w, n, contacts, rows, cases, starts, parameters, lanes, remembering, free, cursor) > 0:
+                call(prepare, w)
+                for lane in range(LANES):
+                    w[lane] = lanes[lane].t
+                call(held, w)
+                # Whether a contact pushes at the start follows from the switch, which knows nothing of the assumption.
+                for lane in range(LANES):
+                    mine = lanes[lane]
+                    if mine.case >= 0 and mine.fresh == 1:
+                        mine.fresh = 0
+                        mine.end = mine.begin + (cases[mine.case].samples - 1) * interval
+                        for j in range(contacts):
+                            pushes = w[(rows.switch + j) * LANES + lane] > 0.0
+                            w[(rows.touching + j) * LANES + lane] = 1.0 if pushes else 0.0
+                        _remember_impacts(w, rows, remembering, lane)  # a contact at the start begins there
+                cursor[STALE] = 1
+            loading = False
+            if cursor[BUSY] < LANES and cursor[NEXT] < cases.size:
+                return
+        if cursor[BUSY] == 0:
             return
-        if stale:
+        if cursor[STALE] == 1:
             for lane in range(LANES):
-                w[lane] = t[lane]
+                w[lane] = lanes[lane].t
             call(held, w)
             for i in range(n * LANES):
-                w[slopes * LANES + i] = w[(2 + 2 * n) * LANES + i]
-            for j in range(contacts):
-                for lane in range(LANES):
-                    old[0, j, lane] = w[(penetration + j) * LANES + lane]
-                    old[1, j, lane] = w[(approach + j) * LANES + lane]
-                    old[2, j, lane] = w[(switch + j) * LANES + lane]
-            stale = False
+                w[rows.slopes * LANES + i] = w[(2 + 2 * n) * LANES + i]
+            for lane in range(LANES):
+                _remember_contacts(w, contacts, rows, lane, old)
+            cursor[STALE] = 0
         for lane in range(LANES):
-            w[lane] = t[lane]
-            w[LANES + lane] = h[lane] if case[lane] >= 0 else 0.0
+            w[lane] = lanes[lane].t
+            w[LANES + lane] = lanes[lane].h if lanes[lane].case >= 0 else 0.0
             if jam >= 0:
                 w[jam * LANES + lane] = 0.0
         call(dopri, w)
         for lane in range(LANES):
-            c = case[lane]
-            if c < 0:
+            mine = lanes[lane]
+            if mine.case < 0:
                 continue
-            trials[lane] += 1
-            e = w[error * LANES + lane] / tolerance
-            step = h[lane]
+            case = cases[mine.case]
+            mine.trials += 1
+            e = w[rows.error * LANES + lane] / tolerance
+            step, t = mine.h, mine.t
+            now = t + step
+            if abs(now - mine.end) <= SHORTEST * (abs(mine.end) + interval):
+                now = mine.end  # to the last digit, or the last sample would need another step
+            shortest = SHORTEST * (abs(t) + interval)
             jammed = jam >= 0 and w[jam * LANES + lane] > 0.5
             accept = e <= 1.0 and not jammed  # false for a number that is none
-            noise = not accept and not jammed and e < math.inf and step <= FLOOR * first_steps[c]
-            if noise and forced[lane] < MOST_FORCED:
+            tiny = step <= FLOOR * case.first_step
+            if not accept and not jammed and e < math.inf and tiny and mine.forced < MOST_FORCED:
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
                 accept = True
-                forced[lane] += 1
+                mine.forced += 1
                 e = 1.0
-            event = -1
-            part = 1.0
+            event, part = -1, 1.0
             if accept:
-                for j in range(contacts):
-                    s1 = w[(switch + j) * LANES + lane]
-                    p1, r1 = w[(penetration + j) * LANES + lane], w[(approach + j) * LANES + lane]
-                    pushes = w[(touching + j) * LANES + lane] > 0.5
-                    where = 2.0
-                    if pushes and s1 < 0.0:
-                        s0 = old[2, j, lane]
-                        where = s0 / (s0 - s1) if s0 > 0.0 else 0.5
-                    elif not pushes and (s1 > 0.0 or old[1, j, lane] > 0.0 > r1):
-                        # Also where both ends are open but the pair came near and went: it may have touched in between.
-                        if old[0, j, lane] < 0.0:
-                            where = _crossing(old[0, j, lane], step * old[1, j, lane], p1, step * r1)
-                        elif s1 > 0.0:  # still inside after its force had gone: pressed in again
-                            s0 = old[2, j, lane]
-                            where = s0 / (s0 - s1) if s0 < 0.0 else 0.5
-                    if where <= 1.0 and (event < 0 or where < part):
-                        event, part = j, where
+                event, part = _first_switch(w, contacts, rows, lane, step, old)
                 if event >= 0:
-                    s1 = w[(switch + event) * LANES + lane]
-                    flipped = (s1 > 0.0) != (w[(touching + event) * LANES + lane] > 0.5)
+                    s1 = w[(rows.switch + event) * LANES + lane]
+                    flipped = (s1 > 0.0) != (w[(rows.touching + event) * LANES + lane] > 0.5)
                     met = flipped and abs(s1) <= precision
-                    if not met and step > 1e3 * SHORTEST * (t[lane] + interval) and abs(part - 1.0) > 1e-9:
+                    if not met and step > 1e3 * shortest and abs(part - 1.0) > 1e-9:
                         # Shorten, aiming a little past the switch.
                         accept = False
-                        if natural[lane] < step:
-                            natural[lane] = step
-                        speed = abs(w[(approach + event) * LANES + lane]) + 1e-12
-                        h[lane] = min(0.999 * step, part * step + PAST * precision / speed)
-                        if h[lane] < 0.001 * step:
-                            h[lane] = 0.001 * step
+                        mine.natural = max(mine.natural, step)
+                        speed = abs(w[(rows.approach + event) * LANES + lane]) + 1e-12
+                        mine.h = max(min(0.999 * step, part * step + PAST * precision / speed), 0.001 * step)
             else:
-                if jammed or not (e < math.inf):
-                    h[lane] = 0.1 * step
-                else:
-                    h[lane] = step * max(SHRINK, SAFETY / e**0.2)
-                natural[lane] = h[lane]
+                mine.h = step * max(SHRINK, SAFETY / e**0.2) if e < math.inf and not jammed else 0.1 * step
+                mine.natural = mine.h
                 # Near a loss of rank it is the drift of the closures that spoils the accelerations.
-                steps[lane] = PROJECT_EVERY
-                event = -1
+                mine.since = PROJECT_EVERY
+            tired = mine.trials > case.most_trials
             if not accept:
                 for i in range(2 * n):
-                    w[(2 + i) * LANES + lane] = w[(kept + i) * LANES + lane]
-                if h[lane] < SHORTEST * (t[lane] + interval) or trials[lane] > most_steps[c]:
-                    outcome[c], reached[c] = JAMMED if jammed else STALLED, sample[lane]
-                    finals[c, 0] = t[lane]
-                    for i in range(2 * n):
-                        finals[c, 1 + i] = w[(2 + i) * LANES + lane]
-                    case[lane] = -1
-                    busy -= 1
-                    loading = loading or following < cases
+                    w[(2 + i) * LANES + lane] = w[(rows.kept + i) * LANES + lane]
+                if mine.h < shortest or tired:
+                    outcome = JAMMED if jammed else STALLED
+                    _end(w, n, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor)
+                    loading = loading or cursor[NEXT] < cases.size
                 continue
-            accepted[c] += 1
+            case.accepted += 1
             size = 0.0
-            for i in range(n):
-                size += abs(w[(2 + i) * LANES + lane]) + abs(w[(2 + n + i) * LANES + lane])
-            broken = not (size < DIVERGED) or lost[lane] >= PATIENCE
-            now = t[lane] + step
-            while not broken and sample[lane] < ends[c] and sample[lane] * interval <= now:
-                x = (sample[lane] * interval - t[lane]) / step
-                y = 1.0 - x
-                for r in range(channels):
-                    base = (dense + 4 * (channels + r)) * LANES + lane
-                    c2, c3, c4, c5 = w[base], w[base + LANES], w[base + 2 * LANES], w[base + 3 * LANES]
-                    start = w[(kept + n + recorded[r]) * LANES + lane]
-                    velocities[c, r, sample[lane]] = start + x * (c2 + y * (c3 + x * (c4 + y * c5)))
-                    if sample[lane] % oversampling == 0:
-                        inner = c4 + y * c5
-                        middle = c3 + x * inner
-                        slope = c2 + y * middle - x * middle + x * y * (inner - x * c5)
-                        accelerations[c, r, sample[lane] // oversampling] = slope / step
-                        base = (dense + 4 * r) * LANES + lane
-                        c2, c3, c4, c5 = w[base], w[base + LANES], w[base + 2 * LANES], w[base + 3 * LANES]
-                        start = w[(kept + recorded[r]) * LANES + lane]
-                        coordinates[c, r, sample[lane] // oversampling] = start + x * (
-                            c2 + y * (c3 + x * (c4 + y * c5))
-                        )
-                if sample[lane] % oversampling == 0:
-                    for m in range(remembering.size):
-                        memories[c, m, sample[lane] // oversampling] = w[(memory + m) * LANES + lane]
-                sample[lane] += 1
-            t[lane] = now
-            if broken or sample[lane] >= ends[c]:
-                outcome[c] = DIVERGING if broken else OK
-                finals[c, 0] = now
-                for i in range(2 * n):
-                    finals[c, 1 + i] = w[(2 + i) * LANES + lane]
-                reached[c] = held_at[lane] if lost[lane] >= PATIENCE else sample[lane]
-                case[lane] = -1
-                busy -= 1
-                loading = loading or following < cases
+            for i in range(2 * n):
+                size += abs(w[(2 + i) * LANES + lane])
+            lost = mine.lost >= PATIENCE
+            mine.t = now
+            if not (size < DIVERGED) or lost or tired:
+                reached = mine.held_at if lost else mine.sample
+                outcome = STALLED if tired else DIVERGING
+                _end(w, n, lane, outcome, reached, cases, starts, lanes, ended, cursor)
+                loading = loading or cursor[NEXT] < cases.size
                 continue
+            last = samples_until(now, mine.begin, interval, mine.sample, case.samples)
+            if last > mine.sample:
+                record(
+                    w, rows.kept, rows.dense, n, lane, mine.begin, t, step, mine.sample, last, mine.slot, channels,
+                    interval, records.oversampling, records.head, velocities, coordinates, accelerations, rows.memory,
+                    memories,
+                )  # fmt: skip
+                mine.sample = last
+                if last == case.samples:
+                    _end(w, n, lane, OK, last, cases, starts, lanes, ended, cursor)
+                    loading = loading or cursor[NEXT] < cases.size
+                    continue
             for i in range(n):
-                w[(slopes + i) * LANES + lane] = w[(last + i) * LANES + lane]
-            for j in range(contacts):
-                old[0, j, lane] = w[(penetration + j) * LANES + lane]
-                old[1, j, lane] = w[(approach + j) * LANES + lane]
-                old[2, j, lane] = w[(switch + j) * LANES + lane]
-            grown = step * min(GROW, SAFETY / max(e, 1e-10) ** 0.2)
-            if step <= FLOOR * first_steps[c]:
-                grown = GROW * step
+                w[(rows.slopes + i) * LANES + lane] = w[(rows.last_slopes + i) * LANES + lane]
+            _remember_contacts(w, contacts, rows, lane, old)
+            grown = step * (GROW if tiny else min(GROW, SAFETY / max(e, 1e-10) ** 0.2))
             if event >= 0:
-                w[(touching + event) * LANES + lane] = 1.0 - w[(touching + event) * LANES + lane]
-                stale = True
-                grown = max(grown, natural[lane])
-            for m in range(remembering.size):
-                _remember(w, memory + m, remembering[m], penetration, approach, lane)
-            natural[lane] = 0.0
-            h[lane] = min(grown, longest_steps[c])
-            steps[lane] += 1
-        if project == 0:
-            continue
-        # Closures are restored every so many steps of a lane; the others are left exactly as they are, so that no
-        # result depends on which cases run beside it.
-        due = False
-        for lane in range(LANES):
-            due = due or (case[lane] >= 0 and steps[lane] >= PROJECT_EVERY)
-        if not due:
-            continue
-        for i in range(2 * n * LANES):
-            saved[i] = w[2 * LANES + i]
-        for lane in range(LANES):
-            w[lane] = t[lane]
-        call(project, w)
-        for lane in range(LANES):
-            moved = LOST
-            if case[lane] >= 0 and steps[lane] >= PROJECT_EVERY:
-                steps[lane] = 0
-                moved = 0.0
-                for i in range(n):
-                    moved += abs(w[(2 + i) * LANES + lane] - saved[i * LANES + lane])
-                if moved < LOST:
-                    lost[lane], held_at[lane] = 0, sample[lane]
-                else:  # also a correction that is no number
-                    lost[lane] += 1
-            if not (moved < LOST):
-                for i in range(2 * n):
-                    w[(2 + i) * LANES + lane] = saved[i * LANES + lane]
-        stale = True
+                pushes = w[(rows.touching + event) * LANES + lane]
+                w[(rows.touching + event) * LANES + lane] = 1.0 - pushes
+                cursor[STALE] = 1
+                grown = max(grown, mine.natural)
+            _remember_impacts(w, rows, remembering, lane)
+            mine.natural = 0.0
+            mine.h = min(grown, case.longest_step)
+            if now + 1.01 * mine.h > mine.end:
+                mine.h = mine.end - now  # end where the last sample is
+            mine.since += 1
+        if project != 0 and _restore_closures(project, w, n, lanes, saved):
+            cursor[STALE] = 1

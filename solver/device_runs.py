@@ -17,7 +17,7 @@ from solver.history import Settings
 from solver.machine import Machine
 from solver.model import Model
 from solver.preparation import Prepared, model_of
-from solver.runs import OVERSAMPLING, TOLERANCES, Run, _samples, _scales, how_it_ended, step_bounds
+from solver.runs import OVERSAMPLING, TOLERANCES, Run, _samples, _scales, how_it_ended, step_bounds, with_head
 
 #: Cases that run side by side are bounded by the memory of their records, bytes: here and on the device.
 _RECORD_BYTES = 4e9
@@ -40,8 +40,10 @@ def device_runs(
     Raises
     ------
     SettingsError
-        A contact law that remembers.
+        A contact law that remembers, or a case that starts at another time than 0.
     """
+    if any(case.begin for case in prepared):
+        raise SettingsError(f"device: {settings.device}: runs start at t = 0 there; go on with one on the cpu")
     if model.remembering:
         joint = model.clearance_joints[model.remembering[0]]
         rule = f"the contact law of joint {joint} remembers its impacts, which only runs on the processor do"
@@ -79,5 +81,14 @@ def _group(
         v = records.velocities[i, :, :reached]
         status, message = how_it_ended(model, case, int(ends.outcome[i]), ends.finals[i], reached / rate)
         yield Run(
-            case, status, message, z, v, a, np.zeros((0, whole)), reached / rate / max(int(ends.accepted[i]), 1), spent
+            case,
+            status,
+            message,
+            z,
+            with_head(v),
+            a,
+            np.zeros((0, whole)),
+            ends.finals[i],
+            reached / rate / max(int(ends.accepted[i]), 1),
+            spent,
         )

@@ -117,8 +117,8 @@ def _note_jams(w: NDArray[np.float64], n: int, jam: int, finals: NDArray[np.floa
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def integrate(
-    kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, start: float, h: float, substeps: int,
-    record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64], jam: int,
+    kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, begins: NDArray[np.float64], h: float,
+    substeps: int, record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64], jam: int,
     counts: NDArray[np.int64], finals: NDArray[np.float64], memory: int = 0, memories: int = 0,
 ) -> None:  # fmt: skip
     """Integrate one group of lanes with a fixed step and record samples.
@@ -131,8 +131,10 @@ def integrate(
         Work array with parameters, coordinates and velocities at the start.
     n : int
         Number of coordinates.
-    start, h : float
-        Time of the first sample and step, s.
+    begins : (LANES,) array
+        Time of the first sample, s.
+    h : float
+        Step, s.
     substeps : int
         Steps from sample to sample; closures are restored at every sample.
     record : (r,) array of int
@@ -170,7 +172,7 @@ def integrate(
         w[LANES * jam : LANES * (jam + 1)] = 0.0
     for s in range(samples):
         for lane in range(LANES):
-            w[lane] = start + s * substeps * h
+            w[lane] = begins[lane] + s * substeps * h
         call(rhs, w)
         _remember(w, n, memory, memories)
         alive = 0
@@ -196,7 +198,7 @@ def integrate(
         for k in range(substeps):
             if k > 0:
                 for lane in range(LANES):
-                    w[lane] = start + (s * substeps + k) * h
+                    w[lane] = begins[lane] + (s * substeps + k) * h
                 call(rhs, w)
                 _remember(w, n, memory, memories)
             call(gill, w)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from solver.errors import SettingsError
 from solver.fault import HEALTHY, FaultState
 from solver.links import LinkMotion
+from solver.pose import Start
 from solver.steps import STEP_RULES, Accuracy
 
 Array = NDArray[np.float64]
@@ -71,6 +72,9 @@ class Settings:
         Revolutions of the drive after the transient where no duration is given; seconds where nothing turns.
     links : bool
         Also give the motion of every link and every reaction.
+    motion : bool
+        Give displacement, velocity and instantaneous acceleration; without them (and without `links`) a run is
+        cheaper, and only the band-limited acceleration is there, to make spectra of.
     device : str
         ``cpu``, or ``cuda``: one case a thread of a CUDA device; ``adaptive`` only.
     """
@@ -83,6 +87,7 @@ class Settings:
     step: float | None = None
     revolutions: float = 10.0
     links: bool = False
+    motion: bool = True
     device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:
@@ -124,7 +129,8 @@ class History:
     t : (n,) array
         s. A case that failed has the samples before its failure.
     displacement, velocity, acceleration : (n, 3) arrays
-        x, y (m ...) and theta (rad ...) of the frame's centre of gravity from the drawn pose, global axes, at t.
+        x, y (m ...) and theta (rad ...) of the frame's centre of gravity from the drawn pose, global axes, at t; no
+        rows where the settings want no motion.
     band_limited_acceleration : (n, 3) array
         The acceleration to make spectra of: flat to 0.4 and free of aliases below 0.4 of the sample rate.
     sample_rate : float
@@ -139,6 +145,8 @@ class History:
         Processor time spent on the case.
     links : LinkMotion or None
         Where it was asked for.
+    end : Start or None
+        Where the run stands, to go on from; a little later than the last sample, by what the filter needs beyond it.
     """
 
     case: Case
@@ -155,6 +163,7 @@ class History:
     step: float
     seconds: float
     links: LinkMotion | None = None
+    end: Start | None = None
 
     @cached_property
     def steadiness_db(self) -> Array:

@@ -26,10 +26,11 @@ _WALK_STEPS = 120
 
 @dataclass(frozen=True)
 class Start:
-    """Coordinates and velocities at t = 0, each (n,)."""
+    """Where a run starts or ended: coordinates and velocities, each (n,), and the time, s."""
 
     z: Array
     v: Array
+    t: float = 0.0
 
 
 def _dense(value: ca.DM) -> Array:

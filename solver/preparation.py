@@ -48,6 +48,8 @@ class Prepared:
         Lane parameters in kernel order.
     z, v : (n,) arrays
         Start.
+    begin : float
+        Time of the start, s.
     speed : float
         What revolutions are counted by, rad/s; 0 where nothing repeats.
     transient : float
@@ -66,6 +68,7 @@ class Prepared:
     vector: list[float]
     z: Array
     v: Array
+    begin: float
     speed: float
     transient: float
     remark: str
@@ -217,7 +220,8 @@ def prepare(
     if duration * max(settings.sample_rate, 1 / longest) > MOST_STEPS:
         too_long = f"needs more than {MOST_STEPS:.0e} steps of {min(longest, 1 / settings.sample_rate):.3g} s"
         raise SettingsError(f"duration: {duration:g} s: {too_long}")
-    return Prepared(index, vector, z, v, speed, transient, "; ".join(filter(None, remarks)), duration, longest, smooth)
+    remark = "; ".join(filter(None, remarks))
+    return Prepared(index, vector, z, v, 0.0, speed, transient, remark, duration, longest, smooth)
 
 
 def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from solver import adaptive, control, gill, sampling
 from solver.contact_rates import extent_of
+from solver.dopri import StepRows
 from solver.history import Settings, Status
 from solver.ir import LANES
 from solver.jamming import hold_remark, jam_message
 from solver.kernel import Kernel, compile_adaptive, compile_model
+from solver.lanes import BUSY, CASE, ENDED, FREE, NEXT, SLOTS, Queue, Records, Rows, empty_records, idle_lanes
 from solver.machine import Machine, RotationDrive, TranslationDrive
 from solver.model import Model
 from solver.preparation import Prepared, model_of
@@ -28,8 +30,6 @@ Array = NDArray[np.float64]
 OVERSAMPLING = 2
 #: Scaled error of a step that each level of accuracy allows; chosen from measured harmonic errors, ``docs/solver.md``.
 TOLERANCES = {"draft": 1e-5, "standard": 1e-6, "reference": 1e-9}
-#: Cases per revolution of the queue of lanes are bounded by the memory of their records, bytes.
-_RECORD_BYTES = 256e6
 #: Longest step where nothing else bounds it, s.
 _LONGEST_STEP = 0.1
 #: Trial steps of a case, in multiples of the fixed steps it would take, after which it counts as stalled; and the least
@@ -55,11 +55,15 @@ class Run:
     status : Status
     message : str
         For a status other than ok; else a remark on a joint that its friction holds, mostly empty.
-    z, v, a : (r, samples) arrays
-        Recorded coordinates, their velocities and accelerations: at the sample rate, the velocities at
-        :data:`OVERSAMPLING` times that. Of a case that failed, the samples before.
-    memory : (m, samples) array
-        What contacts remember, at the sample rate.
+    z, a : (r, samples) arrays or None
+        Recorded coordinates and accelerations at the sample rate, where motion is wanted. Of a case that failed, the
+        samples before.
+    v : (r, reach + m) array
+        Velocities at :data:`OVERSAMPLING` times the sample rate, after as many free places as the filter reaches.
+    memory : (m, samples) array or None
+        What contacts remember, at the sample rate, where motion is wanted.
+    final : (1 + 2 n,) array
+        Time, coordinates and velocities where the run ended; of a case that is ok, those at the last sample of `v`.
     step : float
         s; the mean of an error-controlled run.
     seconds : float
@@ -69,10 +73,11 @@ class Run:
     case: Prepared
     status: Status
     message: str
-    z: Array
+    z: Array | None
     v: Array
-    a: Array
-    memory: Array
+    a: Array | None
+    memory: Array | None
+    final: Array
     step: float
     seconds: float
 
@@ -141,22 +146,11 @@ def _gill_group(
     record = np.array(rows, dtype=np.int64)
     finals = np.zeros((LANES, 2 + 2 * model.size))
     wanted = np.array([counts[min(lane, len(lanes) - 1)] for lane in range(LANES)], dtype=np.int64)
+    begins = np.array([lanes[min(lane, len(lanes) - 1)].begin for lane in range(LANES)])
     gill.integrate(
-        kernel.functions,
-        work,
-        model.size,
-        0.0,
-        h,
-        substeps,
-        record,
-        out,
-        broken,
-        kernel.jam,
-        wanted,
-        finals,
-        layout.memory,
-        layout.memories,
-    )
+        kernel.functions, work, model.size, begins, h, substeps, record, out, broken, kernel.jam, wanted, finals,
+        layout.memory, layout.memories,
+    )  # fmt: skip
     spent = (time.process_time() - began) / len(lanes)
     for lane, case in enumerate(lanes):
         status, reached = Status.OK, counts[lane]
@@ -174,7 +168,12 @@ def _gill_group(
             message = hold_remark(*end)
         z, v, a, memory = np.split(out[lane, :, :reached], [len(recorded) * i for i in (1, 2, 3)])
         reduced = [motion[:, ::OVERSAMPLING] for motion in (z, a, memory)]
-        yield Run(case, status, message, reduced[0], v, reduced[1], reduced[2], h, spent)
+        yield Run(case, status, message, reduced[0], with_head(v), reduced[1], reduced[2], finals[lane, 1:], h, spent)
+
+
+def with_head(velocities: Array) -> Array:
+    """Velocities after the free places that the filter fills."""
+    return np.pad(velocities, ((0, 0), (sampling.reach(OVERSAMPLING), 0)))
 
 
 def _scales(machine: Machine, model: Model) -> list[float]:
@@ -199,54 +198,78 @@ def _adaptive_kernel(
     return compile_adaptive(model, _scales(machine, model), recorded)
 
 
+def _rows(kernel: Kernel, model: Model, recorded: tuple[int, ...]) -> Rows:
+    """Rows of the kernel's work array."""
+    rows = StepRows(kernel.layout, len(model.contacts), recorded)
+    layout = kernel.layout
+    return Rows(
+        kept=layout.scratch // LANES, touching=rows.touching // LANES, switch=rows.switch // LANES,
+        penetration=rows.penetration // LANES, approach=rows.approach // LANES, error=rows.error // LANES,
+        slopes=rows.slopes // LANES, last_slopes=rows.last_slopes // LANES, dense=rows.dense // LANES,
+        parameters=layout.p // LANES, memory=layout.memory // LANES, jam=kernel.jam,
+    )  # fmt: skip
+
+
 def adaptive_runs(
     machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
     settings: Settings,
 ) -> Iterator[Run]:  # fmt: skip
-    """Dormand-Prince steps under error control, contacts located; parameters as :func:`gill_runs`."""
+    """Dormand-Prince steps under error control, contacts located; parameters as :func:`gill_runs`.
+
+    What a run holds is a view of records that the next run may overwrite: take what is needed of one run before asking
+    for another.
+    """
+    if not prepared:
+        return
     kernel = _adaptive_kernel(machine, model.clearance_joints, varying, tuple(recorded))
-    queue = sorted(prepared, key=lambda case: case.duration)
-    while queue:
-        size = 2 * len(recorded) * _samples(queue[-1], settings) * 8
-        together = int(_RECORD_BYTES / max(size, 1))
-        together = max(1, together if together < LANES else together // LANES * LANES)
-        yield from _adaptive_group(machine, model, kernel, queue[-together:], recorded, settings)
-        del queue[-together:]
-
-
-def _adaptive_group(
-    machine: Machine, model: Model, kernel: Kernel, cases: Sequence[Prepared], recorded: Sequence[int],
-    settings: Settings,
-) -> Iterator[Run]:  # fmt: skip
-    began = time.process_time()
-    rate = settings.sample_rate * OVERSAMPLING
     tolerance = settings.rtol or TOLERANCES[settings.accuracy]
     smallest = min(scale for scale in _scales(machine, model)[: model.size] or [1.0])
-    counts = np.array([_samples(case, settings) for case in cases], dtype=np.int64)
-    most_samples = int(counts.max())
-    velocities = np.zeros((len(cases), len(recorded), most_samples))
-    reduced = (len(cases), len(recorded), -(-most_samples // OVERSAMPLING))
-    coordinates, accelerations = np.zeros(reduced), np.zeros(reduced)
-    memories = np.zeros((len(cases), len(model.remembering), reduced[2]))
-    outcome, reached, accepted = (np.zeros(len(cases), dtype=np.int64) for _ in range(3))
-    finals = np.zeros((len(cases), 1 + 2 * model.size))
-    first, longest, most = step_bounds(cases)
-    adaptive.integrate(
-        kernel.functions, kernel.work_array(), model.size, len(model.contacts), np.array(recorded, dtype=np.int64),
-        np.array(model.remembering, dtype=np.int64), kernel.layout.p // LANES, kernel.jam,
-        np.array([np.concatenate([case.z, case.v]) for case in cases]),
-        np.array([case.vector for case in cases]).reshape(len(cases), -1), counts, 1 / rate, tolerance,
-        min(1e-8, 0.01 * tolerance * smallest), first, longest, most, OVERSAMPLING, coordinates, velocities,
-        accelerations, memories, outcome, reached, accepted, finals,
-    )  # fmt: skip
-    spent = (time.process_time() - began) / len(cases)
-    for i, case in enumerate(cases):
-        samples = int(reached[i])
-        whole = -(-samples // OVERSAMPLING)
-        z, v, a = coordinates[i, :, :whole], velocities[i, :, :samples], accelerations[i, :, :whole]
-        memory = memories[i, :, :whole]
-        status, message = how_it_ended(model, case, int(outcome[i]), finals[i], samples / rate)
-        yield Run(case, status, message, z, v, a, memory, samples / rate / max(int(accepted[i]), 1), spent)
+    waiting = sorted(prepared, key=lambda case: -case.duration)  # the longest first: they end together
+    queue = _queue(waiting, settings)
+    slots = min(SLOTS, len(waiting))
+    lanes = idle_lanes(model.size, len(model.contacts), np.array(model.remembering, dtype=np.int64), slots)
+    channels, interval = np.array(recorded, dtype=np.int64), 1 / (settings.sample_rate * OVERSAMPLING)
+    head, most = sampling.reach(OVERSAMPLING), int(queue.cases["samples"].max())
+    motion = settings.motion or settings.links
+    records = empty_records(channels, interval, OVERSAMPLING, head, slots, most, len(model.remembering), motion)
+    work, rows = kernel.work_array(), _rows(kernel, model, tuple(recorded))
+    while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
+        began = time.process_time()
+        adaptive.integrate(
+            kernel.functions, work, model.size, len(model.contacts), rows, tolerance,
+            min(1e-8, 0.01 * tolerance * smallest), queue, records, lanes,
+        )  # fmt: skip
+        ended = lanes.ended[: lanes.cursor[ENDED]].copy()
+        lanes.cursor[ENDED] = 0
+        took = (time.process_time() - began) / max(1, len(ended))
+        for index, slot in ended:
+            yield _run(model, waiting[index], queue, int(index), records, int(slot), took)
+            lanes.free[lanes.cursor[FREE]] = slot
+            lanes.cursor[FREE] += 1
+
+
+def _queue(waiting: Sequence[Prepared], settings: Settings) -> Queue:
+    cases = np.zeros(len(waiting), CASE)
+    cases["begin"] = [case.begin for case in waiting]
+    cases["samples"] = [_samples(case, settings) for case in waiting]
+    cases["first_step"], cases["longest_step"], cases["most_trials"] = step_bounds(waiting)
+    starts = np.array([np.concatenate([case.z, case.v]) for case in waiting])
+    return Queue(cases, starts, np.array([case.vector for case in waiting]).reshape(len(waiting), -1))
+
+
+def _run(model: Model, case: Prepared, queue: Queue, index: int, records: Records, slot: int, seconds: float) -> Run:
+    ended = queue.cases[index]
+    samples = int(ended["reached"])
+    whole = -(-samples // OVERSAMPLING)
+    reached = samples * records.interval
+    final = np.concatenate([[ended["begin"]], queue.starts[index]])
+    status, message = how_it_ended(model, case, int(ended["outcome"]), final, case.begin + reached)
+    motion = slot < len(records.coordinates)
+    parts = (records.coordinates, records.accelerations, records.memories)
+    z, a, memory = ((part[slot, :, :whole] if motion else None) for part in parts)
+    velocities = records.velocities[slot, :, : records.head + samples]
+    step = reached / max(int(ended["accepted"]), 1)
+    return Run(case, status, message, z, velocities, a, memory, final, step, seconds)
 
 
 def step_bounds(cases: Sequence[Prepared]) -> tuple[Array, Array, NDArray[np.int64]]:

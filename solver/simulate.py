@@ -87,7 +87,8 @@ def simulate_batch(
     progress : callable, optional
         Called with the number of cases done after each of them.
     starts : sequence of Start or None, optional
-        Where each case starts instead of as :func:`start_of`; its coordinates must fulfil the closures.
+        Where and when each case starts instead of as :func:`start_of`; its coordinates must fulfil the closures. With
+        :attr:`History.end` a run goes on; durations count from the start.
 
     Returns
     -------
@@ -113,7 +114,9 @@ def simulate_batch(
         ready = group.ready
         if starts is not None:
             given = [(case, starts[case.index]) for case in ready]
-            ready = [case if start is None else replace(case, z=start.z, v=start.v) for case, start in given]
+            ready = [
+                case if start is None else replace(case, z=start.z, v=start.v, begin=start.t) for case, start in given
+            ]
         recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
         for run in runs(machine, model, group.varying, ready, recorded, settings):
             index = run.case.index
@@ -164,34 +167,51 @@ def _failed(case: Case, status: Status, message: str, settings: Settings) -> His
     )
 
 
+def _end(run: Run) -> Start:
+    z, v = np.split(run.final[1:], 2)
+    return Start(z, v, float(run.final[0]))
+
+
 def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: Settings) -> History:
     """Frame motion at the sample rate from what was recorded above it."""
     wanted = round(run.case.duration * settings.sample_rate) + 1
-    count = min(wanted, run.z.shape[1])
-    rows = [(column, recorded.index(i)) for column, i in enumerate(model.frame_indices) if i is not None]
-    motions = []
-    for motion in (run.z, run.v[:, ::OVERSAMPLING], run.a):
-        columns = np.zeros((count, 3))
-        for column, row in rows:
-            columns[:, column] = motion[row, :count]
-        motions.append(columns)
-    smooth = np.zeros((count, 3))
+    reach = sampling.reach(OVERSAMPLING)
+    recorded_samples = run.v.shape[1] - reach
+    count = min(wanted, -(-recorded_samples // OVERSAMPLING))
+    rows = {column: recorded.index(i) for column, i in enumerate(model.frame_indices) if i is not None}
+
+    def frame(motion: Array | None) -> Array:
+        if motion is None:
+            return np.zeros((0, 3))
+        columns = np.zeros((3, count))
+        for column, row in rows.items():
+            columns[column] = motion[row, :count]
+        return columns.T
+
+    smooth = np.zeros((3, count))
     if count and rows:
-        needed = (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
-        velocity = run.v[[row for _, row in rows], :needed]
-        if velocity.shape[1] < needed:  # a failed case ends early: hold its last velocity
-            velocity = np.pad(velocity, ((0, 0), (0, needed - velocity.shape[1])), mode="edge")
+        wanted_velocities = (count - 1) * OVERSAMPLING + 2 * reach + 1
+        # Three motions recorded in their order are taken where they are.
+        velocity = run.v if list(rows.items()) == [(i, i) for i in range(len(run.v))] else run.v[list(rows.values())]
+        velocity = velocity[:, :wanted_velocities]
+        missing = wanted_velocities - velocity.shape[1]
+        if missing > 0:  # a failed case ends early: hold its last velocity
+            velocity = np.pad(velocity, ((0, 0), (0, missing)), mode="edge")
         rate = settings.sample_rate * OVERSAMPLING
-        limited = sampling.band_limited_acceleration(velocity, rate, OVERSAMPLING)
-        smooth[:, [column for column, _ in rows]] = limited.T[:count]
-    t = np.arange(count) / settings.sample_rate
+        if len(rows) == 3:
+            sampling.band_limited_acceleration(velocity, rate, OVERSAMPLING, smooth)
+        else:
+            smooth[list(rows)] = sampling.band_limited_acceleration(velocity, rate, OVERSAMPLING)[:, :count]
+    t = run.case.begin + np.arange(count) / settings.sample_rate
+    rates = run.v[:, reach::OVERSAMPLING]
     remarks = [run.message, run.case.remark if run.status is Status.OK else ""]
     message = "; ".join(remark for remark in remarks if remark)
     links = None
-    if settings.links:
-        z, v = run.z[:, :count].T, run.v[:, ::OVERSAMPLING][:, :count].T
+    if settings.links and run.z is not None and run.memory is not None:
+        z, v = run.z[:, :count].T, rates[:, :count].T
         links = link_motion(model, run.case.vector, t, z, v, run.memory[:, :count].T)
     return History(
-        case, run.status, message, t, motions[0], motions[1], motions[2], smooth,
-        settings.sample_rate, run.case.transient, run.case.speed, run.step, run.seconds, links,
+        case, run.status, message, t, frame(run.z),
+        frame(None if run.z is None else rates), frame(run.a), smooth.T,
+        settings.sample_rate, run.case.transient, run.case.speed, run.step, run.seconds, links, _end(run),
     )  # fmt: skip

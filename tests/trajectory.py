@@ -91,8 +91,8 @@ def trajectories(
     broken = np.zeros(LANES, dtype=np.int64)
     counts, finals = np.full(LANES, samples), np.zeros((LANES, 2 + 2 * n))
     integrate(
-        kernel.functions, work, n, 0.0, step, steps_a_sample, record, out, broken, kernel.jam, counts, finals,
-        layout.memory, layout.memories,
+        kernel.functions, work, n, np.zeros(LANES), step, steps_a_sample, record, out, broken, kernel.jam, counts,
+        finals, layout.memory, layout.memories,
     )  # fmt: skip
     assert (broken < 0).all()
     t = np.arange(samples) * step * steps_a_sample

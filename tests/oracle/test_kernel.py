@@ -133,8 +133,8 @@ def filled(kernel: Any, model: Model, drawn: list[Any], *, t: float | None = Non
 
 def gill(kernel: Any, work: np.ndarray, size: int, start: float, h: float, substeps: int, *rows: np.ndarray) -> None:
     broken, counts = np.zeros(LANES, dtype=np.int64), np.full(LANES, rows[1].shape[2])
-    finals = np.zeros((LANES, 2 + 2 * size))
-    integrate(kernel.functions, work, size, start, h, substeps, *rows, broken, kernel.jam, counts, finals)
+    finals, begins = np.zeros((LANES, 2 + 2 * size)), np.full(LANES, start)
+    integrate(kernel.functions, work, size, begins, h, substeps, *rows, broken, kernel.jam, counts, finals)
 
 
 def rows(work: np.ndarray, start: int, count: int) -> np.ndarray:

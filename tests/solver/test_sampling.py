@@ -16,7 +16,8 @@ def _tone(frequency: float, oversampling: int, samples: int = 4000) -> tuple[np.
     count = (samples - 1) * oversampling + reach(oversampling) + 1
     t = np.arange(count) / rate
     w = 2 * np.pi * frequency
-    out = band_limited_acceleration((-np.cos(w * t) / w)[None], rate, oversampling)[0]
+    velocity = np.concatenate([np.full(reach(oversampling), np.nan), -np.cos(w * t) / w])
+    out = band_limited_acceleration(velocity[None], rate, oversampling)[0]
     return out, np.sin(w * np.arange(samples) / FS)
 
 
@@ -45,5 +46,5 @@ def test_what_lies_above_the_recorded_rate_is_dimmed_by_the_mean_alone(part: flo
 
 
 def test_constant_acceleration_is_exact_from_the_first_sample() -> None:
-    velocity = 3.0 * np.arange(500)[None] / (2 * FS)
+    velocity = np.concatenate([np.full(reach(2), np.nan), 3.0 * np.arange(500) / (2 * FS)])[None]
     assert band_limited_acceleration(velocity, 2 * FS, 2) == pytest.approx(3.0, rel=1e-6)
