@@ -147,6 +147,12 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
         return max(0.001 * step, shorter)
 
     @compiled
+    def landed(now: float, end: int, interval: float) -> float:
+        """Time of the last sample where it is that but for rounding, or that sample would need another step."""
+        last = (end - 1) * interval
+        return last if abs(now - last) <= SHORTEST * (last + interval) else now
+
+    @compiled
     def record(
         w: Array,
         s: Array,
@@ -160,8 +166,8 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
         accelerations: Array,
     ) -> None:
         """Samples within an accepted step, by its dense output."""
-        sample = int(s[SAMPLE])
-        while sample < end and sample * interval <= s[NOW] + step:
+        sample, now = int(s[SAMPLE]), landed(s[NOW] + step, end, interval)
+        while sample < end and sample * interval <= now:
             x = (sample * interval - s[NOW]) / step
             y = 1.0 - x
             for r in range(channels):
@@ -201,9 +207,11 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
         settle(w, s)
 
     @compiled
-    def accept(w: Array, s: Array, step: float, e: float, event: int, first: float, longest: float, end: int) -> None:
+    def accept(
+        w: Array, s: Array, step: float, e: float, event: int, first: float, longest: float, end: int, interval: float
+    ) -> None:
         """Go on from the end of a step whose samples are recorded."""
-        s[NOW] += step
+        s[NOW] = landed(s[NOW] + step, end, interval)
         if s[SAMPLE] >= end:
             s[OUTCOME] = OK
             return
@@ -218,6 +226,8 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
             remember(w, s, last)
         s[NATURAL] = 0.0
         s[STEP] = min(grown, longest)
+        if s[NOW] + 1.01 * s[STEP] > (end - 1) * interval:
+            s[STEP] = (end - 1) * interval - s[NOW]  # end where the last sample is
         s[SINCE] += 1.0
 
     @compiled
@@ -285,7 +295,7 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
                     s[OUTCOME] = DIVERGING
                     return
                 record(w, s, step, end, interval, oversampling, recorded, coordinates, velocities, accelerations)
-                accept(w, s, step, e, event, first, longest, end)
+                accept(w, s, step, e, event, first, longest, end, interval)
             else:
                 reject(w, s, most, interval, JAMMED if jammed else STALLED)
             if constrained and s[OUTCOME] == RUNNING and s[SINCE] >= PROJECT_EVERY:
