@@ -50,7 +50,7 @@ def memory() -> float:
     return float(cuda.current_context().get_memory_info()[0])
 
 
-def case_kernel(code: KernelCode, rows: StepRows) -> Callable[..., None]:
+def case_kernel(code: KernelCode, rows: StepRows, remembering: tuple[int, ...]) -> Callable[..., None]:
     """What a thread runs, before compilation: its case, some trial steps further.
 
     Parameters
@@ -59,6 +59,8 @@ def case_kernel(code: KernelCode, rows: StepRows) -> Callable[..., None]:
         In the scalar dialect.
     rows : StepRows
         Of its work array.
+    remembering : tuple of int
+        Contacts whose law remembers.
 
     Notes
     -----
@@ -66,14 +68,13 @@ def case_kernel(code: KernelCode, rows: StepRows) -> Callable[..., None]:
     threads read neighbouring numbers; `fresh` begins the cases. In a launch the work array lies in the thread's local
     memory, whose addresses are constants: they need no arithmetic, and the compiler can tell them apart.
     """
-    begin, advance = stepper.case_functions(code, rows, cuda.jit(device=True))
+    begin, advance = stepper.case_functions(code, rows, remembering, cuda.jit(device=True))
     length, places = code.layout.total, stepper.state_length(rows.contacts)
     float64 = np.float64
 
     def advance_case(
-        kept: Array, fresh: bool, count: int, first: Array, longest: Array, ends: Indices, most: Indices,
-        interval: float, tolerance: float, precision: float, oversampling: int, recorded: Indices, coordinates: Array,
-        velocities: Array, accelerations: Array,
+        kept: Array, fresh: bool, count: int, interval: float, tolerance: float, precision: float, oversampling: int,
+        channels: Indices, coordinates: Array, velocities: Array, accelerations: Array, memories: Array,
     ) -> None:  # fmt: skip
         c = cuda.grid(1)
         if c >= kept.shape[1]:
@@ -85,10 +86,10 @@ def case_kernel(code: KernelCode, rows: StepRows) -> Callable[..., None]:
         for r in range(places):
             s[r] = kept[length + r, c]
         if fresh:
-            begin(w, s, first[c])
+            begin(w, s)
         advance(
-            w, s, count, first[c], longest[c], ends[c], most[c], interval, tolerance, precision, oversampling, recorded,
-            coordinates[c], velocities[c], accelerations[c],
+            w, s, count, interval, tolerance, precision, oversampling, channels, coordinates[c], velocities[c],
+            accelerations[c], memories[c],
         )  # fmt: skip
         for r in range(length):
             kept[r, c] = w[r]
@@ -99,19 +100,25 @@ def case_kernel(code: KernelCode, rows: StepRows) -> Callable[..., None]:
 
 
 @dataclass(frozen=True)
-class CaseLimits:
-    """Bounds of every case; (cases,) arrays.
+class Queue:
+    """Cases, each with its bounds; the first index is the case.
 
     Attributes
     ----------
-    first, longest : array
+    starts : (cases, 2 n) array
+        Coordinates and velocities.
+    parameters : (cases, k) array
+    begins : (cases,) array
+        Time of the first sample, s.
+    first, longest : (cases,) arrays
         First and longest step, s.
-    samples : array of int
-        Samples wanted.
-    trials : array of int
-        Trial steps after which a case counts as stalled.
+    samples, trials : (cases,) arrays of int
+        Samples wanted; trial steps after which a case counts as stalled.
     """
 
+    starts: Array
+    parameters: Array
+    begins: Array
     first: Array
     longest: Array
     samples: Indices
@@ -120,24 +127,28 @@ class CaseLimits:
 
 @dataclass(frozen=True)
 class Records:
-    """Recorded motion; coordinates and accelerations at every `oversampling`-th sample.
+    """Recorded motion; all but the velocities at every `oversampling`-th sample.
 
     Attributes
     ----------
     oversampling : int
     coordinates, velocities, accelerations : (cases, r, samples) arrays
+    memories : (cases, m, samples) array
+        What contacts remember.
     """
 
     oversampling: int
     coordinates: Array
     velocities: Array
     accelerations: Array
+    memories: Array
 
     @staticmethod
-    def empty(cases: int, channels: int, samples: int, oversampling: int) -> Records:
-        """Room for all samples."""
-        reduced = (cases, channels, -(-samples // oversampling))
-        return Records(oversampling, np.zeros(reduced), np.zeros((cases, channels, samples)), np.zeros(reduced))
+    def empty(cases: int, channels: int, memories: int, samples: int, oversampling: int, motion: bool) -> Records:
+        """Room for all samples; without `motion` for those of the velocities alone."""
+        reduced = -(-samples // oversampling) if motion else 0
+        counts = ((channels, reduced), (channels, samples), (channels, reduced), (memories, reduced))
+        return Records(oversampling, *(np.zeros((cases, *count)) for count in counts))
 
 
 @dataclass(frozen=True)
@@ -175,20 +186,14 @@ class DeviceKernel:
     rows: StepRows
     launch: Any
 
-    def integrate(
-        self, starts: Array, parameters: Array, limits: CaseLimits, interval: float, tolerance: float,
-        precision: float, records: Records,
-    ) -> Ends:  # fmt: skip
+    def integrate(self, queue: Queue, interval: float, tolerance: float, precision: float, records: Records) -> Ends:
         """Integrate cases side by side.
 
         Parameters
         ----------
-        starts : (cases, 2 n) array
-            Coordinates and velocities.
-        parameters : (cases, k) array
-        limits : CaseLimits
+        queue : Queue
         interval : float
-            Time between samples, s.
+            Time between samples of the velocities, s.
         tolerance : float
             Bound of the scaled error of a step.
         precision : float
@@ -196,14 +201,19 @@ class DeviceKernel:
         records : Records
             Filled in.
         """
-        layout, length, cases = self.code.layout, self.code.layout.total, len(starts)
+        layout, length, cases = self.code.layout, self.code.layout.total, len(queue.starts)
         kept = np.zeros((length + stepper.state_length(self.rows.contacts), cases))
-        kept[layout.z : layout.z + 2 * layout.size] = starts.T
-        kept[layout.p : layout.p + layout.parameters] = parameters.T
+        kept[layout.z : layout.z + 2 * layout.size] = queue.starts.T
+        kept[layout.p : layout.p + layout.parameters] = queue.parameters.T
+        given = (
+            (stepper.BEGIN, queue.begins), (stepper.FIRST, queue.first), (stepper.LONGEST, queue.longest),
+            (stepper.SAMPLES, queue.samples), (stepper.MOST, queue.trials),
+        )  # fmt: skip
+        for place, column in given:
+            kept[length + place] = column
         there = cuda.to_device(kept)
-        inputs = [cuda.to_device(bound) for bound in (limits.first, limits.longest, limits.samples, limits.trials)]
-        recorded = cuda.to_device(np.array(self.rows.recorded, dtype=np.int64))
-        motions = (records.coordinates, records.velocities, records.accelerations)
+        channels = cuda.to_device(np.array(self.rows.recorded, dtype=np.int64))
+        motions = (records.coordinates, records.velocities, records.accelerations, records.memories)
         results = [cuda.to_device(motion) for motion in motions]
         constants = (interval, tolerance, precision, records.oversampling)
         with warnings.catch_warnings():
@@ -211,7 +221,7 @@ class DeviceKernel:
             launch = self.launch[-(-cases // _THREADS), _THREADS]
         fresh, running = True, True
         while running:
-            launch(there, fresh, _STRETCH, *inputs, *constants, recorded, *results)
+            launch(there, fresh, _STRETCH, *constants, channels, *results)
             running = bool((there[length + stepper.OUTCOME].copy_to_host() == RUNNING).any())
             fresh = False
         for motion, result in zip(motions, results, strict=True):
@@ -235,4 +245,4 @@ def compile_device(model: Model, scales: Sequence[float], recorded: tuple[int, .
     """
     code = adaptive_code(model, scales, recorded, SCALAR)
     rows = StepRows(code.layout, len(model.contacts), recorded)
-    return DeviceKernel(code, rows, cuda.jit(case_kernel(code, rows)))
+    return DeviceKernel(code, rows, cuda.jit(case_kernel(code, rows, model.remembering)))

@@ -27,16 +27,21 @@ from solver.control import (
     SHRINK,
     STALLED,
     crossing,
+    remember,
 )
 from solver.dopri import DENSE_ROWS, StepRows
 from solver.gill import DIVERGED, LOST, PATIENCE
 from solver.kernel import KernelCode
 from solver.scalar import Compile, Function, kernel_functions
 
-#: Places in the state of a case: how it ended, time, trial step, that step before a switch shortened it, samples, trial
-#: and accepted steps, accepted steps since closures were restored, forced steps, corrections of closures not believed
-#: one after the other, samples when closures last held; then switch, penetration and approach of every contact.
-OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT, BEFORE = range(12)
+#: Places in the state of a case. Given: time of the first sample, first and longest step, samples wanted, trial steps
+#: after which it counts as stalled.
+BEGIN, FIRST, LONGEST, SAMPLES, MOST = range(5)
+#: Kept: how it ended, time, trial step, that step before a switch shortened it, samples, trial and accepted steps,
+#: accepted steps since closures were restored, forced steps, corrections of closures not believed one after the other,
+#: samples when closures last held; then switch, penetration and approach of every contact.
+OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT, BEFORE = range(5, 17)
+
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -47,7 +52,9 @@ def state_length(contacts: int) -> int:
     return BEFORE + 3 * contacts
 
 
-def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple[Function, Function]:
+def case_functions(
+    code: KernelCode, rows: StepRows, remembering: tuple[int, ...], compiled: Compile
+) -> tuple[Function, Function]:
     """What integrates one case: ``begin`` and ``advance``.
 
     Parameters
@@ -56,18 +63,20 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
         In the scalar dialect.
     rows : StepRows
         Of its work array.
+    remembering : tuple of int
+        Contacts whose law remembers.
     compiled : callable
         The compiler.
 
     Returns
     -------
     begin : callable
-        ``begin(w, s, first)``: from a work array `w` with parameters, coordinates and velocities to a state `s` ready
-        for a first trial step, s.
+        ``begin(w, s)``: from a work array `w` with parameters, coordinates and velocities, and a state `s` of zeros but
+        for what is given, to a state ready for a first trial step.
     advance : callable
-        ``advance(w, s, count, first, longest, end, most, interval, tolerance, precision, oversampling, recorded,
-        coordinates, velocities, accelerations)``: at most `count` trial steps, until ``s[OUTCOME]`` is no longer
-        ``RUNNING``. The other arguments are those of :func:`solver.adaptive.integrate`, of one case.
+        ``advance(w, s, count, interval, tolerance, precision, oversampling, places, coordinates, velocities,
+        accelerations, memories)``: at most `count` trial steps, until ``s[OUTCOME]`` is no longer ``RUNNING``. `places`
+        are the recorded coordinates; the others are as in :meth:`solver.device.DeviceKernel.integrate`, of one case.
     """
     functions = kernel_functions(code, compiled)
     prepare, held, dopri, project = (functions[name] for name in ("prepare", "held", "dopri", "project"))
@@ -77,10 +86,17 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
     time_at, step_at, z_at, v_at, a_at, kept = layout.time, layout.step, layout.z, layout.v, layout.a, layout.scratch
     touching, switch, penetration, approach = rows.touching, rows.switch, rows.penetration, rows.approach
     error_at, slopes, last, dense = rows.error, rows.slopes, rows.last_slopes, rows.dense
-    first_crossing = compiled(crossing)
+    memory, memories_count = layout.memory, len(remembering)
+    contact_of = remembering or (0,)  # a tuple of nothing has no type for a compiler
+    first_crossing, remember_contact = compiled(crossing), compiled(remember)
 
     @compiled
-    def remember(w: Array, s: Array, source: int) -> None:
+    def remember_contacts(w: Array) -> None:
+        for m in range(memories_count):
+            remember_contact(w, memory + m, penetration + contact_of[m], approach + contact_of[m])
+
+    @compiled
+    def go_on(w: Array, s: Array, source: int) -> None:
         """Make the end of a step the start of the next; its accelerations stand at `source`."""
         for i in range(n):
             w[slopes + i] = w[source + i]
@@ -94,21 +110,18 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
         """Evaluate the start of the next step anew, after a switch or a correction."""
         w[time_at] = s[NOW]
         held(w)
-        remember(w, s, a_at)
+        go_on(w, s, a_at)
 
     @compiled
-    def begin(w: Array, s: Array, first: float) -> None:
-        for k in range(BEFORE):
-            s[k] = 0.0
-        s[OUTCOME], s[STEP] = RUNNING, first
-        for j in range(contacts):
-            w[touching + j] = 0.0
+    def begin(w: Array, s: Array) -> None:
+        s[OUTCOME], s[NOW], s[STEP] = RUNNING, s[BEGIN], s[FIRST]
         prepare(w)
-        w[time_at] = 0.0
+        w[time_at] = s[NOW]
         held(w)
         # Whether a contact pushes at the start follows from the switch, which does not depend on the assumption.
         for j in range(contacts):
             w[touching + j] = 1.0 if w[switch + j] > 0.0 else 0.0
+        remember_contacts(w)  # a contact at the start begins there
         settle(w, s)
 
     @compiled
@@ -140,50 +153,41 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
         flipped = (s1 > 0.0) != (w[touching + event] > 0.5)
         if flipped and abs(s1) <= precision:
             return 0.0
-        if step <= 1e3 * SHORTEST * (s[NOW] + interval) or abs(part - 1.0) <= 1e-9:
+        if step <= 1e3 * SHORTEST * (abs(s[NOW]) + interval) or abs(part - 1.0) <= 1e-9:
             return 0.0
         speed = abs(w[approach + event]) + 1e-12
         shorter: float = min(0.999 * step, part * step + PAST * precision / speed)
         return max(0.001 * step, shorter)
 
     @compiled
-    def landed(now: float, end: int, interval: float) -> float:
-        """Time of the last sample where it is that but for rounding, or that sample would need another step."""
-        last = (end - 1) * interval
-        return last if abs(now - last) <= SHORTEST * (last + interval) else now
-
-    @compiled
     def record(
-        w: Array,
-        s: Array,
-        step: float,
-        end: int,
-        interval: float,
-        oversampling: int,
-        recorded: Indices,
-        coordinates: Array,
-        velocities: Array,
-        accelerations: Array,
-    ) -> None:
-        """Samples within an accepted step, by its dense output."""
-        sample, now = int(s[SAMPLE]), landed(s[NOW] + step, end, interval)
-        while sample < end and sample * interval <= now:
-            x = (sample * interval - s[NOW]) / step
+        w: Array, s: Array, step: float, now: float, interval: float, oversampling: int, places: Indices,
+        coordinates: Array, velocities: Array, accelerations: Array, memories: Array,
+    ) -> None:  # fmt: skip
+        """Samples within an accepted step that ends at `now`, by its dense output."""
+        sample = int(s[SAMPLE])
+        while sample < s[SAMPLES] and s[BEGIN] + sample * interval <= now:
+            x = (s[BEGIN] + sample * interval - s[NOW]) / step
             y = 1.0 - x
+            reduced = sample // oversampling
+            moving = coordinates.shape[1] > 0 and sample % oversampling == 0
             for r in range(channels):
                 base = dense + DENSE_ROWS * (channels + r)
                 c2, c3, c4, c5 = w[base], w[base + 1], w[base + 2], w[base + 3]
-                start = w[kept + n + recorded[r]]
+                start = w[kept + n + places[r]]
                 velocities[r, sample] = start + x * (c2 + y * (c3 + x * (c4 + y * c5)))
-                if sample % oversampling == 0:
+                if moving:
                     inner = c4 + y * c5
                     middle = c3 + x * inner
                     slope = c2 + y * middle - x * middle + x * y * (inner - x * c5)
-                    accelerations[r, sample // oversampling] = slope / step
+                    accelerations[r, reduced] = slope / step
                     base = dense + DENSE_ROWS * r
                     c2, c3, c4, c5 = w[base], w[base + 1], w[base + 2], w[base + 3]
-                    start = w[kept + recorded[r]]
-                    coordinates[r, sample // oversampling] = start + x * (c2 + y * (c3 + x * (c4 + y * c5)))
+                    start = w[kept + places[r]]
+                    coordinates[r, reduced] = start + x * (c2 + y * (c3 + x * (c4 + y * c5)))
+            if moving:
+                for m in range(memories_count):
+                    memories[m, reduced] = w[memory + m]
             sample += 1
         s[SAMPLE] = sample
 
@@ -207,59 +211,47 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
         settle(w, s)
 
     @compiled
-    def accept(
-        w: Array, s: Array, step: float, e: float, event: int, first: float, longest: float, end: int, interval: float
-    ) -> None:
+    def accept(w: Array, s: Array, step: float, now: float, end: float, e: float, event: int) -> None:
         """Go on from the end of a step whose samples are recorded."""
-        s[NOW] = landed(s[NOW] + step, end, interval)
-        if s[SAMPLE] >= end:
+        s[NOW] = now
+        if s[SAMPLE] >= s[SAMPLES]:
             s[OUTCOME] = OK
             return
-        grown = step * min(GROW, SAFETY / max(e, 1e-10) ** 0.2)
-        if step <= FLOOR * first:
-            grown = GROW * step
+        grown = step * (GROW if step <= FLOOR * s[FIRST] else min(GROW, SAFETY / max(e, 1e-10) ** 0.2))
+        remember_contacts(w)
         if event >= 0:
             w[touching + event] = 1.0 - w[touching + event]
             settle(w, s)
             grown = max(grown, s[NATURAL])
         else:
-            remember(w, s, last)
+            go_on(w, s, last)
         s[NATURAL] = 0.0
-        s[STEP] = min(grown, longest)
-        if s[NOW] + 1.01 * s[STEP] > (end - 1) * interval:
-            s[STEP] = (end - 1) * interval - s[NOW]  # end where the last sample is
+        s[STEP] = min(grown, s[LONGEST])
+        if now + 1.01 * s[STEP] > end:
+            s[STEP] = end - now  # end where the last sample is
         s[SINCE] += 1.0
 
     @compiled
-    def reject(w: Array, s: Array, most: int, interval: float, reason: int) -> None:
+    def reject(w: Array, s: Array, interval: float, reason: int) -> None:
         """Go back to the start of a step; where no step is left to try, the case ends for this reason."""
         for i in range(2 * n):
             w[z_at + i] = w[kept + i]
-        if s[STEP] < SHORTEST * (s[NOW] + interval) or s[TRIALS] > most:
+        if s[STEP] < SHORTEST * (abs(s[NOW]) + interval) or s[TRIALS] > s[MOST]:
             s[OUTCOME] = reason
 
     @compiled
     def advance(
-        w: Array,
-        s: Array,
-        count: int,
-        first: float,
-        longest: float,
-        end: int,
-        most: int,
-        interval: float,
-        tolerance: float,
-        precision: float,
-        oversampling: int,
-        recorded: Indices,
-        coordinates: Array,
-        velocities: Array,
-        accelerations: Array,
-    ) -> None:
+        w: Array, s: Array, count: int, interval: float, tolerance: float, precision: float, oversampling: int,
+        places: Indices, coordinates: Array, velocities: Array, accelerations: Array, memories: Array,
+    ) -> None:  # fmt: skip
+        end = s[BEGIN] + (s[SAMPLES] - 1.0) * interval
         for _ in range(count):
             if s[OUTCOME] != RUNNING:
                 return
             step = s[STEP]
+            now = s[NOW] + step
+            if abs(now - end) <= SHORTEST * (abs(end) + interval):
+                now = end  # to the last digit, or the last sample would need another step
             w[time_at], w[step_at] = s[NOW], step
             if rubs:
                 w[jam] = 0.0
@@ -268,7 +260,7 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
             e = w[error_at] / tolerance
             jammed = rubs and w[jam] > 0.5
             accepted = e <= 1.0 and not jammed  # false for a number that is none
-            noise = not accepted and not jammed and e < math.inf and step <= FLOOR * first
+            noise = not accepted and not jammed and e < math.inf and step <= FLOOR * s[FIRST]
             if noise and s[FORCED] < MOST_FORCED:
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
                 accepted, e = True, 1.0
@@ -291,13 +283,15 @@ def case_functions(code: KernelCode, rows: StepRows, compiled: Compile) -> tuple
                 size = 0.0
                 for i in range(n):
                     size += abs(w[z_at + i]) + abs(w[v_at + i])
-                if not (size < DIVERGED) or s[UNBELIEVED] >= PATIENCE:
-                    s[OUTCOME] = DIVERGING
+                if not (size < DIVERGED) or s[UNBELIEVED] >= PATIENCE or s[TRIALS] > s[MOST]:
+                    s[OUTCOME], s[NOW] = STALLED if s[TRIALS] > s[MOST] else DIVERGING, now
                     return
-                record(w, s, step, end, interval, oversampling, recorded, coordinates, velocities, accelerations)
-                accept(w, s, step, e, event, first, longest, end, interval)
+                record(
+                    w, s, step, now, interval, oversampling, places, coordinates, velocities, accelerations, memories
+                )  # fmt: skip
+                accept(w, s, step, now, end, e, event)
             else:
-                reject(w, s, most, interval, JAMMED if jammed else STALLED)
+                reject(w, s, interval, JAMMED if jammed else STALLED)
             if constrained and s[OUTCOME] == RUNNING and s[SINCE] >= PROJECT_EVERY:
                 restore(w, s)
 

@@ -21,12 +21,12 @@ SAMPLES, INTERVAL, FIRST = 120, 1e-4, 1e-4
 class Run:
     """Slider-crank with a worn joint from rest, 12 ms: flights and impacts."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = 10**6) -> None:
         self.model = build_model(shipped_machine("slider-crank"), ("A",))
         n, recorded = self.model.size, (0, 1)
         code = adaptive_code(self.model, [1.0] * n + [20.0] * n, recorded, SCALAR)
         rows = StepRows(code.layout, 1, recorded)
-        self.begin, self.advance = stepper.case_functions(code, rows, lambda function: function)
+        self.begin, self.advance = stepper.case_functions(code, rows, (), lambda function: function)
         self.w, self.s = np.zeros(code.layout.total), np.zeros(stepper.state_length(1))
         p = np.array(self.model.vector({"joints.A.clearance": 1e-4}))
         z = start_pose(self.model, list(p))
@@ -34,16 +34,16 @@ class Run:
         for start, column in ((layout.z, z), (layout.v, start_velocity(self.model, list(p), z)), (layout.p, p)):
             self.w[start : start + len(column)] = column
         self.records = [np.zeros((2, SAMPLES)) for _ in range(3)]
-        self.begin(self.w, self.s, FIRST)
+        self.s[: stepper.OUTCOME] = [0.0, FIRST, 1e-3, SAMPLES, most]
+        self.begin(self.w, self.s)
 
-    def go(self, count: int, *, most: int = 10**6) -> None:
-        constants = (FIRST, 1e-3, SAMPLES, most, INTERVAL, 1e-7, 1e-9, 1)
-        self.advance(self.w, self.s, count, *constants, np.array([0, 1]), *self.records)
+    def go(self, count: int) -> None:
+        self.advance(self.w, self.s, count, INTERVAL, 1e-7, 1e-9, 1, np.array([0, 1]), *self.records, np.zeros((0, 0)))
 
 
 def finished(**limits: Any) -> Run:
-    run = Run()
-    run.go(10**6, **limits)
+    run = Run(**limits)
+    run.go(10**6)
     return run
 
 
