@@ -21,6 +21,7 @@ from solver.dopri import StepRows
 from solver.errors import SettingsError
 from solver.gill import PATIENCE
 from solver.kernel import KernelCode, adaptive_code
+from solver.lanes import Queue
 from solver.model import Model
 from solver.scalar import SCALAR
 
@@ -100,32 +101,6 @@ def case_kernel(code: KernelCode, rows: StepRows, remembering: tuple[int, ...]) 
 
 
 @dataclass(frozen=True)
-class Queue:
-    """Cases, each with its bounds; the first index is the case.
-
-    Attributes
-    ----------
-    starts : (cases, 2 n) array
-        Coordinates and velocities.
-    parameters : (cases, k) array
-    begins : (cases,) array
-        Time of the first sample, s.
-    first, longest : (cases,) arrays
-        First and longest step, s.
-    samples, trials : (cases,) arrays of int
-        Samples wanted; trial steps after which a case counts as stalled.
-    """
-
-    starts: Array
-    parameters: Array
-    begins: Array
-    first: Array
-    longest: Array
-    samples: Indices
-    trials: Indices
-
-
-@dataclass(frozen=True)
 class Records:
     """Recorded motion; all but the velocities at every `oversampling`-th sample.
 
@@ -192,6 +167,7 @@ class DeviceKernel:
         Parameters
         ----------
         queue : Queue
+            Read only.
         interval : float
             Time between samples of the velocities, s.
         tolerance : float
@@ -206,11 +182,11 @@ class DeviceKernel:
         kept[layout.z : layout.z + 2 * layout.size] = queue.starts.T
         kept[layout.p : layout.p + layout.parameters] = queue.parameters.T
         given = (
-            (stepper.BEGIN, queue.begins), (stepper.FIRST, queue.first), (stepper.LONGEST, queue.longest),
-            (stepper.SAMPLES, queue.samples), (stepper.MOST, queue.trials),
+            (stepper.BEGIN, "begin"), (stepper.FIRST, "first_step"), (stepper.LONGEST, "longest_step"),
+            (stepper.SAMPLES, "samples"), (stepper.MOST, "most_trials"),
         )  # fmt: skip
-        for place, column in given:
-            kept[length + place] = column
+        for place, name in given:
+            kept[length + place] = queue.cases[name]
         there = cuda.to_device(kept)
         channels = cuda.to_device(np.array(self.rows.recorded, dtype=np.int64))
         motions = (records.coordinates, records.velocities, records.accelerations, records.memories)

@@ -9,14 +9,12 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
-import numpy as np
-
-from solver.device import DeviceKernel, Queue, Records, compile_device, memory
+from solver.device import DeviceKernel, Records, compile_device, memory
 from solver.history import Settings
 from solver.machine import Machine
 from solver.model import Model
 from solver.preparation import Prepared, model_of
-from solver.runs import OVERSAMPLING, TOLERANCES, Run, _samples, _scales, how_it_ended, step_bounds, with_head
+from solver.runs import OVERSAMPLING, Run, error_bounds, error_scales, how_it_ended, queue_of, samples_of, with_head
 
 #: Cases that run side by side are bounded by the memory of their records, bytes: here and on the device.
 _RECORD_BYTES = 4e9
@@ -27,7 +25,7 @@ def _kernel(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
 ) -> DeviceKernel:
     model = model_of(machine, joints, varying)
-    return compile_device(model, _scales(machine, model), recorded)
+    return compile_device(model, error_scales(machine, model), recorded)
 
 
 def device_runs(
@@ -39,7 +37,7 @@ def device_runs(
     room = min(_RECORD_BYTES, 0.5 * memory())
     queue = sorted(prepared, key=lambda case: case.duration)  # threads of a warp end together
     while queue:
-        together = max(1, int(room / max(1, 16 * len(recorded) * _samples(queue[-1], settings))))
+        together = max(1, int(room / max(1, 16 * len(recorded) * samples_of(queue[-1], settings))))
         yield from _group(machine, model, kernel, queue[-together:], settings)
         del queue[-together:]
 
@@ -49,20 +47,18 @@ def _group(
 ) -> Iterator[Run]:
     began = time.process_time()
     rate = settings.sample_rate * OVERSAMPLING
-    tolerance = settings.rtol or TOLERANCES[settings.accuracy]
-    smallest = min(scale for scale in _scales(machine, model)[: model.size] or [1.0])
-    first, longest, most = step_bounds(cases)
-    queue = Queue(
-        np.array([np.concatenate([case.z, case.v]) for case in cases]),
-        np.array([case.vector for case in cases]).reshape(len(cases), -1),
-        np.array([case.begin for case in cases]),
-        first, longest, np.array([_samples(case, settings) for case in cases], dtype=np.int64), most,
-    )  # fmt: skip
+    tolerance, precision = error_bounds(machine, model, settings)
+    queue = queue_of(cases, settings)
     motion = settings.motion or settings.links
     records = Records.empty(
-        len(cases), len(kernel.rows.recorded), len(model.remembering), int(queue.samples.max()), OVERSAMPLING, motion
+        len(cases),
+        len(kernel.rows.recorded),
+        len(model.remembering),
+        int(queue.cases["samples"].max()),
+        OVERSAMPLING,
+        motion,
     )
-    ends = kernel.integrate(queue, 1 / rate, tolerance, min(1e-8, 0.01 * tolerance * smallest), records)
+    ends = kernel.integrate(queue, 1 / rate, tolerance, precision, records)
     spent = (time.process_time() - began) / len(cases)
     for i, case in enumerate(cases):
         reached = int(ends.reached[i])

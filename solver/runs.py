@@ -82,7 +82,7 @@ class Run:
     seconds: float
 
 
-def _samples(case: Prepared, settings: Settings) -> int:
+def samples_of(case: Prepared, settings: Settings) -> int:
     """Recorded samples: to the end, and what the filter needs beyond."""
     return round(case.duration * settings.sample_rate) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
 
@@ -138,7 +138,7 @@ def _gill_group(
             work[start + lane : start + lane + LANES * len(column) : LANES] = column
     rate = settings.sample_rate * OVERSAMPLING
     h = 1 / (rate * substeps)
-    counts = [_samples(case, settings) for case in lanes]
+    counts = [samples_of(case, settings) for case in lanes]
     rows = [start + LANES * i for start in (layout.z, layout.v, layout.a) for i in recorded]
     rows += layout.rows(layout.memory, layout.memories)
     out = np.zeros((LANES, len(rows), max(counts)))
@@ -176,7 +176,7 @@ def with_head(velocities: Array) -> Array:
     return np.pad(velocities, ((0, 0), (sampling.reach(OVERSAMPLING), 0)))
 
 
-def _scales(machine: Machine, model: Model) -> list[float]:
+def error_scales(machine: Machine, model: Model) -> list[float]:
     """Sizes of coordinates (the machine's extent, a radian) and of velocities (those at the drive's angular speed)."""
     extent = extent_of(machine)
     drive, rate = machine.drive, 0.0
@@ -195,7 +195,7 @@ def _adaptive_kernel(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
 ) -> Kernel:
     model = model_of(machine, joints, varying)
-    return compile_adaptive(model, _scales(machine, model), recorded)
+    return compile_adaptive(model, error_scales(machine, model), recorded)
 
 
 def _rows(kernel: Kernel, model: Model, recorded: tuple[int, ...]) -> Rows:
@@ -222,10 +222,9 @@ def adaptive_runs(
     if not prepared:
         return
     kernel = _adaptive_kernel(machine, model.clearance_joints, varying, tuple(recorded))
-    tolerance = settings.rtol or TOLERANCES[settings.accuracy]
-    smallest = min(scale for scale in _scales(machine, model)[: model.size] or [1.0])
+    tolerance, precision = error_bounds(machine, model, settings)
     waiting = sorted(prepared, key=lambda case: -case.duration)  # the longest first: they end together
-    queue = _queue(waiting, settings)
+    queue = queue_of(waiting, settings)
     slots = min(SLOTS, len(waiting))
     lanes = idle_lanes(model.size, len(model.contacts), np.array(model.remembering, dtype=np.int64), slots)
     channels, interval = np.array(recorded, dtype=np.int64), 1 / (settings.sample_rate * OVERSAMPLING)
@@ -236,8 +235,8 @@ def adaptive_runs(
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
         adaptive.integrate(
-            kernel.functions, work, model.size, len(model.contacts), rows, tolerance,
-            min(1e-8, 0.01 * tolerance * smallest), queue, records, lanes,
+            kernel.functions, work, model.size, len(model.contacts), rows, tolerance, precision,
+            queue, records, lanes,
         )  # fmt: skip
         ended = lanes.ended[: lanes.cursor[ENDED]].copy()
         lanes.cursor[ENDED] = 0
@@ -248,11 +247,21 @@ def adaptive_runs(
             lanes.cursor[FREE] += 1
 
 
-def _queue(waiting: Sequence[Prepared], settings: Settings) -> Queue:
+def error_bounds(machine: Machine, model: Model, settings: Settings) -> tuple[float, float]:
+    """Scaled error of a step, and the penetration within which a switch is met, m."""
+    tolerance = settings.rtol or TOLERANCES[settings.accuracy]
+    smallest = min(scale for scale in error_scales(machine, model)[: model.size] or [1.0])
+    return tolerance, min(1e-8, 0.01 * tolerance * smallest)
+
+
+def queue_of(waiting: Sequence[Prepared], settings: Settings) -> Queue:
+    """The cases as an error-controlled driver takes them."""
     cases = np.zeros(len(waiting), CASE)
     cases["begin"] = [case.begin for case in waiting]
-    cases["samples"] = [_samples(case, settings) for case in waiting]
-    cases["first_step"], cases["longest_step"], cases["most_trials"] = step_bounds(waiting)
+    cases["samples"] = [samples_of(case, settings) for case in waiting]
+    cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
+    cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])
+    cases["most_trials"] = [max(_LEAST_PATIENCE, _PATIENCE * case.duration / case.longest_step) for case in waiting]
     starts = np.array([np.concatenate([case.z, case.v]) for case in waiting])
     return Queue(cases, starts, np.array([case.vector for case in waiting]).reshape(len(waiting), -1))
 
@@ -270,15 +279,6 @@ def _run(model: Model, case: Prepared, queue: Queue, index: int, records: Record
     velocities = records.velocities[slot, :, : records.head + samples]
     step = reached / max(int(ended["accepted"]), 1)
     return Run(case, status, message, z, velocities, a, memory, final, step, seconds)
-
-
-def step_bounds(cases: Sequence[Prepared]) -> tuple[Array, Array, NDArray[np.int64]]:
-    """First and longest steps of error-controlled runs, s, and the trial steps after which they count as stalled."""
-    longest = np.array([min(case.smooth_step, _LONGEST_STEP) for case in cases])
-    first = np.minimum(longest, np.array([case.longest_step for case in cases]))
-    needed = np.array([max(_LEAST_PATIENCE, _PATIENCE * case.duration / case.longest_step) for case in cases])
-    most = needed.astype(np.int64)
-    return first, longest, most
 
 
 def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reached: float) -> tuple[Status, str]:
