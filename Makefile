@@ -5,6 +5,8 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 # Test processes; a compiled simulation takes up to 1 GB while it is being compiled.
 WORKERS ?= 2
+# Options of make bench.
+BENCH ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint format unit serve bench pins clean
@@ -33,13 +35,16 @@ format: $(STAMP) ## put the code into the form that the checks want
 unit: $(STAMP)
 	$(BIN)/pytest -n $(WORKERS)
 
-bench: $(STAMP) ## the measurements that docs/decisions.md speaks of
-	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/benchmarks.md (BENCH="--quick": a smoke test)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \
+	  || echo 'the other programs could not all be installed: those missing are named in the table' >&2
+	$(BIN)/python -m benchmarks $(BENCH)
+	$(BIN)/python benchmarks/cuda_device.py
 
 pins: ## make constraints.txt anew from the newest versions that fit pyproject.toml
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable '.[dev,cuda]'
+	$(BIN)/python -m pip install --quiet --editable '.[dev,cuda,bench]'
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 	touch $(STAMP)
 

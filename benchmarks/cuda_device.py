@@ -28,7 +28,7 @@ def device_name() -> str:
         from numba import config, cuda
     except ImportError:
         return ""
-    if config.ENABLE_CUDASIM or not cuda.is_available():
+    if getattr(config, "ENABLE_CUDASIM", False) or not cuda.is_available():
         return ""
     name = cuda.get_current_device().name
     return name.decode() if isinstance(name, bytes) else str(name)

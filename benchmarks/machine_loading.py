@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import statistics
 import time
+from collections.abc import Callable
 
 from solver.machine import parse_machine, shipped_machine_names, shipped_machine_text
 from solver.yamlfile import read_tree
 
 
-def main() -> None:
-    """Print milliseconds (median of 20) of reading the YAML, and of everything."""
+def measure(quick: bool, say: Callable[[str], None]) -> list[dict[str, object]]:
+    """Milliseconds (median of 20) of reading the YAML, and of everything."""
+    rows = []
     for name in shipped_machine_names():
         text = shipped_machine_text(name)
-        times: dict[str, list[float]] = {"read": [], "all": []}
-        for _ in range(20):
-            for what, work in (("read", read_tree), ("all", parse_machine)):
+        row: dict[str, object] = {"machine": name}
+        for what, work in (("read", read_tree), ("all", parse_machine)):
+            times = []
+            for _ in range(5 if quick else 20):
                 start = time.perf_counter()
                 work(text, name)
-                times[what].append(1e3 * (time.perf_counter() - start))
-        print(f"{name:14}" + "".join(f"  {what} {statistics.median(ms):5.1f} ms" for what, ms in times.items()))
-
-
-if __name__ == "__main__":
-    main()
+                times.append(1e3 * (time.perf_counter() - start))
+            row[what] = statistics.median(times)
+        rows.append(row)
+        say(f"loading: {name}: {row['all']:.1f} ms")
+    return rows

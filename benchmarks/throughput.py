@@ -1,0 +1,71 @@
+"""A table of a thousand cases of P1 on one core: cases per second, and how busy the lanes were."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.scenes import RATE, p1
+from solver.fault import FaultState
+from solver.harmonics import harmonic_error
+from solver.history import Case, Settings, Status
+from solver.ir import LANES
+from solver.simulate import simulate_batch
+
+Array = NDArray[np.float64]
+
+#: Radial clearances of the table, m, spread evenly by their logarithm.
+CLEARANCES = (2e-5, 1e-3)
+TOLERANCE = 3e-6
+#: A queue of so many cases is simulated at a time, so that the histories need not all be kept.
+_TOGETHER = 128
+_CHECKED = 8
+
+
+def busy_part(steps: list[float]) -> float:
+    """Part of the lanes' time that is spent on cases, if each lane takes the next case when its own has ended.
+
+    Parameters
+    ----------
+    steps : list of float
+        Of every case, in the order of the queue.
+    """
+    ends = [0.0] * LANES
+    for count in steps:
+        heapq.heapreplace(ends, ends[0] + count)
+    return sum(steps) / (LANES * max(ends))
+
+
+def measure(quick: bool, say: Callable[[str], None]) -> dict[str, object]:
+    """Run the table, and some of its cases again with a tolerance of 1e-9 for the error."""
+    scene = p1()
+    count = 64 if quick else 1000
+    clearances = np.geomspace(*CLEARANCES, count)[np.random.default_rng(1).permutation(count)]
+    cases = [Case(FaultState({"B": float(c)})) for c in clearances]
+    settings = Settings(duration=scene.duration, rtol=TOLERANCE)
+    simulate_batch(scene.machine, cases[:LANES], Settings(duration=0.01, rtol=TOLERANCE))
+    spent, failed, busy = 0.0, 0, []
+    kept: list[tuple[Case, Array]] = []
+    for first in range(0, count, _TOGETHER):
+        began = time.process_time()
+        histories = simulate_batch(scene.machine, cases[first : first + _TOGETHER], settings)
+        spent += time.process_time() - began
+        failed += sum(history.status is not Status.OK for history in histories)
+        busy.append(busy_part([scene.duration / history.step for history in histories]))
+        if not kept:
+            kept = [(history.case, history.acceleration[:, 1]) for history in histories[:_CHECKED]]
+        say(f"throughput: {first + len(histories)} of {count} cases")
+    exact = simulate_batch(scene.machine, [case for case, _ in kept], Settings(duration=scene.duration, rtol=1e-9))
+    start = round(scene.after * RATE)
+    errors = [
+        harmonic_error(found[start:-1], history.acceleration[start:-1, 1], RATE, scene.drive_hz)
+        for (_, found), history in zip(kept, exact, strict=True)
+    ]
+    return {
+        "cases": count, "failed": failed, "tolerance": TOLERANCE, "seconds": spent, "per_second": count / spent,
+        "busy": float(np.mean(busy)), "error_median": float(np.median(errors)), "error_worst": max(errors),
+    }  # fmt: skip
