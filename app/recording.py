@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from solver.errors import SettingsError
 from solver.machine import Machine
-from solver.simulate import History, Settings
+from solver.simulate import Case, History, Settings
 from solver.spectrum import Spectrum, order_levels, sensor_signals, welch
 
 FloatArray = npt.NDArray[np.float64]
@@ -106,25 +106,37 @@ def add_links(
 def describe(machine: Machine, history: History, settings: Settings, version: str) -> dict[str, Attribute]:
     """Return the attributes that say what was simulated, how, and what came of it."""
     return {
-        "machine": machine.name,
-        "machine_content_key": machine.content_key,
-        "machine_json": machine.canonical_json(),
-        "fault": history.case.fault.label,
-        "parameters_json": json.dumps(dict(history.case.parameters), sort_keys=True),
+        **identity(machine, history.case, version),
+        **accuracy_of(settings),
         "status": str(history.status),
         "message": history.message,
-        "solver_version": version,
-        "accuracy": settings.accuracy if settings.rtol is None else f"rtol {settings.rtol:g}",
-        "method": settings.integrator,
         "step_s": history.step,
         "sample_rate_hz": history.sample_rate,
         "duration_s": float(history.t[-1]),
         "transient_s": history.transient,
         "drive_speed_rad_per_s": history.drive_speed,
+    }
+
+
+def identity(machine: Machine, case: Case, version: str) -> dict[str, Attribute]:
+    """Return the attributes that say what was simulated."""
+    return {
+        "machine": machine.name,
+        "machine_content_key": machine.content_key,
+        "machine_json": machine.canonical_json(),
+        "fault": case.fault.label,
+        "parameters_json": json.dumps(dict(case.parameters), sort_keys=True),
+        "solver_version": version,
         "frame": machine.frame,
         "frame_point": "centre of gravity, global axes, from the drawn pose",
         "frame_columns": MOTIONS,
     }
+
+
+def accuracy_of(settings: Settings) -> dict[str, Attribute]:
+    """Return the attributes that say how finely."""
+    accuracy = settings.accuracy if settings.rtol is None else f"rtol {settings.rtol:g}"
+    return {"accuracy": accuracy, "method": settings.integrator}
 
 
 def spectra_of(machine: Machine, history: History) -> Recording:

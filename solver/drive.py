@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from solver.errors import SettingsError
 from solver.machine import ForceDrive, Machine, RotationDrive, TorqueDrive, TranslationDrive
 from solver.numbers import Number, Numbers
 from solver.tables import linear, linear_integral
@@ -63,6 +64,36 @@ def drive_rates(machine: Machine, values: dict[str, float]) -> tuple[float, floa
         frequencies = [2 * math.pi * abs(h.frequency) for h in drive.harmonics if h.frequency]
         return (min(frequencies), max(frequencies)) if frequencies else (0.0, 0.0)
     return 0.0, 0.0
+
+
+def repeating_frequency(machine: Machine, drive_speed: float) -> float:
+    """How often the machine comes round, Hz.
+
+    Parameters
+    ----------
+    machine : Machine
+    drive_speed : float
+        The first of :func:`drive_rates`, rad/s.
+
+    Raises
+    ------
+    SettingsError
+        It does not, or not in a way that repeats: there is no steady state and no harmonics.
+    """
+    drive = machine.drive
+    if not drive_speed:
+        kind = "none" if drive is None else drive.kind
+        raise SettingsError(f"{machine.name}: drive: {kind}: must turn at a constant speed for spectra in orders")
+    frequency = abs(drive_speed) / (2 * math.pi)
+    if isinstance(drive, TranslationDrive):
+        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - 1e-6]
+        if odd or drive.speed:
+            rule = "must repeat with the lowest of its frequencies for spectra in orders"
+            raise SettingsError(f"{machine.name}: drive: {rule}")
+    for i, load in enumerate(machine.loads):
+        if load.over_time is not None:
+            raise SettingsError(f"{machine.name}: loads.{i}.over_time: must not change in time for spectra in orders")
+    return frequency
 
 
 def prescribed_motion(machine: Machine, number: Numbers, t: ca.SX) -> PrescribedMotion | None:

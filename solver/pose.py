@@ -37,7 +37,7 @@ def _dense(value: ca.DM) -> Array:
     return np.asarray(value.full(), dtype=np.float64)
 
 
-def _close(model: Model, t: float, z: Array, p: Sequence[float], free: Sequence[int]) -> tuple[Array, float, str]:
+def close(model: Model, t: float, z: Array, p: Sequence[float], free: Sequence[int]) -> tuple[Array, float, str]:
     """Newton on closures and concentric pins, moving the `free` coordinates as little as possible.
 
     Returns the coordinates, the largest remaining gap and the name of the closure that has it.
@@ -106,7 +106,7 @@ def walk(model: Model, p: Sequence[float], speed: float, steps: int = _WALK_STEP
     z = np.zeros(model.size)
     previous = 0.0
     for t in times:
-        closed, gap, name = _close(model, t, z, p, free)
+        closed, gap, name = close(model, t, z, p, free)
         if gap >= CLOSED:
             raise _cannot_assemble(model, p, *_last_pose(model, p, z, previous, t, free), gap, name)
         poses.append((t, closed))
@@ -149,7 +149,7 @@ def _last_pose(
     """Time and coordinates of the last pose that closes, between one that does and one that does not."""
     for _ in range(12):
         middle = 0.5 * (good + bad)
-        closed, gap, _ = _close(model, middle, z, p, free)
+        closed, gap, _ = close(model, middle, z, p, free)
         if gap < CLOSED:
             good, z = middle, closed
         else:
@@ -235,8 +235,7 @@ def start_velocity(model: Model, p: Sequence[float], z: Array) -> Array:
         Given velocities contradict each other, the joints or the drive.
     """
     rest = np.zeros(model.size)
-    _, jacobian, drift = (_dense(part) for part in model.constraint(0.0, z, rest, p))
-    rows, right = [jacobian], [-drift[:, 0]]
+    rows, right = [], []
     given = model.machine.initial.velocities
     names = list(model.machine.links)
     link_jacobian, link_drift = (_dense(part) for part in model.link_rates(0.0, z, rest, p))
@@ -244,24 +243,55 @@ def start_velocity(model: Model, p: Sequence[float], z: Array) -> Array:
         first = 3 * names.index(name)
         for k, value in enumerate((*(velocity.velocity or (None, None)), velocity.omega)):
             if value is not None:
-                rows.append(link_jacobian[first + k : first + k + 1])
-                right.append(np.array([value - link_drift[first + k, 0]]))
+                rows.append(link_jacobian[first + k])
+                right.append(value - link_drift[first + k, 0])
     if model.machine.frame not in given:
         for index in model.frame_indices:
             if index is not None:
-                rows.append(np.eye(model.size)[index : index + 1])
-                right.append(np.zeros(1))
-    matrix, target = np.vstack(rows), np.concatenate(right)
+                rows.append(np.eye(model.size)[index])
+                right.append(0.0)
+    field = "initial" if given else "drive"
+    return least_velocity(model, 0.0, p, z, np.array(rows).reshape(len(rows), model.size), np.array(right), field)
+
+
+def least_velocity(
+    model: Model, t: float, p: Sequence[float], z: Array, rows: Array, right: Array, field: str = "drive"
+) -> Array:
+    """The least mass-weighted velocities that fulfil closures, concentric pins and drive, and `rows` v = `right`.
+
+    Parameters
+    ----------
+    model : Model
+    t : float
+        s.
+    p : sequence of float
+    z : (n,) array
+        Coordinates that fulfil the closures.
+    rows, right : (k, n) and (k,) arrays
+    field : str
+        Path in the machine file of what is to blame where these demands contradict each other.
+
+    Returns
+    -------
+    (n,) array
+
+    Raises
+    ------
+    AssemblyError
+        They contradict each other.
+    """
+    rest = np.zeros(model.size)
+    _, jacobian, drift = (_dense(part) for part in model.constraint(t, z, rest, p))
+    matrix, target = np.vstack([jacobian, rows]), np.concatenate([-drift[:, 0], right])
     if model.size == 0 or target.size == 0:
         return rest
-    mass = _dense(model.inertia(0.0, z, rest, p)[0])
+    mass = _dense(model.inertia(t, z, rest, p)[0])
     root = np.linalg.cholesky(mass)
     # Least v'Mv: in w = L'v it is the least norm.
     weighted = np.linalg.solve(root, matrix.T).T
     v = np.linalg.solve(root.T, np.linalg.lstsq(weighted, target, rcond=1e-11)[0])
     left = float(np.abs(matrix @ v - target).max())
     if left > 1e-8 * max(1.0, float(np.abs(target).max())):
-        field = "initial" if given else "drive"
         rule = f"velocities contradict the joints and the drive by {left:.3g} (m/s or rad/s)"
         raise AssemblyError(model.machine.name, field, None, rule)
     return np.asarray(v)

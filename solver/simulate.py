@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solver import sampling
-from solver.case_numbers import full_paths
-from solver.errors import AssemblyError, SettingsError
-from solver.fault import check_fault
+from solver.case_groups import groups
+from solver.errors import SettingsError
 from solver.history import Case, History, Settings, Status
 from solver.links import link_motion
 from solver.machine import Machine
 from solver.model import Model
-from solver.numbers import contact_paths
 from solver.pose import Start
-from solver.preparation import Prepared, mobility_of, model_of, prepare
+from solver.preparation import mobility_of
 from solver.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
 
 Array = NDArray[np.float64]
@@ -66,7 +63,7 @@ def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> 
     MachineError, SettingsError
         As for :func:`simulate_batch`.
     """
-    group = next(_groups(machine, [case], settings or Settings()))
+    group = next(groups(machine, [case], settings or Settings()))
     for _, error in group.failed:
         raise error
     return Start(group.ready[0].z, group.ready[0].v)
@@ -105,7 +102,7 @@ def simulate_batch(
     settings = settings or Settings()
     runs = _runs(settings)
     results: dict[int, History] = {}
-    for group in _groups(machine, cases, settings):
+    for group in groups(machine, cases, settings):
         model = group.model
         for index, error in group.failed:
             results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
@@ -124,40 +121,6 @@ def simulate_batch(
             if progress is not None:
                 progress(len(results))
     return [results[index] for index in range(len(cases))]
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Cases that share a model, and those of them that cannot be assembled with the reason."""
-
-    model: Model | None
-    varying: tuple[str, ...]
-    ready: list[Prepared]
-    failed: list[tuple[int, AssemblyError]]
-
-
-def _groups(machine: Machine, cases: Sequence[Case], settings: Settings) -> Iterator[_Group]:
-    members: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple[int, dict[str, float]]]] = defaultdict(list)
-    for index, case in enumerate(cases):
-        check_fault(case.fault, machine)
-        values = full_paths(machine, case)
-        contact = {path for joint in case.fault.joints for path in contact_paths(machine, joint)}
-        varying = tuple(sorted(path for path in values if path not in contact and path != "drive.speed"))
-        members[case.fault.joints, varying].append((index, values))
-    for (joints, varying), listed in members.items():
-        try:
-            mobility = mobility_of(machine, joints)
-        except AssemblyError as error:
-            yield _Group(None, varying, [], [(index, error) for index, _ in listed])
-            continue
-        model = model_of(machine, joints, varying)
-        group = _Group(model, varying, [], [])
-        for index, values in listed:
-            try:
-                group.ready.append(prepare(machine, model, mobility, index, values, varying, settings))
-            except AssemblyError as error:
-                group.failed.append((index, error))
-        yield group
 
 
 def _failed(case: Case, status: Status, message: str, settings: Settings) -> History:

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from solver.contact_rates import extent_of
+from solver.drive import repeating_frequency
 from solver.errors import SettingsError
 from solver.harmonics import compared, harmonic_levels, mean_difference_db, order_band_levels, whole_rate
 from solver.history import Case, History, Settings, Status
 from solver.ir import LANES
-from solver.machine import Machine, TranslationDrive
+from solver.machine import Machine
 from solver.pose import Start
 from solver.preparation import model_of
 from solver.runs import TOLERANCES
@@ -160,28 +161,6 @@ class Bench:
         return float(np.median(distances[:, -last:].max(axis=1) / distances[:, 0]))
 
 
-def _frequency(machine: Machine, drive_speed: float) -> float:
-    """How often the drive comes round, Hz.
-
-    Raises
-    ------
-    SettingsError
-        It does not, or not in a way that repeats.
-    """
-    drive = machine.drive
-    if not drive_speed:
-        kind = "none" if drive is None else drive.kind
-        raise SettingsError(f"{machine.name}: drive: {kind}: harmonics need a drive that turns at a constant speed")
-    frequency = abs(drive_speed) / (2 * math.pi)
-    if isinstance(drive, TranslationDrive):
-        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - 1e-6]
-        if odd or drive.speed:
-            raise SettingsError(
-                f"{machine.name}: drive: harmonics need a motion that repeats with its lowest frequency"
-            )
-    return frequency
-
-
 def bench_of(machine: Machine, case: Case) -> tuple[Bench, float]:
     """The eight cases, and the processor seconds that equations and kernels took."""
     began = time.process_time()
@@ -190,7 +169,7 @@ def bench_of(machine: Machine, case: Case) -> tuple[Bench, float]:
         simulate_batch(machine, [case], Settings(duration=0.01, method=method))[0] for method in ("adaptive", "gill")
     ]
     preparation = time.process_time() - began
-    frequency = _frequency(machine, short[0].drive_speed)
+    frequency = repeating_frequency(machine, short[0].drive_speed)
     frame = model_of(machine, case.fault.joints, ()).frame_indices
     motion = next((motion for motion in (1, 0, 2) if frame[motion] is not None), None)
     if motion is None:

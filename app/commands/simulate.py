@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
-from app.commands.parameters import Quantity, json_option, print_json
+from app.commands.parameters import Decibels, Quantity, json_option, print_json
 
 if TYPE_CHECKING:
     from app.recording import Recording
-    from solver.history import History
+    from solver.ensemble import Ensemble, Kind
+    from solver.history import Case, History, Settings
+    from solver.machine import Machine
     from solver.steps import Accuracy
 
 
@@ -34,6 +37,21 @@ if TYPE_CHECKING:
 @click.option(
     "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Where to integrate."
 )
+@click.option("--starts", type=click.IntRange(2, 1000), help="Average over so many starts; spectra only (.h5, .npz).")
+@click.option(
+    "--starts-by",
+    type=click.Choice(["perturbation", "phase"]),
+    default="perturbation",
+    show_default=True,
+    help="How starts differ: a millionth of the machine's extent, or the drive's angle.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the starts.")
+@click.option(
+    "--converged", type=Decibels(), metavar="0.2dB", help="Run until averaged levels are known so well [8 starts]."
+)
+@click.option(
+    "--most-revolutions", type=click.FloatRange(min=20), default=400, show_default=True, help="End --converged there."
+)
 @click.option("--links", is_flag=True, help="Also every link's motion and every reaction (.h5 and .npz).")
 @click.option(
     "-o",
@@ -54,6 +72,11 @@ def command(
     accuracy: Accuracy | None,
     rtol: float | None,
     device: Literal["cpu", "cuda"],
+    starts: int | None,
+    starts_by: Kind,
+    seed: int,
+    converged: float | None,
+    most_revolutions: float,
     links: bool,
     output: Path,
     plot: Path | None,
@@ -64,6 +87,9 @@ def command(
 
     if accuracy is not None and rtol is not None:
         raise click.UsageError("--rtol: give either --accuracy or --rtol, not both")
+    several = starts is not None or converged is not None
+    if several:
+        refuse_for_ensembles(output, links=links, duration=duration is not None and converged is not None)
     write = writer_for(output)
     if plot is not None:
         from app.plots import check_ending
@@ -87,6 +113,12 @@ def command(
         links=links,
         device=device,
     )
+    if several:
+        from solver.ensemble import Ensemble
+
+        asked = Ensemble(starts or 8, starts_by, converged, most_revolutions, seed)
+        run_ensemble(found, case, asked, settings, output, plot, as_json)
+        return
     history = simulate(found, case, settings)
     if history.status == Status.CANNOT_ASSEMBLE:
         raise UnassembledError(history.message)
@@ -99,6 +131,46 @@ def command(
 
         plot_simulation(recording, plot)
     report(history, recording, output, plot, as_json)
+
+
+def refuse_for_ensembles(output: Path, *, links: bool, duration: bool) -> None:
+    """Refuse options that contradict several starts."""
+    if output.suffix.lower() == ".csv":
+        raise click.UsageError(f"{output}: several starts give spectra, no histories: take .h5 or .npz")
+    if links:
+        raise click.UsageError("--links: several starts give spectra of the frame only")
+    if duration:
+        raise click.UsageError("--duration: give either --duration or --converged, not both")
+
+
+def run_ensemble(
+    machine: Machine, case: Case, asked: Ensemble, settings: Settings, output: Path, plot: Path | None, as_json: bool
+) -> None:
+    """Average over several starts, write that and say what it is."""
+    from app.commands.progress import ProgressLine
+    from app.ensembles import document, plot_ensemble, record_ensemble, report
+    from app.errors import SimulationFailedError
+    from app.outputs import writer_for
+    from solver import __version__
+    from solver.ensemble import simulate_ensemble
+    from solver.history import Status
+
+    with ProgressLine("simulating", "revolutions at most") as line:
+        found = simulate_ensemble(
+            machine, case, asked, settings, lambda done, most: line.show(math.ceil(done), math.ceil(most))
+        )
+    if found.status != Status.OK:
+        failed = next(member for member in found.members if member.status != Status.OK)
+        raise SimulationFailedError(f"{machine.name}: {found.message}; {failed.status}: {failed.message}")
+    recording = record_ensemble(machine, found, settings, __version__)
+    writer_for(output)(output, recording)
+    if plot is not None:
+        plot_ensemble(recording, plot)
+    if as_json:
+        print_json(document(found, recording, output, plot))
+        return
+    click.echo(report(found))
+    click.echo(f"written: {output}" + (f", {plot}" if plot is not None else ""))
 
 
 def report(history: History, recording: Recording, output: Path, plot: Path | None, as_json: bool) -> None:

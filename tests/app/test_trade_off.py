@@ -84,7 +84,7 @@ def test_chaos_is_shown(machine: Machine, tmp_path: Path) -> None:
         (["slider-crank", "--error", "1 mm"], "must be a number of dB"),
         (["slider-crank", "--plot", "x.gif"], "must end in .png, .svg or .pdf"),
         (["slider-crank", "--fault", "Z=1mm"], "fault.Z"),
-        (["slider-crank", "--speed", "0 rpm"], "turns at a constant speed"),
+        (["slider-crank", "--speed", "0 rpm"], "turn at a constant speed"),
     ],
 )
 def test_refusals(arguments: list[str], text: str) -> None:

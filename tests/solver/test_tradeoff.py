@@ -126,9 +126,9 @@ def test_without_y_another_motion_is_compared(machine: Machine) -> None:
 @pytest.mark.parametrize(
     ("change", "case", "text"),
     [
-        ({"speed": ((0.0, 10.0), (1.0, 60.0))}, Case(), "constant speed"),
-        ({}, Case(parameters={"drive.speed": 0.0}), "constant speed"),
-        (None, Case(), "constant speed"),
+        ({"speed": ((0.0, 10.0), (1.0, 60.0))}, Case(), "turn at a constant speed"),
+        ({}, Case(parameters={"drive.speed": 0.0}), "turn at a constant speed"),
+        (None, Case(), "turn at a constant speed"),
     ],
 )
 def test_no_constant_speed_no_harmonics(
