@@ -74,7 +74,7 @@ def _load(
         for j in range(contacts):
             w[(rows.touching + j) * LANES + lane] = 0.0
         for m in range(remembering.size):
-            w[(rows.memory + m) * LANES + lane] = 0.0
+            w[(rows.memory + m) * LANES + lane] = starts[c, 2 * n + m]
         cursor[NEXT] += 1
         cursor[BUSY] += 1
         loaded += 1
@@ -84,7 +84,7 @@ def _load(
 @njit(cache=True, error_model="numpy", nogil=True)
 def _end(
     w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
-    ended: Integers, cursor: Integers,
+    ended: Integers, cursor: Integers, memory: int,
 ) -> None:  # fmt: skip
     """Put the lane's case away: how it ended, and where it stands."""
     mine = lanes[lane]
@@ -92,6 +92,8 @@ def _end(
     case.outcome, case.reached, case.begin = outcome, reached, mine.t
     for i in range(2 * n):
         starts[mine.case, i] = w[(2 + i) * LANES + lane]
+    for i in range(2 * n, starts.shape[1]):
+        starts[mine.case, i] = w[(memory + i - 2 * n) * LANES + lane]
     ended[cursor[ENDED], 0], ended[cursor[ENDED], 1] = mine.case, mine.slot
     cursor[ENDED] += 1
     cursor[BUSY] -= 1
@@ -282,7 +284,7 @@ def integrate(
                     w[(2 + i) * LANES + lane] = w[(rows.kept + i) * LANES + lane]
                 if mine.h < shortest or tired:
                     outcome = JAMMED if jammed else STALLED
-                    _end(w, n, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor)
+                    _end(w, n, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor, rows.memory)
                     loading = loading or cursor[NEXT] < cases.size
                 continue
             case.accepted += 1
@@ -294,7 +296,7 @@ def integrate(
             if not (size < DIVERGED) or lost or tired:
                 reached = mine.held_at if lost else mine.sample
                 outcome = STALLED if tired else DIVERGING
-                _end(w, n, lane, outcome, reached, cases, starts, lanes, ended, cursor)
+                _end(w, n, lane, outcome, reached, cases, starts, lanes, ended, cursor, rows.memory)
                 loading = loading or cursor[NEXT] < cases.size
                 continue
             last = samples_until(now, mine.begin, interval, mine.sample, case.samples)
@@ -306,7 +308,7 @@ def integrate(
                 )  # fmt: skip
                 mine.sample = last
                 if last == case.samples:
-                    _end(w, n, lane, OK, last, cases, starts, lanes, ended, cursor)
+                    _end(w, n, lane, OK, last, cases, starts, lanes, ended, cursor, rows.memory)
                     loading = loading or cursor[NEXT] < cases.size
                     continue
             for i in range(n):

@@ -134,8 +134,8 @@ class Ends:
     ----------
     outcome, reached, accepted : (cases,) arrays of int
         See :mod:`solver.control`; samples recorded; accepted steps.
-    finals : (cases, 1 + 2 n) array
-        Time, coordinates and velocities.
+    finals : (cases, 1 + 2 n + m) array
+        Time, coordinates, velocities and memories.
     """
 
     outcome: Indices
@@ -179,7 +179,9 @@ class DeviceKernel:
         """
         layout, length, cases = self.code.layout, self.code.layout.total, len(queue.starts)
         kept = np.zeros((length + stepper.state_length(self.rows.contacts), cases))
-        kept[layout.z : layout.z + 2 * layout.size] = queue.starts.T
+        moving = slice(layout.z, layout.z + 2 * layout.size)
+        remembered = slice(layout.memory, layout.memory + layout.memories)
+        kept[moving], kept[remembered] = np.split(queue.starts.T, [2 * layout.size])
         kept[layout.p : layout.p + layout.parameters] = queue.parameters.T
         given = (
             (stepper.BEGIN, "begin"), (stepper.FIRST, "first_step"), (stepper.LONGEST, "longest_step"),
@@ -210,7 +212,7 @@ class DeviceKernel:
         )
         # Samples since the closures last held are of no use where they are lost.
         reached = np.where((outcome == DIVERGING) & (unbelieved >= PATIENCE), held, reached)
-        finals = np.vstack([state[stepper.NOW], kept[layout.z : layout.z + 2 * layout.size]]).T
+        finals = np.vstack([state[stepper.NOW], kept[moving], kept[remembered]]).T
         return Ends(outcome, reached, accepted, finals)
 
 

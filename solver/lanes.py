@@ -67,8 +67,8 @@ class Queue(NamedTuple):
     Attributes
     ----------
     cases : (cases,) array of CASE
-    starts : (cases, 2 n) array
-        Coordinates and velocities at the start; those at the end are written over them.
+    starts : (cases, 2 n + m) array
+        Coordinates, velocities and what contacts remember at the start; those at the end are written over them.
     parameters : (cases, k) array
         Lane parameters.
     """

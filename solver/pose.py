@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -26,11 +26,15 @@ _WALK_STEPS = 120
 
 @dataclass(frozen=True)
 class Start:
-    """Where a run starts or ended: coordinates and velocities, each (n,), and the time, s."""
+    """Where a run starts or ended: coordinates, velocities, (n,) each, the time, s, and what contacts remember, (m,).
+
+    Without the last, a contact at the start begins there.
+    """
 
     z: Array
     v: Array
     t: float = 0.0
+    memory: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def _dense(value: ca.DM) -> Array:

@@ -48,6 +48,8 @@ class Prepared:
         Lane parameters in kernel order.
     z, v : (n,) arrays
         Start.
+    memory : (m,) array
+        What contacts remember at the start, see :mod:`solver.contact_laws`.
     begin : float
         Time of the start, s.
     speed : float
@@ -68,6 +70,7 @@ class Prepared:
     vector: list[float]
     z: Array
     v: Array
+    memory: Array
     begin: float
     speed: float
     transient: float
@@ -221,7 +224,8 @@ def prepare(
         too_long = f"needs more than {MOST_STEPS:.0e} steps of {min(longest, 1 / settings.sample_rate):.3g} s"
         raise SettingsError(f"duration: {duration:g} s: {too_long}")
     remark = "; ".join(filter(None, remarks))
-    return Prepared(index, vector, z, v, 0.0, speed, transient, remark, duration, longest, smooth)
+    memory = np.zeros(len(model.remembering))
+    return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, longest, smooth)
 
 
 def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:

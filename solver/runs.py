@@ -62,8 +62,8 @@ class Run:
         Velocities at :data:`OVERSAMPLING` times the sample rate, after as many free places as the filter reaches.
     memory : (m, samples) array or None
         What contacts remember, at the sample rate, where motion is wanted.
-    final : (1 + 2 n,) array
-        Time, coordinates and velocities where the run ended; of a case that is ok, those at the last sample of `v`.
+    final : (1 + 2 n + m,) array
+        Time, coordinates, velocities and memories at the end; of a case that is ok, those at the last sample of `v`.
     step : float
         s; the mean of an error-controlled run.
     seconds : float
@@ -134,7 +134,8 @@ def _gill_group(
     work = kernel.work_array()
     for lane in range(LANES):
         case = lanes[min(lane, len(lanes) - 1)]
-        for start, column in ((layout.z, case.z), (layout.v, case.v), (layout.p, case.vector)):
+        rows_of = ((layout.z, case.z), (layout.v, case.v), (layout.p, case.vector), (layout.memory, case.memory))
+        for start, column in rows_of:
             work[start + lane : start + lane + LANES * len(column) : LANES] = column
     rate = settings.sample_rate * OVERSAMPLING
     h = 1 / (rate * substeps)
@@ -168,7 +169,8 @@ def _gill_group(
             message = hold_remark(*end)
         z, v, a, memory = np.split(out[lane, :, :reached], [len(recorded) * i for i in (1, 2, 3)])
         reduced = [motion[:, ::OVERSAMPLING] for motion in (z, a, memory)]
-        yield Run(case, status, message, reduced[0], with_head(v), reduced[1], reduced[2], finals[lane, 1:], h, spent)
+        final = np.concatenate([finals[lane, 1:], memory[:, -1] if reached else case.memory])
+        yield Run(case, status, message, reduced[0], with_head(v), reduced[1], reduced[2], final, h, spent)
 
 
 def with_head(velocities: Array) -> Array:
@@ -262,7 +264,7 @@ def queue_of(waiting: Sequence[Prepared], settings: Settings) -> Queue:
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
     cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])
     cases["most_trials"] = [max(_LEAST_PATIENCE, _PATIENCE * case.duration / case.longest_step) for case in waiting]
-    starts = np.array([np.concatenate([case.z, case.v]) for case in waiting])
+    starts = np.array([np.concatenate([case.z, case.v, case.memory]) for case in waiting])
     return Queue(cases, starts, np.array([case.vector for case in waiting]).reshape(len(waiting), -1))
 
 
@@ -290,13 +292,13 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reach
     case : Prepared
     outcome : int
         See :mod:`solver.control`.
-    final : (1 + 2 n,) array
-        Time, coordinates and velocities with which it ended.
+    final : (1 + 2 n + m,) array
+        Time, coordinates, velocities and memories with which it ended.
     reached : float
         Time that it has samples of, s.
     """
     status = _STATUSES[outcome]
-    end = (model, final[0], *np.split(final[1:], 2), case.vector)
+    end = (model, final[0], *np.split(final[1 : 1 + 2 * model.size], 2), case.vector)
     if status is Status.OK:
         return status, hold_remark(*end)
     if status is Status.JAMMED:

@@ -16,7 +16,7 @@ from solver.links import link_motion
 from solver.machine import Machine
 from solver.model import Model
 from solver.pose import Start
-from solver.preparation import mobility_of
+from solver.preparation import Prepared, mobility_of
 from solver.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
 
 Array = NDArray[np.float64]
@@ -111,9 +111,7 @@ def simulate_batch(
         ready = group.ready
         if starts is not None:
             given = [(case, starts[case.index]) for case in ready]
-            ready = [
-                case if start is None else replace(case, z=start.z, v=start.v, begin=start.t) for case, start in given
-            ]
+            ready = [case if start is None else _started(case, start) for case, start in given]
         recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
         for run in runs(machine, model, group.varying, ready, recorded, settings):
             index = run.case.index
@@ -130,9 +128,15 @@ def _failed(case: Case, status: Status, message: str, settings: Settings) -> His
     )
 
 
+def _started(case: Prepared, start: Start) -> Prepared:
+    memory = start.memory if start.memory.size else case.memory
+    return replace(case, z=start.z, v=start.v, memory=memory, begin=start.t)
+
+
 def _end(run: Run) -> Start:
-    z, v = np.split(run.final[1:], 2)
-    return Start(z, v, float(run.final[0]))
+    n = run.case.z.size
+    z, v, memory = np.split(run.final[1:], [n, 2 * n])
+    return Start(z, v, float(run.final[0]), memory)
 
 
 def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: Settings) -> History:
