@@ -124,6 +124,13 @@ class Row:
     fault: Fault = field(default_factory=dict)
 
 
+def rubbing(friction: float) -> Tree:
+    """The slider-crank turned by 2 N m, with damped contacts and a guide that rubs; no leverage locks it."""
+    tree = lossless(damping=300.0)
+    tree["joints"]["G1"]["friction"] = friction
+    return tree
+
+
 def _all_worn(name: str) -> Row:
     machine = shipped_machine(name)
     fault = dict.fromkeys(machine.turning_joints, 1e-4)
@@ -149,6 +156,8 @@ ROWS = [
     Row("contact friction 1.0", never_gained, 1e-10, lossless(damping=300.0, friction=1.0), TWO),
     Row("contact friction 1.0, frame without springs", free_flight, 1e-10,
         framed({}, tree_of("slider-crank", friction=1.0), supports=[]), TWO),
+    Row("sliding friction 1.0", never_gained, 3e-11, rubbing(1.0)),
+    Row("sliding friction 1.0, worn", never_gained, 3e-11, rubbing(1.0), TWO),
     Row("drive at 1 rpm", as_slow_motion, 1e-15, at_speed(1 * RPM)),
     Row("drive at 1 rpm, worn", sag, 1e-6, at_speed(1 * RPM), WORN),
     Row("drive at 60 000 rpm", as_slow_motion, 1e-14, at_speed(60_000 * RPM)),
