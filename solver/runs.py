@@ -32,10 +32,11 @@ OVERSAMPLING = 2
 TOLERANCES = {"draft": 1e-5, "standard": 1e-6, "reference": 1e-9}
 #: Longest step where nothing else bounds it, s.
 _LONGEST_STEP = 0.1
-#: Trial steps of a case, in multiples of the fixed steps it would take, after which it counts as stalled; and the least
-#: of them, because nothing says beforehand how fast a machine will turn that no motion is prescribed to: half a minute.
-_PATIENCE = 100
-_LEAST_PATIENCE = 2e7
+#: Trial steps of a case, in multiples of the fixed steps it would take, after which it counts as stalled. The least and
+#: the most of them: nothing says beforehand how fast a machine will turn that no motion is prescribed to (half a minute
+#: of steps), and no case may hold up the others for days, however stiff it is (some ten minutes to two hours).
+_PATIENCE = 10
+_LEAST_PATIENCE, _MOST_PATIENCE = 2e7, 2e8
 #: What an error-controlled run can end with.
 _STATUSES = {
     control.OK: Status.OK,
@@ -263,7 +264,8 @@ def queue_of(waiting: Sequence[Prepared], settings: Settings) -> Queue:
     cases["samples"] = [samples_of(case, settings) for case in waiting]
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
     cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])
-    cases["most_trials"] = [max(_LEAST_PATIENCE, _PATIENCE * case.duration / case.longest_step) for case in waiting]
+    needed = [_PATIENCE * case.duration / case.longest_step for case in waiting]
+    cases["most_trials"] = np.clip(needed, _LEAST_PATIENCE, _MOST_PATIENCE).astype(np.int64)
     starts = np.array([np.concatenate([case.z, case.v, case.memory]) for case in waiting])
     return Queue(cases, starts, np.array([case.vector for case in waiting]).reshape(len(waiting), -1))
 
