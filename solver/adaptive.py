@@ -10,15 +10,18 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from solver.compiled import compiled
 from solver.control import (
+    BEARABLE,
+    BEARABLE_PART,
     DIVERGING,
     FLOOR,
     GROW,
     JAMMED,
     MOST_FORCED,
+    NOISY_CUT,
     OK,
     PAST,
     PROJECT_EVERY,
@@ -38,11 +41,11 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Structured = NDArray[Any]
 
-_crossing = njit(cache=True, error_model="numpy")(crossing)
-_remember = njit(cache=True, error_model="numpy")(remember)
+_crossing = compiled(crossing)
+_remember = compiled(remember)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
@@ -50,7 +53,7 @@ def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) ->
         _remember(w, (rows.memory + m) * LANES + lane, penetration * LANES + lane, approach * LANES + lane)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _load(
     w: Array, n: int, contacts: int, rows: Rows, cases: Structured, starts: Array, parameters: Array,
     lanes: Structured, remembering: Integers, free: Integers, cursor: Integers,
@@ -66,6 +69,7 @@ def _load(
         mine.case, mine.slot, mine.fresh = c, free[cursor[FREE]], 1
         mine.begin = mine.t = case.begin
         mine.h, mine.natural = case.first_step, 0.0
+        mine.uncut, mine.over = 0.0, 0
         mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
         for i in range(2 * n):
             w[(2 + i) * LANES + lane] = starts[c, i]
@@ -81,7 +85,7 @@ def _load(
     return loaded
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _end(
     w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
     ended: Integers, cursor: Integers, memory: int,
@@ -100,7 +104,7 @@ def _end(
     mine.case = -1
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Array) -> None:
     """Penetration, its rate and the switch function now are those at the start of the next step."""
     for j in range(contacts):
@@ -109,7 +113,7 @@ def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Arra
         old[2, j, lane] = w[(rows.switch + j) * LANES + lane]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, old: Array) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step, and the part of the step at which; -1 for none."""
     event, part = -1, 1.0
@@ -134,7 +138,16 @@ def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, o
     return event, part
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
+def _any_contact(w: Array, contacts: int, rows: Rows, lane: int) -> bool:
+    """Whether any contact of the lane pushes over the step."""
+    pushing = 0.0
+    for j in range(contacts):
+        pushing += w[(rows.touching + j) * LANES + lane]
+    return pushing > 0.5
+
+
+@compiled
 def _restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: Array) -> bool:
     """Restore the closures of the lanes that are due, and only of them; whether there were any.
 
@@ -167,7 +180,7 @@ def _restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: 
     return True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def integrate(
     kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, tolerance: float,
     precision: float, queue: Queue, records: Records, state: Lanes,
@@ -194,6 +207,7 @@ def integrate(
     """
     prepare, held, dopri, project = kernel
     jam = rows.jam
+    bearable_error = max(BEARABLE_PART, BEARABLE / tolerance)
     # Taken out of their tuples once: compiled code counts references whenever an array is.
     cases, starts, parameters = queue.cases, queue.starts, queue.parameters
     lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
@@ -255,11 +269,13 @@ def integrate(
             jammed = jam >= 0 and w[jam * LANES + lane] > 0.5
             accept = e <= 1.0 and not jammed  # false for a number that is none
             tiny = step <= FLOOR * case.first_step
-            if not accept and not jammed and e < math.inf and tiny and mine.forced < MOST_FORCED:
+            patient = e < math.inf and not jammed and mine.forced < MOST_FORCED
+            if not accept and patient and e <= bearable_error and (tiny or mine.over == 1):
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
                 accept = True
                 mine.forced += 1
                 e = 1.0
+            mine.over = 0
             event, part = -1, 1.0
             if accept:
                 event, part = _first_switch(w, contacts, rows, lane, step, old)
@@ -275,6 +291,17 @@ def integrate(
                         mine.h = max(min(0.999 * step, part * step + PAST * precision / speed), 0.001 * step)
             else:
                 mine.h = step * max(SHRINK, SAFETY / e**0.2) if e < math.inf and not jammed else 0.1 * step
+                if mine.uncut == 0.0 or e * mine.uncut * mine.uncut < mine.uncut_error * step * step:
+                    mine.uncut, mine.uncut_error = step, e
+                elif (
+                    step <= NOISY_CUT * mine.uncut
+                    and mine.uncut_error < min(e, bearable_error)
+                    and patient
+                    and project != 0
+                    and not _any_contact(w, contacts, rows, lane)
+                ):  # step over what shorter steps make worse
+                    mine.h, mine.over, mine.uncut = mine.uncut, 1, 0.0
+                    mine.forced += 1
                 mine.natural = mine.h
                 # Near a loss of rank it is the drift of the closures that spoils the accelerations.
                 mine.since = PROJECT_EVERY
@@ -322,6 +349,8 @@ def integrate(
                 grown = max(grown, mine.natural)
             _remember_impacts(w, rows, remembering, lane)
             mine.natural = 0.0
+            if step >= mine.uncut:
+                mine.uncut = 0.0
             mine.h = min(grown, case.longest_step)
             if now + 1.01 * mine.h > mine.end:
                 mine.h = mine.end - now  # end where the last sample is

@@ -17,6 +17,11 @@ SHORTEST = 1e-14
 #: Part of the first step below which an error estimate is taken for noise, and how often in one case.
 FLOOR = 1e-4
 MOST_FORCED = 10_000
+#: Largest scaled error of a step that is accepted as noise, or this many times the tolerance where that is more.
+BEARABLE, BEARABLE_PART = 1e-5, 10.0
+#: Refusals say noise where a step cut to this part has a larger error than before: an integrator's own falls with the
+#: fifth power of the step, and that of a kink with the step, but rounding grows close to where closures lose rank.
+NOISY_CUT = 0.1
 #: Accepted steps between corrections of the closures.
 PROJECT_EVERY = 32
 #: A shortened step aims past the switch by this part of the precision, so that it ends on its other side.

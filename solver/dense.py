@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from solver.compiled import compiled
 from solver.ir import LANES
 from solver.lanes import GROUP
 
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def samples_until(now: float, begin: float, interval: float, first: int, count: int) -> int:
     """One past the last of the samples `first` ... `count` - 1 that is not later than `now`."""
     last = int((now - begin) / interval) + 1
@@ -88,7 +89,7 @@ def _slope(builder: Any, x: Any, y: Any, c: list[Any]) -> Any:
 _write_values, _write_slopes = _group(_value), _group(_slope)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def record(
     w: Array, kept: int, dense: int, n: int, lane: int, begin: float, t: float, step: float, first: int, last: int,
     slot: int, channels: Integers, interval: float, oversampling: int, head: int, velocities: Array,

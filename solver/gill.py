@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from solver.compiled import compiled
 from solver.control import remember
 from solver.ir import LANES, Block
 from solver.layout import Layout
@@ -32,7 +33,7 @@ PATIENCE = 20
 #: How a lane stands.
 RUNNING, ENDED, JAMMED = 0, 1, 2
 
-_remember_one = njit(cache=True, error_model="numpy")(remember)
+_remember_one = compiled(remember)
 _ROOT = math.sqrt(0.5)
 #: (a, b, c, time of the stage's result in steps)
 _STAGES = (
@@ -84,7 +85,7 @@ def _call(typing_context: Any, address: Any, work: Any) -> Any:
 call: Any = intrinsic(_call)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _remember(w: NDArray[np.float64], n: int, memory: int, memories: int) -> None:
     """Memories of all lanes after the right-hand side of an accepted state.
 
@@ -96,7 +97,7 @@ def _remember(w: NDArray[np.float64], n: int, memory: int, memories: int) -> Non
         _remember_one(w, memory + i, penetration, penetration + apart)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _note(w: NDArray[np.float64], n: int, lane: int, how: int, finals: NDArray[np.float64]) -> None:
     """Keep how a lane has ended, its time and its state."""
     finals[lane, 0] = how
@@ -105,7 +106,7 @@ def _note(w: NDArray[np.float64], n: int, lane: int, how: int, finals: NDArray[n
         finals[lane, 2 + i] = w[(2 + i) * LANES + lane]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _note_jams(w: NDArray[np.float64], n: int, jam: int, finals: NDArray[np.float64]) -> None:
     """Keep time and state of lanes that have just jammed."""
     if jam < 0:
@@ -115,7 +116,7 @@ def _note_jams(w: NDArray[np.float64], n: int, jam: int, finals: NDArray[np.floa
             _note(w, n, lane, JAMMED, finals)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def integrate(
     kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, begins: NDArray[np.float64], h: float,
     substeps: int, record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64], jam: int,
@@ -218,7 +219,7 @@ def integrate(
                         w[(2 + i) * LANES + lane] = before[i * LANES + lane]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def repeat(kernel: tuple[int, int, int, int], w: NDArray[np.float64], count: int) -> None:
     """The right-hand side alone, `count` times; for benchmarks."""
     call(kernel[0], w)

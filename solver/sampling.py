@@ -11,12 +11,13 @@ worn joint, at 10 kHz, are 0.06 dB off at most up to 3 kHz and 0.2 dB up to 4 kH
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import signal
+
+from solver.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -80,14 +81,14 @@ def band_limited_acceleration(velocity: Array, rate: float, oversampling: int, o
     return out
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, nogil=True, error_model="numpy")
+@partial(compiled, fastmath={"contract", "nsz"})
 def _add(w0: float, w1: float, w2: float, w3: float, x0: Array, x1: Array, x2: Array, x3: Array, sums: Array) -> None:
     """Add four weighted rows to sums: fewer passes over them than one at a time."""
     for k in range(sums.size):
         sums[k] += (w0 * x0[k] + w1 * x1[k]) + (w2 * x2[k] + w3 * x3[k])
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, nogil=True, error_model="numpy")
+@partial(compiled, fastmath={"contract", "nsz"})
 def _decimate(signals: Array, weights: Array, step: int, phases: Array, sums: Array, out: Array) -> None:
     """Scalar products of the weights with every `step`-th window, a block of them (`sums`) at a time.
 

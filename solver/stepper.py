@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver.control import (
+    BEARABLE,
+    BEARABLE_PART,
     DIVERGING,
     FLOOR,
     GROW,
     JAMMED,
     MOST_FORCED,
+    NOISY_CUT,
     OK,
     PAST,
     PROJECT_EVERY,
@@ -39,8 +42,10 @@ from solver.scalar import Compile, Function, kernel_functions
 BEGIN, FIRST, LONGEST, SAMPLES, MOST = range(5)
 #: Kept: how it ended, time, trial step, that step before a switch shortened it, samples, trial and accepted steps,
 #: accepted steps since closures were restored, forced steps, corrections of closures not believed one after the other,
-#: samples when closures last held; then switch, penetration and approach of every contact.
-OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT, BEFORE = range(5, 17)
+#: samples when closures last held, step at which refusals for error began (0 for none), that error, 1 where the next
+#: trial is that step again; then switch, penetration and approach of every contact.
+OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(5, 16)
+UNCUT, UNCUT_ERROR, OVER, BEFORE = range(16, 20)
 
 
 Array = NDArray[np.float64]
@@ -192,6 +197,14 @@ def case_functions(
         s[SAMPLE] = sample
 
     @compiled
+    def any_contact(w: Array) -> bool:
+        """Whether any contact pushes over the step."""
+        pushing = 0.0
+        for j in range(contacts):
+            pushing += w[touching + j]
+        return pushing > 0.5
+
+    @compiled
     def restore(w: Array, s: Array) -> None:
         """Correct the closures, unless the correction cannot be believed."""
         for i in range(2 * n):
@@ -226,6 +239,8 @@ def case_functions(
         else:
             go_on(w, s, last)
         s[NATURAL] = 0.0
+        if step >= s[UNCUT]:
+            s[UNCUT] = 0.0
         s[STEP] = min(grown, s[LONGEST])
         if now + 1.01 * s[STEP] > end:
             s[STEP] = end - now  # end where the last sample is
@@ -260,11 +275,13 @@ def case_functions(
             e = w[error_at] / tolerance
             jammed = rubs and w[jam] > 0.5
             accepted = e <= 1.0 and not jammed  # false for a number that is none
-            noise = not accepted and not jammed and e < math.inf and step <= FLOOR * s[FIRST]
-            if noise and s[FORCED] < MOST_FORCED:
+            bearable = max(BEARABLE_PART, BEARABLE / tolerance)
+            patient = e < math.inf and not jammed and s[FORCED] < MOST_FORCED
+            if not accepted and patient and e <= bearable and (step <= FLOOR * s[FIRST] or s[OVER] > 0.5):
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
                 accepted, e = True, 1.0
                 s[FORCED] += 1.0
+            s[OVER] = 0.0
             event = -1
             if accepted:
                 event, part = switched(w, s, step)
@@ -275,6 +292,17 @@ def case_functions(
                         s[NATURAL], s[STEP] = max(s[NATURAL], step), shorter
             else:
                 s[STEP] = step * max(SHRINK, SAFETY / e**0.2) if e < math.inf and not jammed else 0.1 * step
+                if s[UNCUT] == 0.0 or e * s[UNCUT] * s[UNCUT] < s[UNCUT_ERROR] * step * step:
+                    s[UNCUT], s[UNCUT_ERROR] = step, e
+                elif (
+                    step <= NOISY_CUT * s[UNCUT]
+                    and s[UNCUT_ERROR] < min(e, bearable)
+                    and patient
+                    and constrained
+                    and not any_contact(w)
+                ):  # step over what shorter steps make worse
+                    s[STEP], s[OVER], s[UNCUT] = s[UNCUT], 1.0, 0.0
+                    s[FORCED] += 1.0
                 s[NATURAL] = s[STEP]
                 # Near a loss of rank it is the drift of the closures that spoils the accelerations.
                 s[SINCE] = PROJECT_EVERY

@@ -61,7 +61,7 @@ def test_threads_agree_with_lanes(
             assert ours.shape == theirs.shape
             gap, size = (np.abs(part).max(axis=0, initial=0.0) for part in (ours - theirs, theirs))
             assert (gap <= bound * size).all(), motion
-        if lane.status is Status.DIVERGED:  # its end is where rounding took it
+        if lane.status in (Status.DIVERGED, Status.STEP_TOO_SMALL):  # its end is where rounding took it
             continue
         for ours, theirs in ((thread.end.z, lane.end.z), (thread.end.v, lane.end.v)):
             assert np.abs(ours - theirs).max() < CLOSE["velocity"] * np.abs(theirs).max()
