@@ -40,6 +40,8 @@ class Program:
         What must be installed.
     unit : str
         Of the settings: a tolerance has none.
+    absent : str
+        Why it is not here at all.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Program:
     cases: int = 1
     package: str | None = None
     unit: str = ""
+    absent: str = ""
 
     def measure(self, setting: float) -> tuple[Array, float]:
         """Acceleration, and processor seconds of one case."""
@@ -103,8 +106,8 @@ def cost_at(points: Sequence[Point], limit: float) -> float | None:
 def sweep(scene: Scene, program: Program, say: Callable[[str], None]) -> Curve:
     """From the loosest setting to the first that meets the limit, and one more where that is cheap."""
     curve = Curve(program.name, program.unit)
-    if program.package is not None and installed(program.package) is None:
-        curve.missing = f"{program.package} is not installed"
+    if program.absent or (program.package is not None and installed(program.package) is None):
+        curve.missing = program.absent or f"{program.package} is not installed"
         say(f"{scene.name}: {program.name}: missing: {curve.missing}")
         return curve
     try:

@@ -17,22 +17,28 @@ from solver.simulate import Case, Settings, simulate
 Array = NDArray[np.float64]
 
 
-def _contact(clearance: float, law: Any, symbolic: Any) -> Any:
-    """The force of a connector on its first marker's body, from the second marker's place and rate relative to it.
+def _contact(clearance: float, law: Any, pin_radius: float, symbolic: Any) -> Any:
+    """Force and torque of a connector on its first marker's body, from the second marker's motion relative to it.
 
-    `symbolic` is Exudyn's module of the same functions on expression trees, which it evaluates without Python.
+    `symbolic` is Exudyn's module of functions on expression trees, which it evaluates without Python. The torques on
+    pin and socket are opposite here: the friction's arm about the socket is short of the eccentricity.
     """
     k, c, mu, v0 = law.stiffness, law.damping, law.friction, law.friction_velocity
-    square_root, tanh, largest = symbolic.sqrt, symbolic.tanh, symbolic.max
 
-    def force(mbs: Any, t: Any, item: Any, e: Any, rate: Any, stiffness: Any, damping: Any, offset: Any) -> Any:
-        eccentricity = square_root(largest(e[0] * e[0] + e[1] * e[1], 1e-60))
+    def force(
+        mbs: Any, t: Any, item: Any, e: Any, turn: Any, rate: Any, omega: Any, stiffness: Any, damping: Any,
+        rotation0: Any, rotation1: Any, offset: Any,
+    ) -> Any:  # fmt: skip
+        eccentricity = symbolic.sqrt(symbolic.max(e[0] * e[0] + e[1] * e[1], 1e-60))
         nx, ny = e[0] / eccentricity, e[1] / eccentricity
         penetration = eccentricity - clearance
-        elastic = largest(k * penetration + c * (nx * rate[0] + ny * rate[1]), 0.0)
+        elastic = symbolic.max(k * penetration + c * (nx * rate[0] + ny * rate[1]), 0.0)
         normal = symbolic.IfThenElse(penetration > 0.0, elastic, symbolic.Real(0.0))
-        rubbing = mu * normal * tanh((nx * rate[1] - ny * rate[0]) / v0)
-        return symbolic.Vector([nx * normal - ny * rubbing, ny * normal + nx * rubbing, 0.0])
+        slip = nx * rate[1] - ny * rate[0] + pin_radius * omega[2]
+        rubbing = mu * normal * symbolic.tanh(slip / v0)
+        return symbolic.Vector([
+            nx * normal - ny * rubbing, ny * normal + nx * rubbing, 0.0, 0.0, 0.0, pin_radius * rubbing
+        ])  # fmt: skip
 
     return force
 
@@ -47,7 +53,7 @@ def _link_velocities(machine: Machine) -> dict[str, list[float]]:
 def build(machine: Machine, fault: FaultState) -> tuple[Any, int]:
     """The machine as a system of Exudyn, assembled, and its sensor of the frame's acceleration.
 
-    Only what P1 has: mounts, ideal joints, a rotation drive of constant speed, pins of radius 0.
+    Only what P1 and QR have: mounts, ideal joints, a rotation drive of constant speed, the linear contact law.
     """
     import exudyn as exu
     import exudyn.itemInterface as items  # noqa: N813
@@ -56,7 +62,7 @@ def build(machine: Machine, fault: FaultState) -> tuple[Any, int]:
     mbs = exu.SystemContainer().AddSystem()
     ground = mbs.AddObject(items.ObjectGround())
     velocities = _link_velocities(machine)
-    nodes, bodies = {}, {}
+    nodes, bodies, kept = {}, {}, []
     for name, link in machine.links.items():
         nodes[name] = mbs.AddNode(
             items.NodeRigidBody2D(referenceCoordinates=[*link.cg, 0.0], initialVelocities=velocities[name])
@@ -87,18 +93,16 @@ def build(machine: Machine, fault: FaultState) -> tuple[Any, int]:
         elif name in fault.joints:
             pin = joint.pin or first
             socket = second if pin == first else first
-            markers = [place(link, joint.at, items.MarkerBodyPosition) for link in (socket, pin)]
+            markers = [place(link, joint.at, items.MarkerBodyRigid) for link in (socket, pin)]
             law = joint.contact or machine.defaults.contact
-            if law is None or joint.pin_radius:
-                raise ValueError(f"{name}: only pins of radius 0, and a contact, are modelled here")
+            assert law is not None
             number = mbs.AddObject(
-                items.ObjectConnectorCartesianSpringDamper(
-                    markerNumbers=markers, stiffness=[0.0] * 3, damping=[0.0] * 3, springForceUserFunction=0
-                )
+                items.ObjectConnectorRigidBodySpringDamper(markerNumbers=markers, springForceTorqueUserFunction=0)
             )
-            force = _contact(dict(fault.items())[name], law, exu.symbolic)
-            compiled = CreateSymbolicUserFunction(mbs, force, "springForceUserFunction", number)
-            mbs.SetObjectParameter(number, "springForceUserFunction", compiled)
+            force = _contact(fault[name], law, joint.pin_radius, exu.symbolic)
+            compiled = CreateSymbolicUserFunction(mbs, force, "springForceTorqueUserFunction", number)
+            mbs.SetObjectParameter(number, "springForceTorqueUserFunction", compiled)
+            kept.append(compiled)
         else:
             markers = [place(link, joint.at, items.MarkerBodyPosition) for link in (first, second)]
             mbs.AddObject(items.ObjectJointRevolute2D(markerNumbers=markers))
@@ -124,6 +128,7 @@ def build(machine: Machine, fault: FaultState) -> tuple[Any, int]:
             writeToFile=False,
         )
     )  # fmt: skip
+    mbs.variables["functions"] = kept  # Exudyn does not keep them alive
     mbs.Assemble()
     return mbs, int(sensor)
 
