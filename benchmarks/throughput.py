@@ -48,12 +48,13 @@ def measure(quick: bool, say: Callable[[str], None]) -> dict[str, object]:
     cases = [Case(FaultState({"B": float(c)})) for c in clearances]
     settings = Settings(duration=scene.duration, rtol=TOLERANCE)
     simulate_batch(scene.machine, cases[:LANES], Settings(duration=0.01, rtol=TOLERANCE))
-    spent, failed, busy = 0.0, 0, []
+    spent, integrating, failed, busy = 0.0, 0.0, 0, []
     kept: list[tuple[Case, Array]] = []
     for first in range(0, count, _TOGETHER):
         began = time.process_time()
         histories = simulate_batch(scene.machine, cases[first : first + _TOGETHER], settings)
         spent += time.process_time() - began
+        integrating += sum(history.seconds for history in histories)
         failed += sum(history.status is not Status.OK for history in histories)
         busy.append(busy_part([scene.duration / history.step for history in histories]))
         if not kept:
@@ -66,6 +67,6 @@ def measure(quick: bool, say: Callable[[str], None]) -> dict[str, object]:
         for (_, found), history in zip(kept, exact, strict=True)
     ]
     return {
-        "cases": count, "failed": failed, "tolerance": TOLERANCE, "seconds": spent, "per_second": count / spent,
+        "cases": count, "failed": failed, "tolerance": TOLERANCE, "seconds": spent, "integrating": integrating / spent, "per_second": count / spent,
         "busy": float(np.mean(busy)), "error_median": float(np.median(errors)), "error_worst": max(errors),
     }  # fmt: skip
