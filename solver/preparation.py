@@ -199,11 +199,9 @@ def prepare(
     if unknown:
         raise MachineError(machine.name, min(unknown), values[min(unknown)], "this machine has no such number")
     vector = model.vector(complete)
-    standing = _standing(machine, model.clearance_joints, varying)
-    still = standing.vector(complete)
-    z = start_pose(standing, still)
     joints = model.clearance_joints
-    v = start_velocity(model, vector, z)
+    others = tuple((path, value) for path, value in complete.items() if not _is_contact(path, joints))
+    z, v = _start(machine, joints, varying, others)
     motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
     speed, fastest = drive_rates(machine, complete)
     transient, *remarks = transient_time(motions.suspension, speed)
@@ -228,8 +226,25 @@ def prepare(
     return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, longest, smooth)
 
 
+@lru_cache(maxsize=1024)
+def _start(
+    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: tuple[tuple[str, float], ...]
+) -> tuple[Array, Array]:
+    """Coordinates and velocities of the start: pins are concentric in it, so that no contact number matters."""
+    model, standing = model_of(machine, joints, varying), _standing(machine, joints, varying)
+    z = start_pose(standing, standing.vector(dict(values)))
+    v = start_velocity(model, model.vector(dict(values)), z)
+    z.flags.writeable = v.flags.writeable = False  # many cases share them
+    return z, v
+
+
+def _is_contact(path: str, joints: tuple[str, ...]) -> bool:
+    """Whether a number is one of a contact between pin and socket."""
+    return any(path.startswith(f"joints.{joint}.") for joint in joints)
+
+
 def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:
     """Whether a number has to do with the motions between impacts, not with a contact, rubbing or the drive."""
     if any(path.startswith(f"joints.{name}.friction") for name in machine.sliding_joints):
         return False
-    return not path.startswith("drive.") and not any(path.startswith(f"joints.{joint}.") for joint in joints)
+    return not path.startswith("drive.") and not _is_contact(path, joints)

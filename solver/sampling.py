@@ -11,6 +11,7 @@ worn joint, at 10 kHz, are 0.06 dB off at most up to 3 kHz and 0.2 dB up to 4 kH
 
 from __future__ import annotations
 
+import threading
 from functools import cache, partial
 
 import numpy as np
@@ -48,6 +49,17 @@ def reach(oversampling: int) -> int:
     return len(_filter(oversampling)) // 2
 
 
+_scratch = threading.local()
+
+
+def _room(size: int) -> Array:
+    """Scratch memory of this thread, kept: fresh memory costs as much as the filter."""
+    kept: Array | None = getattr(_scratch, "room", None)
+    if kept is None or kept.size < size:
+        kept = _scratch.room = np.empty(size)
+    return kept[:size]
+
+
 def band_limited_acceleration(velocity: Array, rate: float, oversampling: int, out: Array | None = None) -> Array:
     """Acceleration at the reduced rate, flat to 0.4 of it; for aliases see the module.
 
@@ -76,7 +88,7 @@ def band_limited_acceleration(velocity: Array, rate: float, oversampling: int, o
     # Means between velocities, then taps: together the differences of the taps on the velocities.
     weights = -np.diff(taps, prepend=0.0, append=0.0) * rate
     weights = np.pad(weights, (0, -len(weights) % 4))
-    phases = np.empty(oversampling * (out.shape[1] + len(weights) + _BLOCK))
+    phases = _room(oversampling * (out.shape[1] + len(weights) + _BLOCK))
     _decimate(velocity, weights, oversampling, phases, np.empty(_BLOCK), out)
     return out
 
