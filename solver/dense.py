@@ -126,9 +126,10 @@ def record(
     for r in range(count):
         start = w[(kept + n + channels[r]) * LANES + lane]
         at = (dense + 4 * (count + r)) * LANES + lane
-        row = (slot * count + r) * velocities.shape[2] + head
-        for s in range(first, last, GROUP):
-            _write_values(w, at, velocities, row + s, start, 1.0, x0 + s * dx, dx)
+        for phase in range(oversampling):
+            row = ((slot * count + r) * oversampling + phase) * velocities.shape[3] + head
+            for s in range(-((phase - first) // oversampling), -((phase - last) // oversampling), GROUP):
+                _write_values(w, at, velocities, row + s, start, 1.0, x0 + phase * dx + s * wide, wide)
         if motion:
             row = (slot * count + r) * coordinates.shape[2]
             for s in range(low, high, GROUP):

@@ -9,12 +9,13 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
+from solver import sampling
 from solver.device import DeviceKernel, Records, compile_device, memory
 from solver.history import Settings
 from solver.machine import Machine
 from solver.model import Model
 from solver.preparation import Prepared, model_of
-from solver.runs import OVERSAMPLING, Run, error_bounds, error_scales, how_it_ended, queue_of, samples_of, with_head
+from solver.runs import OVERSAMPLING, Run, error_bounds, error_scales, how_it_ended, queue_of, samples_of
 
 #: Cases that run side by side are bounded by the memory of their records, bytes: here and on the device.
 _RECORD_BYTES = 4e9
@@ -67,8 +68,8 @@ def _group(
             part[i, :, :whole] if motion else None
             for part in (records.coordinates, records.accelerations, records.memories)
         )
-        v = with_head(records.velocities[i, :, :reached])
+        v = sampling.phases(records.velocities[i, :, :reached], OVERSAMPLING)
         seconds = reached / rate
         status, message = how_it_ended(model, case, int(ends.outcome[i]), ends.finals[i], case.begin + seconds)
         step = seconds / max(int(ends.accepted[i]), 1)
-        yield Run(case, status, message, z, v, a, remembered, ends.finals[i], step, spent)
+        yield Run(case, status, message, z, v, reached, a, remembered, ends.finals[i], step, spent)

@@ -92,8 +92,9 @@ class Records(NamedTuple):
     oversampling : int
         Coordinates and accelerations are recorded at every so many samples.
     head : int
-        Samples left free before the first velocity.
-    velocities : (slots, r, head + samples + GROUP) array
+        Places left free before the first velocity of each phase.
+    velocities : (slots, r, oversampling, head + reduced samples + GROUP) array
+        By phase, see :func:`solver.sampling.phases`.
     coordinates, accelerations : (slots, r, reduced samples + GROUP) arrays
         With no slots where they are not wanted.
     memories : (slots, m, reduced samples + GROUP) array
@@ -179,6 +180,6 @@ def empty_records(
 ) -> Records:
     """Records for `slots` cases of up to `samples` samples; without `motion` of their velocities alone."""
     reduced = (slots if motion else 0, len(channels), -(-samples // oversampling) + GROUP)
-    velocities = np.zeros((slots, len(channels), head + samples + GROUP))
+    velocities = np.zeros((slots, len(channels), oversampling, head + reduced[2]))
     remembered = np.zeros((reduced[0], memories, reduced[2]))
     return Records(channels, interval, oversampling, head, velocities, np.zeros(reduced), np.zeros(reduced), remembered)

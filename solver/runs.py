@@ -59,8 +59,10 @@ class Run:
     z, a : (r, samples) arrays or None
         Recorded coordinates and accelerations at the sample rate, where motion is wanted. Of a case that failed, the
         samples before.
-    v : (r, reach + m) array
-        Velocities at :data:`OVERSAMPLING` times the sample rate, after as many free places as the filter reaches.
+    v : (r, OVERSAMPLING, head + k) array
+        Velocities at :data:`OVERSAMPLING` times the sample rate, by phase (:func:`solver.sampling.phases`).
+    samples : int
+        Velocities that there are.
     memory : (m, samples) array or None
         What contacts remember, at the sample rate, where motion is wanted.
     final : (1 + 2 n + m,) array
@@ -76,6 +78,7 @@ class Run:
     message: str
     z: Array | None
     v: Array
+    samples: int
     a: Array | None
     memory: Array | None
     final: Array
@@ -171,12 +174,19 @@ def _gill_group(
         z, v, a, memory = np.split(out[lane, :, :reached], [len(recorded) * i for i in (1, 2, 3)])
         reduced = [motion[:, ::OVERSAMPLING] for motion in (z, a, memory)]
         final = np.concatenate([finals[lane, 1:], memory[:, -1] if reached else case.memory])
-        yield Run(case, status, message, reduced[0], with_head(v), reduced[1], reduced[2], final, h, spent)
-
-
-def with_head(velocities: Array) -> Array:
-    """Velocities after the free places that the filter fills."""
-    return np.pad(velocities, ((0, 0), (sampling.reach(OVERSAMPLING), 0)))
+        yield Run(
+            case,
+            status,
+            message,
+            reduced[0],
+            sampling.phases(v, OVERSAMPLING),
+            v.shape[1],
+            reduced[1],
+            reduced[2],
+            final,
+            h,
+            spent,
+        )
 
 
 def error_scales(machine: Machine, model: Model) -> list[float]:
@@ -231,7 +241,7 @@ def adaptive_runs(
     slots = min(SLOTS, len(waiting))
     lanes = idle_lanes(model.size, len(model.contacts), np.array(model.remembering, dtype=np.int64), slots)
     channels, interval = np.array(recorded, dtype=np.int64), 1 / (settings.sample_rate * OVERSAMPLING)
-    head, most = sampling.reach(OVERSAMPLING), int(queue.cases["samples"].max())
+    head, most = sampling.head(OVERSAMPLING), int(queue.cases["samples"].max())
     motion = settings.motion or settings.links
     records = empty_records(channels, interval, OVERSAMPLING, head, slots, most, len(model.remembering), motion)
     work, rows = kernel.work_array(), _rows(kernel, model, tuple(recorded))
@@ -280,9 +290,9 @@ def _run(model: Model, case: Prepared, queue: Queue, index: int, records: Record
     motion = slot < len(records.coordinates)
     parts = (records.coordinates, records.accelerations, records.memories)
     z, a, memory = ((part[slot, :, :whole] if motion else None) for part in parts)
-    velocities = records.velocities[slot, :, : records.head + samples]
+    velocities = records.velocities[slot]
     step = reached / max(int(ended["accepted"]), 1)
-    return Run(case, status, message, z, velocities, a, memory, final, step, seconds)
+    return Run(case, status, message, z, velocities, samples, a, memory, final, step, seconds)
 
 
 def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reached: float) -> tuple[Status, str]:

@@ -11,7 +11,6 @@ worn joint, at 10 kHz, are 0.06 dB off at most up to 3 kHz and 0.2 dB up to 4 kH
 
 from __future__ import annotations
 
-import threading
 from functools import cache, partial
 
 import numpy as np
@@ -49,82 +48,102 @@ def reach(oversampling: int) -> int:
     return len(_filter(oversampling)) // 2
 
 
-_scratch = threading.local()
+def head(oversampling: int) -> int:
+    """Places left free before the first velocity of each phase, see :func:`phases`."""
+    return -(-reach(oversampling) // oversampling)
 
 
-def _room(size: int) -> Array:
-    """Scratch memory of this thread, kept: fresh memory costs as much as the filter."""
-    kept: Array | None = getattr(_scratch, "room", None)
-    if kept is None or kept.size < size:
-        kept = _scratch.room = np.empty(size)
-    return kept[:size]
+def phases(velocity: Array, oversampling: int) -> Array:
+    """Velocities as the filter takes them: every `oversampling`-th one, from the first on, then from the second on ...
+
+    Parameters
+    ----------
+    velocity : (c, m) array
+
+    Returns
+    -------
+    (c, oversampling, head + k) array
+        After :func:`head` free places; what is missing of the last k is the last velocity again.
+    """
+    free, count = head(oversampling), -(-velocity.shape[1] // oversampling)
+    out = np.zeros((len(velocity), oversampling, free + count))
+    filled = np.pad(velocity, ((0, 0), (0, count * oversampling - velocity.shape[1])), mode="edge")
+    out[:, :, free:] = filled.reshape(len(velocity), count, oversampling).swapaxes(1, 2)
+    return out
 
 
-def band_limited_acceleration(velocity: Array, rate: float, oversampling: int, out: Array | None = None) -> Array:
+def band_limited_acceleration(velocity: Array, rate: float, count: int, out: Array | None = None) -> Array:
     """Acceleration at the reduced rate, flat to 0.4 of it; for aliases see the module.
 
     Parameters
     ----------
-    velocity : (c, reach + m) array
-        At `rate`, from the first instant wanted on, after :func:`reach` places that are filled here: before the first
-        velocity the machine is taken to have kept its first mean acceleration.
+    velocity : (c, oversampling, head + k) array
+        At `rate`, from the first instant wanted on, as :func:`phases` has it, at least 2 velocities a reduced sample.
+        The free places are filled here: before the first velocity the machine is taken to have kept its first mean
+        acceleration.
     rate : float
         Rate of the velocities, Hz.
-    oversampling : int
-        Velocities per reduced sample, at least 2.
-    out : (c, k) array, optional
-        Room for the first k results.
+    count : int
+        Results wanted; the last one needs :func:`reach` velocities after its instant.
+    out : (c, count) array, optional
+        Room for them.
 
     Returns
     -------
-    (c, k) array
-        At instants 0, oversampling, 2 oversampling ... of the input for as long as the filter has what it needs.
+    (c, count) array
+        At every first of a phase: instants 0, oversampling, 2 oversampling ... of the velocities.
     """
-    taps, half = _filter(oversampling), reach(oversampling)
-    first = velocity[:, half : half + 1]
-    velocity[:, :half] = first - (velocity[:, half + 1 : half + 2] - first) * np.arange(half, 0, -1)
+    oversampling = velocity.shape[1]
+    taps, half, free = _filter(oversampling), reach(oversampling), head(oversampling)
+    before = free * oversampling
+    first, second = velocity[:, 0, free], velocity[:, 1, free]
+    for i in range(1, half + 1):
+        place = before - i
+        velocity[:, place % oversampling, place // oversampling] = first - (second - first) * i
     if out is None:
-        out = np.empty((len(velocity), max(0, (velocity.shape[1] - 2 * half - 1) // oversampling + 1)))
+        out = np.empty((len(velocity), count))
     # Means between velocities, then taps: together the differences of the taps on the velocities.
     weights = -np.diff(taps, prepend=0.0, append=0.0) * rate
-    weights = np.pad(weights, (0, -len(weights) % 4))
-    phases = _room(oversampling * (out.shape[1] + len(weights) + _BLOCK))
-    _decimate(velocity, weights, oversampling, phases, np.empty(_BLOCK), out)
+    _decimate(velocity, weights, before - half, np.empty(_BLOCK), out)
     return out
 
 
 @partial(compiled, fastmath={"contract", "nsz"})
-def _add(w0: float, w1: float, w2: float, w3: float, x0: Array, x1: Array, x2: Array, x3: Array, sums: Array) -> None:
+def _add(weight: float, values: Array, sums: Array) -> None:
+    """Add weighted values to sums."""
+    for k in range(sums.size):
+        sums[k] += weight * values[k]
+
+
+@partial(compiled, fastmath={"contract", "nsz"})
+def _add_four(
+    w0: float, w1: float, w2: float, w3: float, x0: Array, x1: Array, x2: Array, x3: Array, sums: Array
+) -> None:
     """Add four weighted rows to sums: fewer passes over them than one at a time."""
     for k in range(sums.size):
         sums[k] += (w0 * x0[k] + w1 * x1[k]) + (w2 * x2[k] + w3 * x3[k])
 
 
-@partial(compiled, fastmath={"contract", "nsz"})
-def _decimate(signals: Array, weights: Array, step: int, phases: Array, sums: Array, out: Array) -> None:
-    """Scalar products of the weights with every `step`-th window, a block of them (`sums`) at a time.
-
-    `phases` is room for every `step`-th value of a signal, from the first on, then from the second on ...; there are
-    four weights, or a multiple.
-    """
-    count, room, block = out.shape[1], phases.size // step, sums.size
+@compiled
+def _decimate(velocity: Array, weights: Array, offset: int, room: Array, out: Array) -> None:
+    """Scalar products of the weights with every window, which begin at `offset`, a block of them at a time."""
+    step, count, fours = velocity.shape[1], out.shape[1], weights.size - weights.size % 4
     for row in range(out.shape[0]):
-        for phase in range(step):
-            length = min((signals.shape[1] - phase + step - 1) // step, room)
-            for k in range(length):
-                phases[phase * room + k] = signals[row, phase + k * step]
-            for k in range(length, room):
-                phases[phase * room + k] = 0.0
-        for start in range(0, count, block):
+        for start in range(0, count, room.size):
+            size = min(room.size, count - start)
+            sums = room[:size]
             sums[:] = 0.0
-            for i in range(0, weights.size, 4):
-                a = (i % step) * room + i // step + start
-                b = ((i + 1) % step) * room + (i + 1) // step + start
-                c = ((i + 2) % step) * room + (i + 2) // step + start
-                d = ((i + 3) % step) * room + (i + 3) // step + start
-                _add(
-                    weights[i], weights[i + 1], weights[i + 2], weights[i + 3], phases[a : a + block],
-                    phases[b : b + block], phases[c : c + block], phases[d : d + block], sums,
+            for i in range(0, fours, 4):
+                a, b, c, d = offset + i, offset + i + 1, offset + i + 2, offset + i + 3
+                _add_four(
+                    weights[i], weights[i + 1], weights[i + 2], weights[i + 3],
+                    velocity[row, a % step, start + a // step : start + a // step + size],
+                    velocity[row, b % step, start + b // step : start + b // step + size],
+                    velocity[row, c % step, start + c // step : start + c // step + size],
+                    velocity[row, d % step, start + d // step : start + d // step + size],
+                    sums,
                 )  # fmt: skip
-            for k in range(min(block, count - start)):
-                out[row, start + k] = sums[k]
+            for i in range(fours, weights.size):
+                a = offset + i
+                _add(weights[i], velocity[row, a % step, start + a // step : start + a // step + size], sums)
+            out[row, start : start + size] = sums

@@ -139,12 +139,17 @@ def _end(run: Run) -> Start:
     return Start(z, v, float(run.final[0]), memory)
 
 
+def _held(run: Run, count: int) -> Array:
+    """Velocities of a case that failed, its last ones held for as long as the filter needs."""
+    flat = run.v[:, :, sampling.head(OVERSAMPLING) :].swapaxes(1, 2).reshape(len(run.v), -1)[:, : run.samples]
+    missing = (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1 - run.samples
+    return sampling.phases(np.pad(flat, ((0, 0), (0, missing)), mode="edge"), OVERSAMPLING)
+
+
 def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: Settings) -> History:
     """Frame motion at the sample rate from what was recorded above it."""
     wanted = round(run.case.duration * settings.sample_rate) + 1
-    reach = sampling.reach(OVERSAMPLING)
-    recorded_samples = run.v.shape[1] - reach
-    count = min(wanted, -(-recorded_samples // OVERSAMPLING))
+    head, count = sampling.head(OVERSAMPLING), min(wanted, -(-run.samples // OVERSAMPLING))
     rows = {column: recorded.index(i) for column, i in enumerate(model.frame_indices) if i is not None}
 
     def frame(motion: Array | None) -> Array:
@@ -157,20 +162,15 @@ def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: 
 
     smooth = np.zeros((3, count))
     if count and rows:
-        wanted_velocities = (count - 1) * OVERSAMPLING + 2 * reach + 1
-        # Three motions recorded in their order are taken where they are.
-        velocity = run.v if list(rows.items()) == [(i, i) for i in range(len(run.v))] else run.v[list(rows.values())]
-        velocity = velocity[:, :wanted_velocities]
-        missing = wanted_velocities - velocity.shape[1]
-        if missing > 0:  # a failed case ends early: hold its last velocity
-            velocity = np.pad(velocity, ((0, 0), (0, missing)), mode="edge")
-        rate = settings.sample_rate * OVERSAMPLING
-        if len(rows) == 3:
-            sampling.band_limited_acceleration(velocity, rate, OVERSAMPLING, smooth)
+        velocity, rate = run.v, settings.sample_rate * OVERSAMPLING
+        if run.samples < (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1:
+            velocity = _held(run, count)
+        if list(rows.items()) == [(0, 0), (1, 1), (2, 2)] and len(velocity) == 3:
+            sampling.band_limited_acceleration(velocity, rate, count, smooth)
         else:
-            smooth[list(rows)] = sampling.band_limited_acceleration(velocity, rate, OVERSAMPLING)[:, :count]
+            smooth[list(rows)] = sampling.band_limited_acceleration(velocity[list(rows.values())], rate, count)
     t = run.case.begin + np.arange(count) / settings.sample_rate
-    rates = run.v[:, reach::OVERSAMPLING]
+    rates = run.v[:, 0, head:]
     remarks = [run.message, run.case.remark if run.status is Status.OK else ""]
     message = "; ".join(remark for remark in remarks if remark)
     links = None
