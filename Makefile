@@ -9,7 +9,7 @@ WORKERS ?= 2
 BENCH ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format unit serve bench pins clean
+.PHONY: help demo test lint format unit fuzz serve bench pins clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -34,6 +34,9 @@ format: $(STAMP) ## put the code into the form that the checks want
 
 unit: $(STAMP)
 	$(BIN)/pytest -n $(WORKERS)
+
+fuzz: $(STAMP) ## 2000 random machines against the oracle; endings are kept in build/fuzz.jsonl, the same command goes on
+	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign 2000 $(WORKERS)
 
 bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/benchmarks.md (BENCH="--quick": a smoke test)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \

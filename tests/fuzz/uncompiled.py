@@ -1,0 +1,164 @@
+"""The solver's own steps and driver without compilation: CasADi evaluates equations, Python the step and the driver.
+
+The step is the printed one, in its scalar dialect; the driver of lanes runs as the Python that it is, with one lane.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+from unittest import mock
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from solver import adaptive, dense, lanes, runs
+from solver.dopri import StepRows, dopri_step
+from solver.kernel import Kernel
+from solver.lanes import GROUP, Lanes, Queue
+from solver.layout import Layout
+from solver.machine import Machine
+from solver.model import Model
+from solver.preparation import model_of
+from solver.scalar import SCALAR
+
+Work = NDArray[np.float64]
+Values = list[float]
+
+
+class _Kernel(Kernel):
+    """Functions of Python."""
+
+    def work_array(self) -> Work:
+        return np.zeros(self.layout.total)
+
+
+def _kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]) -> _Kernel:
+    model = model_of(machine, joints, varying)
+    n, contacts, memories = model.size, len(model.contacts), len(model.remembering)
+    extra = StepRows.count(n, contacts, len(recorded)) + (model.rubbing is not None)
+    layout = Layout(n, len(model.parameters), extra=extra, stride=1, memories=memories)
+    rows = StepRows(layout, contacts, recorded)
+    held = _held(model, layout, rows)
+    space: dict[str, Any] = {"held": held}
+    exec(SCALAR.head + dopri_step(rows, runs.error_scales(machine, model), SCALAR.block("t")), space)
+    project: Any = _in_place(_project(model, layout)) if model.kinematics.closures else 0
+    functions: Any = (_nothing, _in_place(held), _in_place(space["dopri"]), project)
+    return _Kernel(layout, functions, 0, "", -1 if model.rubbing is None else rows.jam)
+
+
+def _nothing(w: Work) -> None:
+    """What ``prepare`` has to do where nothing is hoisted."""
+
+
+def _in_place(function: Callable[[Values], None]) -> Callable[[Work], None]:
+    """A function of a list, many times faster than one of an array's elements."""
+
+    def call(w: Work) -> None:
+        values = w.tolist()
+        try:
+            function(values)
+            w[:] = values
+        except ArithmeticError:  # Python refuses to overflow; the processor goes on with what is no number
+            w[2:] = math.nan
+
+    return call
+
+
+def _held(model: Model, layout: Layout, rows: StepRows) -> Callable[[Values], None]:
+    n, contacts, memories = model.size, len(model.contacts), len(model.remembering)
+    outputs = [model.held_acceleration]
+    outputs += [
+        ca.vertcat(*(getattr(c, name) for c in model.contacts)) for name in ("switch", "penetration", "approach")
+    ]
+    outputs.append(ca.SX(0) if model.rubbing is None else model.rubbing.jam)
+    state = ca.vertcat(model.t, model.z, model.v, model.p, model.touching, model.memory)
+    evaluate = ca.Function("held", [state], [ca.vertcat(*ca.cse(outputs))])
+
+    def held(w: Values) -> None:
+        at = [w[0], *w[layout.z : layout.z + 2 * n], *w[layout.p : layout.p + len(model.parameters)]]
+        at += w[rows.touching : rows.touching + contacts] + w[layout.memory : layout.memory + memories]
+        found = evaluate(at).full()[:, 0].tolist()
+        w[layout.a : layout.a + n] = found[:n]
+        w[rows.switch : rows.switch + 3 * contacts] = found[n:-1]
+        if model.rubbing is not None:
+            w[rows.jam] = max(w[rows.jam], found[-1])
+
+    return held
+
+
+def _project(model: Model, layout: Layout) -> Callable[[Values], None]:
+    n = model.size
+
+    def project(w: Values) -> None:
+        z, v = np.array(w[layout.z : layout.z + n]), np.array(w[layout.v : layout.v + n])
+        p = w[layout.p : layout.p + len(model.parameters)]
+        z = z + model.projection(w[0], z, v, p)[0].full()[:, 0]
+        v = v + model.projection(w[0], z, v, p)[1].full()[:, 0]
+        w[layout.z : layout.z + 2 * n] = [*z.tolist(), *v.tolist()]
+
+    return project
+
+
+def _call(function: Callable[[Work], None], w: Work) -> None:
+    function(w)
+
+
+def _write_values(w: Work, at: int, out: Work, where: int, start: float, scale: float, x0: float, dx: float) -> None:
+    """A group of samples of the dense output."""
+    c2, c3, c4, c5 = w[at : at + 4]
+    x = x0 + dx * np.arange(GROUP)
+    y = 1 - x
+    out.reshape(-1)[where : where + GROUP] = scale * (start + x * (c2 + y * (c3 + x * (c4 + y * c5))))
+
+
+def _write_slopes(w: Work, at: int, out: Work, where: int, start: float, scale: float, x0: float, dx: float) -> None:
+    """A group of samples of its derivative."""
+    c2, c3, c4, c5 = w[at : at + 4]
+    x = x0 + dx * np.arange(GROUP)
+    y = 1 - x
+    inner = c4 + y * c5
+    middle = c3 + x * inner
+    out.reshape(-1)[where : where + GROUP] = scale * (c2 + y * middle - x * middle + x * y * (inner - x * c5))
+
+
+def _queue(waiting: Any, settings: Any) -> Queue:
+    """The queue, its cases with their fields as attributes, as compiled code has them."""
+    queue = runs_queue_of(waiting, settings)
+    return queue._replace(cases=queue.cases.view(np.recarray))
+
+
+def _lanes(*arguments: Any) -> Lanes:
+    lanes = lanes_idle(*arguments)
+    return lanes._replace(lanes=lanes.lanes.view(np.recarray))
+
+
+runs_queue_of, lanes_idle = runs.queue_of, runs.idle_lanes
+
+
+@contextlib.contextmanager
+def uncompiled(trials: int) -> Iterator[None]:
+    """Simulate with the adaptive method in plain Python; a case gives up after so many trial steps."""
+    with contextlib.ExitStack() as patches:
+
+        def put(module: Any, name: str, value: Any) -> None:
+            patches.enter_context(mock.patch.object(module, name, value))
+
+        for module in (adaptive, dense):
+            for name, value in list(vars(module).items()):
+                if hasattr(value, "py_func"):
+                    put(module, name, value.py_func)
+        for module in (adaptive, runs, lanes, dense):
+            put(module, "LANES", 1)
+        put(adaptive, "call", _call)
+        put(dense, "_write_values", _write_values)
+        put(dense, "_write_slopes", _write_slopes)
+        put(runs, "_adaptive_kernel", _kernel)
+        put(runs, "queue_of", _queue)
+        put(runs, "idle_lanes", _lanes)
+        put(runs, "_LEAST_PATIENCE", trials)
+        put(runs, "_PATIENCE", 0)
+        yield
