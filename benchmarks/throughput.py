@@ -67,6 +67,7 @@ def measure(quick: bool, say: Callable[[str], None]) -> dict[str, object]:
         for (_, found), history in zip(kept, exact, strict=True)
     ]
     return {
-        "cases": count, "failed": failed, "tolerance": TOLERANCE, "seconds": spent, "integrating": integrating / spent, "per_second": count / spent,
+        "cases": count, "failed": failed, "tolerance": TOLERANCE,
+        "seconds": spent, "integrating": integrating / spent, "per_second": count / spent,
         "busy": float(np.mean(busy)), "error_median": float(np.median(errors)), "error_worst": max(errors),
     }  # fmt: skip
