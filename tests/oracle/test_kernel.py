@@ -44,6 +44,13 @@ def laws_machine() -> Machine:
     return loaded("four-bar", joints=joints)
 
 
+def rubbing_guides() -> Machine:
+    joints = shipped_machine("quick-return").model_dump(mode="json")["joints"]
+    for name, friction in (("G1", 0.3), ("G2", 0.1)):
+        joints[name] |= {"friction": friction, "friction_velocity": 0.05}
+    return loaded("quick-return", joints=joints)
+
+
 CUTTING = [[0.0, 0.0, 0.0, 0.0], [1.2, -800.0, 20.0, 3.0], [3.1, 0.0, 0.0, 0.0]]
 SCENES = {
     "quick-return, two worn joints, ripple, cutting force": (
@@ -83,6 +90,11 @@ SCENES = {
         (),
     ),
     "four-bar, every contact law": (laws_machine(), tuple(LAWS), ()),
+    "quick-return, both guides rub": (
+        rubbing_guides(),
+        ("A",),
+        ("joints.G1.friction", "joints.G2.friction_velocity"),
+    ),
     "four-bar, every joint worn": (shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints), ()),
 }
 
