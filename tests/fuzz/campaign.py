@@ -10,13 +10,18 @@ import traceback
 from collections import Counter
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from fuzz.judge import judge
 from fuzz.machines import scene
 from fuzz.uncompiled import uncompiled
 
+from solver import runs
+
 #: Trial steps in plain Python, some seconds.
 TRIALS = 3000
+#: Trial steps of a machine that is too stiff for that, through the compiled lanes.
+COMPILED_TRIALS = 1e6
 KEPT = Path("build/fuzz.jsonl")
 
 
@@ -27,6 +32,9 @@ def ending(seed: int) -> dict[str, Any]:
         drawn = scene(seed)
         with uncompiled(TRIALS):
             verdict = judge(drawn)
+        if verdict.ending == "step_too_small":
+            with mock.patch.multiple(runs, _LEAST_PATIENCE=COMPILED_TRIALS, _MOST_PATIENCE=COMPILED_TRIALS):
+                verdict = judge(drawn)
         found = {"ending": verdict.ending, "confirmed": verdict.confirmed, "message": verdict.message, "odd": drawn.odd}
     except Exception as error:  # a failure is a result here, whatever it is
         where = traceback.format_exc().strip().splitlines()[-3:]
