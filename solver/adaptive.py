@@ -182,8 +182,8 @@ def _restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: 
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, tolerance: float,
-    precision: float, queue: Queue, records: Records, state: Lanes,
+    kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, precision: float,
+    queue: Queue, records: Records, state: Lanes,
 ) -> None:  # fmt: skip
     """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 
@@ -196,8 +196,6 @@ def integrate(
     n, contacts : int
         Coordinates, clearance joints.
     rows : Rows
-    tolerance : float
-        Bound of the scaled error of a step.
     precision : float
         Penetration within which the instant of a switch must be met, m.
     queue : Queue
@@ -207,7 +205,6 @@ def integrate(
     """
     prepare, held, dopri, project = kernel
     jam = rows.jam
-    bearable_error = max(BEARABLE_PART, BEARABLE / tolerance)
     # Taken out of their tuples once: compiled code counts references whenever an array is.
     cases, starts, parameters = queue.cases, queue.starts, queue.parameters
     lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
@@ -260,7 +257,8 @@ def integrate(
                 continue
             case = cases[mine.case]
             mine.trials += 1
-            e = w[rows.error * LANES + lane] / tolerance
+            e = w[rows.error * LANES + lane] / case.tolerance
+            bearable = max(BEARABLE_PART, BEARABLE / case.tolerance)
             step, t = mine.h, mine.t
             now = t + step
             if abs(now - mine.end) <= SHORTEST * (abs(mine.end) + interval):
@@ -270,7 +268,7 @@ def integrate(
             accept = e <= 1.0 and not jammed  # false for a number that is none
             tiny = step <= FLOOR * case.first_step
             patient = e < math.inf and not jammed and mine.forced < MOST_FORCED
-            if not accept and patient and e <= bearable_error and (tiny or mine.over == 1):
+            if not accept and patient and e <= bearable and (tiny or mine.over == 1):
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
                 accept = True
                 mine.forced += 1
@@ -295,7 +293,7 @@ def integrate(
                     mine.uncut, mine.uncut_error = step, e
                 elif (
                     step <= NOISY_CUT * mine.uncut
-                    and mine.uncut_error < min(e, bearable_error)
+                    and mine.uncut_error < min(e, bearable)
                     and patient
                     and project != 0
                     and not _any_contact(w, contacts, rows, lane)

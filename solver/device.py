@@ -74,7 +74,7 @@ def case_kernel(code: KernelCode, rows: StepRows, remembering: tuple[int, ...]) 
     float64 = np.float64
 
     def advance_case(
-        kept: Array, fresh: bool, count: int, interval: float, tolerance: float, precision: float, oversampling: int,
+        kept: Array, fresh: bool, count: int, interval: float, precision: float, oversampling: int,
         channels: Indices, coordinates: Array, velocities: Array, accelerations: Array, memories: Array,
     ) -> None:  # fmt: skip
         c = cuda.grid(1)
@@ -89,7 +89,7 @@ def case_kernel(code: KernelCode, rows: StepRows, remembering: tuple[int, ...]) 
         if fresh:
             begin(w, s)
         advance(
-            w, s, count, interval, tolerance, precision, oversampling, channels, coordinates[c], velocities[c],
+            w, s, count, interval, precision, oversampling, channels, coordinates[c], velocities[c],
             accelerations[c], memories[c],
         )  # fmt: skip
         for r in range(length):
@@ -161,7 +161,7 @@ class DeviceKernel:
     rows: StepRows
     launch: Any
 
-    def integrate(self, queue: Queue, interval: float, tolerance: float, precision: float, records: Records) -> Ends:
+    def integrate(self, queue: Queue, interval: float, precision: float, records: Records) -> Ends:
         """Integrate cases side by side.
 
         Parameters
@@ -170,8 +170,6 @@ class DeviceKernel:
             Read only.
         interval : float
             Time between samples of the velocities, s.
-        tolerance : float
-            Bound of the scaled error of a step.
         precision : float
             Penetration within which the instant of a switch must be met, m.
         records : Records
@@ -184,8 +182,8 @@ class DeviceKernel:
         kept[moving], kept[remembered] = np.split(queue.starts.T, [2 * layout.size])
         kept[layout.p : layout.p + layout.parameters] = queue.parameters.T
         given = (
-            (stepper.BEGIN, "begin"), (stepper.FIRST, "first_step"), (stepper.LONGEST, "longest_step"),
-            (stepper.SAMPLES, "samples"), (stepper.MOST, "most_trials"),
+            (stepper.BEGIN, "begin"), (stepper.TOLERANCE, "tolerance"), (stepper.FIRST, "first_step"),
+            (stepper.LONGEST, "longest_step"), (stepper.SAMPLES, "samples"), (stepper.MOST, "most_trials"),
         )  # fmt: skip
         for place, name in given:
             kept[length + place] = queue.cases[name]
@@ -193,7 +191,7 @@ class DeviceKernel:
         channels = cuda.to_device(np.array(self.rows.recorded, dtype=np.int64))
         motions = (records.coordinates, records.velocities, records.accelerations, records.memories)
         results = [cuda.to_device(motion) for motion in motions]
-        constants = (interval, tolerance, precision, records.oversampling)
+        constants = (interval, precision, records.oversampling)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Grid size")  # Numba's: few cases are no mistake here
             launch = self.launch[-(-cases // _THREADS), _THREADS]

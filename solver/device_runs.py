@@ -15,7 +15,7 @@ from solver.history import Settings
 from solver.machine import Machine
 from solver.model import Model
 from solver.preparation import Prepared, model_of
-from solver.runs import OVERSAMPLING, Run, error_bounds, error_scales, how_it_ended, queue_of, samples_of
+from solver.runs import OVERSAMPLING, Run, error_scales, how_it_ended, queue_of, samples_of, switch_precision
 
 #: Cases that run side by side are bounded by the memory of their records, bytes: here and on the device.
 _RECORD_BYTES = 4e9
@@ -48,7 +48,6 @@ def _group(
 ) -> Iterator[Run]:
     began = time.process_time()
     rate = settings.sample_rate * OVERSAMPLING
-    tolerance, precision = error_bounds(machine, model, settings)
     queue = queue_of(cases, settings)
     motion = settings.motion or settings.links
     records = Records.empty(
@@ -59,7 +58,7 @@ def _group(
         OVERSAMPLING,
         motion,
     )
-    ends = kernel.integrate(queue, 1 / rate, tolerance, precision, records)
+    ends = kernel.integrate(queue, 1 / rate, switch_precision(machine, model, settings), records)
     spent = (time.process_time() - began) / len(cases)
     for i, case in enumerate(cases):
         reached = int(ends.reached[i])

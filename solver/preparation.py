@@ -23,6 +23,7 @@ from solver.steps import (
     STEP_RULES,
     contact_mobility,
     largest_step,
+    response,
     smooth_eigenvalues,
     suspension_modes,
     transient_time,
@@ -60,6 +61,8 @@ class Prepared:
         What a reader of the results should know: where the transient rule does not hold, say.
     duration : float
         s.
+    response : float
+        How far the frame moves against what it would at a fast drive, see :func:`solver.steps.response`.
     longest_step : float
         What the rules of :mod:`solver.steps` allow at the asked accuracy, s.
     smooth_step : float
@@ -76,6 +79,7 @@ class Prepared:
     transient: float
     remark: str
     duration: float
+    response: float
     longest_step: float
     smooth_step: float
 
@@ -223,7 +227,8 @@ def prepare(
         raise SettingsError(f"duration: {duration:g} s: {too_long}")
     remark = "; ".join(filter(None, remarks))
     memory = np.zeros(len(model.remembering))
-    return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, longest, smooth)
+    small = response(motions.suspension, speed)
+    return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, small, longest, smooth)
 
 
 @lru_cache(maxsize=1024)

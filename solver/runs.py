@@ -235,7 +235,7 @@ def adaptive_runs(
     if not prepared:
         return
     kernel = _adaptive_kernel(machine, model.clearance_joints, varying, tuple(recorded))
-    tolerance, precision = error_bounds(machine, model, settings)
+    precision = switch_precision(machine, model, settings)
     waiting = sorted(prepared, key=lambda case: -case.duration)  # the longest first: they end together
     queue = queue_of(waiting, settings)
     slots = min(SLOTS, len(waiting))
@@ -248,9 +248,8 @@ def adaptive_runs(
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
         adaptive.integrate(
-            kernel.functions, work, model.size, len(model.contacts), rows, tolerance, precision,
-            queue, records, lanes,
-        )  # fmt: skip
+            kernel.functions, work, model.size, len(model.contacts), rows, precision, queue, records, lanes
+        )
         ended = lanes.ended[: lanes.cursor[ENDED]].copy()
         lanes.cursor[ENDED] = 0
         took = (time.process_time() - began) / max(1, len(ended))
@@ -260,17 +259,22 @@ def adaptive_runs(
             lanes.cursor[FREE] += 1
 
 
-def error_bounds(machine: Machine, model: Model, settings: Settings) -> tuple[float, float]:
-    """Scaled error of a step, and the penetration within which a switch is met, m."""
-    tolerance = settings.rtol or TOLERANCES[settings.accuracy]
+def tolerance_of(settings: Settings) -> float:
+    """Scaled error of a step, for a drive at least as fast as the suspension."""
+    return settings.rtol or TOLERANCES[settings.accuracy]
+
+
+def switch_precision(machine: Machine, model: Model, settings: Settings) -> float:
+    """Penetration within which a switch is met, m."""
     smallest = min(scale for scale in error_scales(machine, model)[: model.size] or [1.0])
-    return tolerance, min(1e-8, 0.01 * tolerance * smallest)
+    return min(1e-8, 0.01 * tolerance_of(settings) * smallest)
 
 
 def queue_of(waiting: Sequence[Prepared], settings: Settings) -> Queue:
     """The cases as an error-controlled driver takes them."""
     cases = np.zeros(len(waiting), CASE)
     cases["begin"] = [case.begin for case in waiting]
+    cases["tolerance"] = [tolerance_of(settings) * case.response for case in waiting]
     cases["samples"] = [samples_of(case, settings) for case in waiting]
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
     cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])

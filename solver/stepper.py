@@ -37,15 +37,15 @@ from solver.gill import DIVERGED, LOST, PATIENCE
 from solver.kernel import KernelCode
 from solver.scalar import Compile, Function, kernel_functions
 
-#: Places in the state of a case. Given: time of the first sample, first and longest step, samples wanted, trial steps
-#: after which it counts as stalled.
-BEGIN, FIRST, LONGEST, SAMPLES, MOST = range(5)
+#: Places in the state of a case. Given: time of the first sample, bound of the scaled error of a step, first and
+#: longest step, samples wanted, trial steps after which it counts as stalled.
+BEGIN, TOLERANCE, FIRST, LONGEST, SAMPLES, MOST = range(6)
 #: Kept: how it ended, time, trial step, that step before a switch shortened it, samples, trial and accepted steps,
 #: accepted steps since closures were restored, forced steps, corrections of closures not believed one after the other,
 #: samples when closures last held, step at which refusals for error began (0 for none), that error, 1 where the next
 #: trial is that step again; then switch, penetration and approach of every contact.
-OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(5, 16)
-UNCUT, UNCUT_ERROR, OVER, BEFORE = range(16, 20)
+OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(6, 17)
+UNCUT, UNCUT_ERROR, OVER, BEFORE = range(17, 21)
 
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def case_functions(
         ``begin(w, s)``: from a work array `w` with parameters, coordinates and velocities, and a state `s` of zeros but
         for what is given, to a state ready for a first trial step.
     advance : callable
-        ``advance(w, s, count, interval, tolerance, precision, oversampling, places, coordinates, velocities,
+        ``advance(w, s, count, interval, precision, oversampling, places, coordinates, velocities,
         accelerations, memories)``: at most `count` trial steps, until ``s[OUTCOME]`` is no longer ``RUNNING``. `places`
         are the recorded coordinates; the others are as in :meth:`solver.device.DeviceKernel.integrate`, of one case.
     """
@@ -256,7 +256,7 @@ def case_functions(
 
     @compiled
     def advance(
-        w: Array, s: Array, count: int, interval: float, tolerance: float, precision: float, oversampling: int,
+        w: Array, s: Array, count: int, interval: float, precision: float, oversampling: int,
         places: Indices, coordinates: Array, velocities: Array, accelerations: Array, memories: Array,
     ) -> None:  # fmt: skip
         end = s[BEGIN] + (s[SAMPLES] - 1.0) * interval
@@ -272,10 +272,10 @@ def case_functions(
                 w[jam] = 0.0
             dopri(w)
             s[TRIALS] += 1.0
-            e = w[error_at] / tolerance
+            e = w[error_at] / s[TOLERANCE]
             jammed = rubs and w[jam] > 0.5
             accepted = e <= 1.0 and not jammed  # false for a number that is none
-            bearable = max(BEARABLE_PART, BEARABLE / tolerance)
+            bearable = max(BEARABLE_PART, BEARABLE / s[TOLERANCE])
             patient = e < math.inf and not jammed and s[FORCED] < MOST_FORCED
             if not accepted and patient and e <= bearable and (step <= FLOOR * s[FIRST] or s[OVER] > 0.5):
                 # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.

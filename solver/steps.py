@@ -60,6 +60,8 @@ BETWEEN_IMPACTS = StepRule(math.inf, math.inf, 0.5, math.inf, 120)
 RESIDUE = 0.01
 #: Revolutions dropped at least: the impacts take a few to settle.
 SETTLING_REVOLUTIONS = 2
+#: Least part of its motion at a fast drive that a frame is taken to answer a slow one with.
+LEAST_RESPONSE = 1e-3
 #: A suspension that decays slower than this part of its frequency counts as undamped.
 UNDAMPED = 1e-4
 
@@ -187,6 +189,26 @@ def suspension_modes(model: Model, p: Sequence[float]) -> list[complex]:
     n = len(free)
     system = np.block([[np.zeros((n, n)), np.eye(n)], [np.linalg.solve(mass, part) for part in parts]])
     return [complex(s) for s in np.linalg.eigvals(system) if s.imag > 1e-6 * max(1.0, abs(s))]
+
+
+def response(modes: Sequence[complex], speed: float) -> float:
+    """How far the frame moves against what it would at a drive that is faster than its suspension.
+
+    Inertia forces grow with the square of the speed, and below its modes the suspension answers them with its
+    stiffness: (speed / lowest mode)^2, no less than :data:`LEAST_RESPONSE`. Errors of steps are held to this part of
+    the sizes that they are compared with, or the spectra of slow machines would drown in them.
+
+    Parameters
+    ----------
+    modes : sequence of complex
+        Suspension modes, 1/s.
+    speed : float
+        Drive speed, rad/s; 0 where nothing repeats.
+    """
+    lowest = min((float(abs(s)) for s in modes if abs(s) > 0), default=0.0)
+    if not speed or not lowest:
+        return 1.0
+    return max(LEAST_RESPONSE, min(1.0, (speed / lowest) ** 2))
 
 
 def transient_time(modes: Sequence[complex], speed: float) -> tuple[float, str]:

@@ -15,10 +15,12 @@ from solver.model import build_model
 from solver.pose import walk
 from solver.simulate import Case, Settings, Status, simulate
 from solver.steps import (
+    LEAST_RESPONSE,
     RESIDUE,
     STEP_RULES,
     contact_mobility,
     largest_step,
+    response,
     suspension_modes,
     transient_time,
 )
@@ -117,3 +119,10 @@ def test_an_undamped_suspension_is_said() -> None:
     time, remark = transient_time([complex(0, 62.83), complex(-5, 100)], 4 * math.pi)
     assert "undamped suspension mode at 10 Hz" in remark
     assert time == pytest.approx(1.0)
+
+
+def test_a_slow_machine_is_held_to_what_its_frame_answers() -> None:
+    modes = [complex(-2.0, 60.0), complex(-3.0, 100.0)]
+    assert response(modes, 600.0) == response(modes, 0.0) == response([], 5.0) == 1.0
+    assert response(modes, -6.0) == pytest.approx(0.01, rel=2e-3)
+    assert response(modes, 0.1) == LEAST_RESPONSE
