@@ -147,7 +147,7 @@ ROWS = [
     Row("clearance 1e-7 m: ideal", as_ideal, 5e-8, tree_of("slider-crank", stiffness=1e9, damping=3e3), {"B": 1e-7}),
     Row("clearance 1e-7 m: energy", energy, 1e-9, lossless(), {"B": 1e-7}),
     Row("clearance 1e-2 m", energy, 3e-8, lossless(), {"B": 1e-2}),
-    Row("clearance 0.4 m, past the pin's travel", as_without, 3e-11, tree_of("slider-crank"), {"B": 0.4}),
+    Row("clearance 0.4 m, past the pin's travel", as_without, 1e-10, tree_of("slider-crank"), {"B": 0.4}),
     Row("contact stiffness 1e4 N/m", energy, 5e-9, lossless(stiffness=1e4), WORN),
     Row("contact stiffness 1e12 N/m", energy, 2e-8, lossless(stiffness=1e12), WORN),
     Row("contact damping 0", energy, 1e-8, lossless(), TWO),

@@ -46,7 +46,7 @@ def test_what_changes_in_time_does_not_come_round() -> None:
 @pytest.mark.parametrize("kind", ["perturbation", "phase"])
 def test_an_ensemble_of_a_driven_slide(kind: Any) -> None:
     found = simulate_ensemble(
-        slide(4.0), Case(FaultState({"B": 1e-4})), Ensemble(2, kind, 0.5), Settings(sample_rate=5000.0)
+        slide(4.0), Case(FaultState({"B": 1e-4})), Ensemble(2, kind, 1.0), Settings(sample_rate=5000.0)
     )  # fmt: skip
     assert found.status is Status.OK
     assert found.converged and found.from_healthy
