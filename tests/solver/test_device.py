@@ -17,9 +17,11 @@ from solver.history import History, Settings
 from solver.machine import shipped_machine
 from solver.simulate import Status, simulate
 
-#: Differences as parts of the largest value. Both sides take the same steps, but for one trial in hundreds that rounding
-#: may decide otherwise; sines round differently, and impacts amplify that. Measured: at most 1e-10, 2e-9 and 2e-8.
-CLOSE = {"displacement": 1e-9, "velocity": 2e-8, "acceleration": 2e-7, "band_limited_acceleration": 2e-7}
+#: Differences as parts of the largest value. Both sides take the same steps; their sines round differently, and impacts
+#: amplify that. Measured: at most 5e-12, 8e-11 and 8e-10; ten times that is allowed for other sines.
+CLOSE = {"displacement": 5e-11, "velocity": 8e-10, "acceleration": 8e-9, "band_limited_acceleration": 8e-9}
+#: The same where rounding decided one trial step among hundreds otherwise, which leaves errors of steps: measured 300.
+DECIDED_OTHERWISE = 3000.0
 
 
 def run(*command: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -54,22 +56,22 @@ def test_threads_agree_with_lanes(
     for thread, lane in zip(simulated[name], expected[name], strict=True):
         assert thread.case == lane.case
         assert (thread.status, thread.message, len(thread.t)) == (lane.status, lane.message, len(lane.t))
-        # Compilers round differently, which may decide one trial step among hundreds otherwise.
+        slack = 1.0 if thread.step == pytest.approx(lane.step, rel=1e-12) else DECIDED_OTHERWISE
         assert thread.step == pytest.approx(lane.step, rel=1e-2)
         assert np.array_equal(thread.t, lane.t)
         for motion, bound in CLOSE.items():
             ours, theirs = getattr(thread, motion), getattr(lane, motion)
             assert ours.shape == theirs.shape
             gap, size = (np.abs(part).max(axis=0, initial=0.0) for part in (ours - theirs, theirs))
-            assert (gap <= bound * size).all(), motion
+            assert (gap <= slack * bound * size).all(), motion
         if lane.status in (Status.DIVERGED, Status.STEP_TOO_SMALL):  # its end is where rounding took it
             continue
         for ours, theirs in ((thread.end.z, lane.end.z), (thread.end.v, lane.end.v)):
-            assert np.abs(ours - theirs).max() < CLOSE["velocity"] * np.abs(theirs).max()
+            assert np.abs(ours - theirs).max() < slack * CLOSE["velocity"] * np.abs(theirs).max()
         if lane.links is not None:
             assert thread.links is not None
             gap = np.abs(thread.links.displacement - lane.links.displacement)
-            assert gap.max() < CLOSE["displacement"] * np.abs(lane.links.displacement).max()
+            assert gap.max() < slack * CLOSE["displacement"] * np.abs(lane.links.displacement).max()
 
 
 def test_a_failing_case_is_a_status_and_its_neighbour_goes_on(simulated: dict[str, list[History]]) -> None:
