@@ -12,6 +12,9 @@ from solver.machine import ForceDrive, Machine, RotationDrive, TorqueDrive, Tran
 from solver.numbers import Number, Numbers
 from solver.tables import linear, linear_integral
 
+#: Orders that are this far from a whole number count as one.
+_WHOLE = 1e-6
+
 
 @dataclass(frozen=True)
 class PrescribedMotion:
@@ -86,10 +89,15 @@ def repeating_frequency(machine: Machine, drive_speed: float) -> float:
         raise SettingsError(f"{machine.name}: drive: {kind}: must turn at a constant speed for spectra in orders")
     frequency = abs(drive_speed) / (2 * math.pi)
     if isinstance(drive, TranslationDrive):
-        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - 1e-6]
+        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - _WHOLE]
         if odd or drive.speed:
             rule = "must repeat with the lowest of its frequencies for spectra in orders"
             raise SettingsError(f"{machine.name}: drive: {rule}")
+    if isinstance(drive, RotationDrive):
+        for i, ripple in enumerate(drive.ripple):
+            if ripple.amplitude and abs(ripple.order - round(ripple.order)) > _WHOLE:
+                rule = "must be a whole number for spectra in orders: the drive does not repeat with its revolution"
+                raise SettingsError(f"{machine.name}: drive.ripple.{i}.order: {ripple.order:g}: {rule}")
     for i, load in enumerate(machine.loads):
         if load.over_time is not None:
             raise SettingsError(f"{machine.name}: loads.{i}.over_time: must not change in time for spectra in orders")

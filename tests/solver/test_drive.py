@@ -15,6 +15,7 @@ from solver.errors import SettingsError
 from solver.fault import FaultState
 from solver.history import Case, Settings, Status
 from solver.machine import Machine, parse_machine, shipped_machine
+from solver.tradeoff import measure
 
 
 def slide(*frequencies: float, **more: Any) -> Machine:
@@ -31,6 +32,26 @@ def test_a_slide_comes_round_with_its_lowest_frequency() -> None:
     for machine in (slide(4.0, 5.0), slide(4.0, speed=0.01)):
         with pytest.raises(SettingsError, match="must repeat with the lowest of its frequencies"):
             repeating_frequency(machine, 8 * math.pi)
+
+
+def rippled(order: float) -> Machine:
+    tree = json.loads(shipped_machine("slider-crank").canonical_json())
+    tree["drive"]["ripple"] = [
+        {"order": 2, "amplitude": 0.01, "phase": 0},
+        {"order": order, "amplitude": 0.2, "phase": 0},
+    ]
+    return parse_machine(tree)
+
+
+def test_a_rippled_rotation_comes_round_if_its_orders_are_whole() -> None:
+    assert repeating_frequency(rippled(3.0), 4 * math.pi) == pytest.approx(2.0)
+    refusal = r"drive\.ripple\.1\.order: 0\.37: must be a whole number"
+    with pytest.raises(SettingsError, match=refusal):
+        repeating_frequency(rippled(0.37), 4 * math.pi)
+    with pytest.raises(SettingsError, match=refusal):
+        simulate_ensemble(rippled(0.37))
+    with pytest.raises(SettingsError, match=refusal):
+        measure(rippled(0.37))
 
 
 def test_what_changes_in_time_does_not_come_round() -> None:
