@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.computer import installed
-from benchmarks.scenes import Scene
+from benchmarks.scenes import RATE, Scene
 
 Array = NDArray[np.float64]
 
@@ -31,9 +31,11 @@ class Program:
     settings : tuple of float
         Tolerances or steps, the loosest first.
     run : callable
-        Setting -> the frame's y acceleration at 20 kHz.
+        Setting -> the frame's y acceleration at `rate`.
     spent : callable, optional
         Setting -> (that acceleration, processor seconds), for programs that know their time without the set-up.
+    rate : int
+        Hz; instantaneous values at 20 kHz unless it is the product's own signal for spectra.
     cases : int
         That one run simulates; costs are of one of them.
     package : str, optional
@@ -48,6 +50,7 @@ class Program:
     settings: tuple[float, ...]
     run: Callable[[float], Array] | None = None
     spent: Callable[[float], tuple[Array, float]] | None = None
+    rate: int = RATE
     cases: int = 1
     package: str | None = None
     unit: str = ""
@@ -117,7 +120,7 @@ def sweep(scene: Scene, program: Program, say: Callable[[str], None]) -> Curve:
             acceleration, spent = program.measure(setting)
             if not curve.points and time.monotonic() - began < _LONG:
                 acceleration, spent = program.measure(setting)  # the first one compiled
-            point = Point(setting, spent / scene.duration, scene.error(acceleration))
+            point = Point(setting, spent / scene.duration, scene.error(acceleration, program.rate))
             curve.points.append(point)
             say(f"{scene.name}: {program.name}, {setting:g}{program.unit}: "
                 f"{point.cost:.4g} s/s, {point.error:.3g} dB")  # fmt: skip
