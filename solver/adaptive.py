@@ -25,7 +25,6 @@ from solver.control import (
     OK,
     PAST,
     PROJECT_EVERY,
-    SAFETY,
     SHORTEST,
     SHRINK,
     STALLED,
@@ -73,6 +72,7 @@ def _load(
         mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
         for i in range(2 * n):
             w[(2 + i) * LANES + lane] = starts[c, i]
+        w[rows.pace * LANES + lane], w[rows.strictness * LANES + lane] = case.pace, 1.0 / case.tolerance
         for i in range(parameters.shape[1]):
             w[(rows.parameters + i) * LANES + lane] = parameters[c, i]
         for j in range(contacts):
@@ -257,7 +257,7 @@ def integrate(
                 continue
             case = cases[mine.case]
             mine.trials += 1
-            e = w[rows.error * LANES + lane] / case.tolerance
+            e = w[rows.error * LANES + lane]
             bearable = max(BEARABLE_PART, BEARABLE / case.tolerance)
             step, t = mine.h, mine.t
             now = t + step
@@ -288,7 +288,8 @@ def integrate(
                         speed = abs(w[(rows.approach + event) * LANES + lane]) + 1e-12
                         mine.h = max(min(0.999 * step, part * step + PAST * precision / speed), 0.001 * step)
             else:
-                mine.h = step * max(SHRINK, SAFETY / e**0.2) if e < math.inf and not jammed else 0.1 * step
+                growth = w[rows.growth * LANES + lane]
+                mine.h = step * max(SHRINK, growth) if e < math.inf and not jammed else 0.1 * step
                 if mine.uncut == 0.0 or e * mine.uncut * mine.uncut < mine.uncut_error * step * step:
                     mine.uncut, mine.uncut_error = step, e
                 elif (
@@ -313,9 +314,7 @@ def integrate(
                     loading = loading or cursor[NEXT] < cases.size
                 continue
             case.accepted += 1
-            size = 0.0
-            for i in range(2 * n):
-                size += abs(w[(2 + i) * LANES + lane])
+            size = w[rows.size * LANES + lane]
             lost = mine.lost >= PATIENCE
             mine.t = now
             if not (size < DIVERGED) or lost or tired:
@@ -339,7 +338,7 @@ def integrate(
             for i in range(n):
                 w[(rows.slopes + i) * LANES + lane] = w[(rows.last_slopes + i) * LANES + lane]
             _remember_contacts(w, contacts, rows, lane, old)
-            grown = step * (GROW if tiny else min(GROW, SAFETY / max(e, 1e-10) ** 0.2))
+            grown = step * (GROW if tiny else min(GROW, w[rows.growth * LANES + lane]))
             if event >= 0:
                 pushes = w[(rows.touching + event) * LANES + lane]
                 w[(rows.touching + event) * LANES + lane] = 1.0 - pushes

@@ -182,8 +182,9 @@ class DeviceKernel:
         kept[moving], kept[remembered] = np.split(queue.starts.T, [2 * layout.size])
         kept[layout.p : layout.p + layout.parameters] = queue.parameters.T
         given = (
-            (stepper.BEGIN, "begin"), (stepper.TOLERANCE, "tolerance"), (stepper.FIRST, "first_step"),
-            (stepper.LONGEST, "longest_step"), (stepper.SAMPLES, "samples"), (stepper.MOST, "most_trials"),
+            (stepper.BEGIN, "begin"), (stepper.TOLERANCE, "tolerance"), (stepper.PACE, "pace"),
+            (stepper.FIRST, "first_step"), (stepper.LONGEST, "longest_step"), (stepper.SAMPLES, "samples"),
+            (stepper.MOST, "most_trials"),
         )  # fmt: skip
         for place, name in given:
             kept[length + place] = queue.cases[name]

@@ -15,7 +15,8 @@ from solver.history import Settings
 from solver.machine import Machine
 from solver.model import Model
 from solver.preparation import Prepared, model_of
-from solver.runs import OVERSAMPLING, Run, error_scales, how_it_ended, queue_of, samples_of, switch_precision
+from solver.runs import OVERSAMPLING, Run, how_it_ended, queue_of, samples_of, switch_precision
+from solver.scales import error_scales
 
 #: Cases that run side by side are bounded by the memory of their records, bytes: here and on the device.
 _RECORD_BYTES = 4e9

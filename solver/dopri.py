@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from solver.control import SAFETY
 from solver.ir import Block
 from solver.layout import Layout
 
@@ -32,6 +33,8 @@ _DENSE = (
     701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
 )  # fmt: skip
 _COUNT = len(_STAGES)
+#: Least error that step sizes are taken from.
+_LEAST_ERROR = 1e-10
 #: Coefficients of the dense output of one quantity, beside its value at the start.
 DENSE_ROWS = 4
 
@@ -56,7 +59,7 @@ class StepRows:
     @staticmethod
     def count(size: int, contacts: int, recorded: int) -> int:
         """Rows needed."""
-        return 4 * contacts + 1 + _COUNT * size + (_COUNT - 2) * size + 2 * DENSE_ROWS * recorded
+        return 4 * contacts + 5 + _COUNT * size + (_COUNT - 2) * size + 2 * DENSE_ROWS * recorded
 
     @property
     def touching(self) -> int:
@@ -80,13 +83,33 @@ class StepRows:
 
     @property
     def error(self) -> int:
-        """Largest scaled error of the step."""
+        """Largest scaled error of the step in parts of what is allowed."""
         return self.approach + self.layout.stride * self.contacts
+
+    @property
+    def growth(self) -> int:
+        """Next step in parts of this one, as the error wants it."""
+        return self.error + self.layout.stride
+
+    @property
+    def size(self) -> int:
+        """Sum of the sizes of coordinates and velocities at the end of the step."""
+        return self.growth + self.layout.stride
+
+    @property
+    def pace(self) -> int:
+        """Given: time in which the machine moves by its own size, s; errors of velocities count times this."""
+        return self.size + self.layout.stride
+
+    @property
+    def strictness(self) -> int:
+        """Given: 1 / the scaled error that is allowed."""
+        return self.pace + self.layout.stride
 
     @property
     def slopes(self) -> int:
         """Accelerations of the seven stages, n rows each; the first holds those at the start of the step."""
-        return self.error + self.layout.stride
+        return self.strictness + self.layout.stride
 
     @property
     def stage_velocities(self) -> int:
@@ -118,6 +141,14 @@ def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) 
     return total
 
 
+def _growth(block: Block, error: str) -> str:
+    """SAFETY error^(-3/16): roots are single instructions, and 3/16 is near enough to the 1/5 of the theory."""
+    root = block.call("maxnum", error, block.constant(_LEAST_ERROR))
+    for _ in range(4):
+        root = block.call("sqrt", root)
+    return block.div(block.constant(SAFETY), block.mul(block.mul(root, root), root))
+
+
 def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = None) -> str:
     """``dopri``: a trial step from (z, v, first slopes) with the step and time rows.
 
@@ -125,7 +156,7 @@ def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = No
     ----------
     rows : StepRows
     scales : sequence of float
-        Size of the coordinates, then of the velocities, that errors are compared with; 2 n numbers.
+        Sizes of the coordinates that errors are compared with; n numbers.
     block : Block, optional
         Empty function to print into; of rows of lanes by default.
     """
@@ -154,13 +185,22 @@ def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = No
         block.invoke("held")
         for i in range(n):
             block.store(slopes[stage][i], block.load(a[i]))
-    largest = block.constant(0.0)
-    for k, stages in enumerate((speeds, slopes)):
+    largest = []
+    for stages in (speeds, slopes):
+        found = block.constant(0.0)
         for i in range(n):
             error = _combination(block, _ERROR, [block.load(stages[j][i]) for j in range(_COUNT)])
-            scaled = block.mul(block.call("fabs", error), block.constant(1 / scales[k * n + i]))
-            largest = block.call("maxnum", largest, scaled)
-    block.store(rows.error, block.mul(largest, h))
+            scaled = block.mul(block.call("fabs", error), block.constant(1 / scales[i]))
+            found = block.call("maxnum", found, scaled)
+        largest.append(found)
+    error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace)))
+    error = block.mul(block.mul(error, h), block.load(rows.strictness))
+    block.store(rows.error, error)
+    block.store(rows.growth, _growth(block, error))
+    size = block.constant(0.0)
+    for row in (*z, *v):
+        size = block.add(size, block.call("fabs", block.load(row)))
+    block.store(rows.size, size)
     at = rows.dense
     for k, (stages, ends) in enumerate(((speeds, z), (slopes, v))):
         for i in rows.recorded:

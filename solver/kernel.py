@@ -129,7 +129,7 @@ def adaptive_code(
     ----------
     model : Model
     scales : sequence of float
-        Sizes of coordinates and velocities that errors are compared with; 2 n numbers.
+        Sizes of the coordinates that errors are compared with; n numbers.
     recorded : tuple of int
         Coordinates with dense output.
     dialect : Dialect

@@ -23,13 +23,13 @@ GROUP = 8
 SLOTS = 2 * LANES
 
 #: A case of the queue: time of its first sample (the time reached is written over it), s; bound of the scaled error of
-#: a step; first and longest step, s; samples wanted; trial steps after which it counts as stalled; how it ended;
-#: samples it has; its accepted steps.
+#: a step; time in which the machine moves by its own size, first and longest step, s; samples wanted; trial steps after
+#: which it counts as stalled; how it ended; samples it has; its accepted steps.
 CASE = np.dtype(
     [
-        ("begin", np.float64), ("tolerance", np.float64), ("first_step", np.float64), ("longest_step", np.float64),
-        ("samples", np.int64), ("most_trials", np.int64), ("outcome", np.int64), ("reached", np.int64),
-        ("accepted", np.int64),
+        ("begin", np.float64), ("tolerance", np.float64), ("pace", np.float64), ("first_step", np.float64),
+        ("longest_step", np.float64), ("samples", np.int64), ("most_trials", np.int64), ("outcome", np.int64),
+        ("reached", np.int64), ("accepted", np.int64),
     ]
 )  # fmt: skip
 
@@ -57,6 +57,10 @@ class Rows(NamedTuple):
     penetration: int
     approach: int
     error: int
+    growth: int
+    size: int
+    pace: int
+    strictness: int
     slopes: int
     last_slopes: int
     dense: int

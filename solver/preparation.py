@@ -18,6 +18,7 @@ from solver.history import Settings
 from solver.machine import Machine, RotationDrive, TranslationDrive
 from solver.model import Model, build_model
 from solver.pose import check_closures, start_pose, start_velocity, walk
+from solver.scales import pace_of
 from solver.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
@@ -63,6 +64,8 @@ class Prepared:
         s.
     response : float
         How far the frame moves against what it would at a fast drive, see :func:`solver.steps.response`.
+    pace : float
+        Time in which the machine moves by its own size, see :func:`solver.scales.pace_of`.
     longest_step : float
         What the rules of :mod:`solver.steps` allow at the asked accuracy, s.
     smooth_step : float
@@ -80,6 +83,7 @@ class Prepared:
     remark: str
     duration: float
     response: float
+    pace: float
     longest_step: float
     smooth_step: float
 
@@ -227,8 +231,8 @@ def prepare(
         raise SettingsError(f"duration: {duration:g} s: {too_long}")
     remark = "; ".join(filter(None, remarks))
     memory = np.zeros(len(model.remembering))
-    small = response(motions.suspension, speed)
-    return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, small, longest, smooth)
+    small, pace = response(motions.suspension, speed), pace_of(machine, complete)
+    return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, small, pace, longest, smooth)
 
 
 @lru_cache(maxsize=1024)

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solver import adaptive, control, gill, sampling
-from solver.contact_rates import extent_of
 from solver.dopri import StepRows
 from solver.history import Settings, Status
 from solver.ir import LANES
 from solver.jamming import hold_remark, jam_message
 from solver.kernel import Kernel, compile_adaptive, compile_model
 from solver.lanes import BUSY, CASE, ENDED, FREE, NEXT, SLOTS, Queue, Records, Rows, empty_records, idle_lanes
-from solver.machine import Machine, RotationDrive, TranslationDrive
+from solver.machine import Machine
 from solver.model import Model
 from solver.preparation import Prepared, model_of
+from solver.scales import error_scales
 
 Array = NDArray[np.float64]
 
@@ -189,20 +189,6 @@ def _gill_group(
         )
 
 
-def error_scales(machine: Machine, model: Model) -> list[float]:
-    """Sizes of coordinates (the machine's extent, a radian) and of velocities (those at the drive's angular speed)."""
-    extent = extent_of(machine)
-    drive, rate = machine.drive, 0.0
-    if isinstance(drive, RotationDrive | TranslationDrive):
-        speeds = [drive.speed] if isinstance(drive.speed, float) else [speed for _, speed in drive.speed]
-        rate = max(abs(speed) for speed in speeds) / (1.0 if isinstance(drive, RotationDrive) else extent)
-        if isinstance(drive, TranslationDrive):
-            rate = max(rate, *(2 * math.pi * h.frequency for h in drive.harmonics), 0.0)
-    rate = max(rate, math.sqrt(abs(machine.gravity) / extent), 1.0)
-    sizes = [1.0 if name.startswith("theta(") else extent for name in model.kinematics.names]
-    return [*sizes, *(size * rate for size in sizes)]
-
-
 @lru_cache(maxsize=64)
 def _adaptive_kernel(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
@@ -218,6 +204,8 @@ def _rows(kernel: Kernel, model: Model, recorded: tuple[int, ...]) -> Rows:
     return Rows(
         kept=layout.scratch // LANES, touching=rows.touching // LANES, switch=rows.switch // LANES,
         penetration=rows.penetration // LANES, approach=rows.approach // LANES, error=rows.error // LANES,
+        growth=rows.growth // LANES, size=rows.size // LANES, pace=rows.pace // LANES,
+        strictness=rows.strictness // LANES,
         slopes=rows.slopes // LANES, last_slopes=rows.last_slopes // LANES, dense=rows.dense // LANES,
         parameters=layout.p // LANES, memory=layout.memory // LANES, jam=kernel.jam,
     )  # fmt: skip
@@ -266,7 +254,7 @@ def tolerance_of(settings: Settings) -> float:
 
 def switch_precision(machine: Machine, model: Model, settings: Settings) -> float:
     """Penetration within which a switch is met, m."""
-    smallest = min(scale for scale in error_scales(machine, model)[: model.size] or [1.0])
+    smallest = min(error_scales(machine, model) or [1.0])
     return min(1e-8, 0.01 * tolerance_of(settings) * smallest)
 
 
@@ -275,6 +263,7 @@ def queue_of(waiting: Sequence[Prepared], settings: Settings) -> Queue:
     cases = np.zeros(len(waiting), CASE)
     cases["begin"] = [case.begin for case in waiting]
     cases["tolerance"] = [tolerance_of(settings) * case.response for case in waiting]
+    cases["pace"] = [case.pace for case in waiting]
     cases["samples"] = [samples_of(case, settings) for case in waiting]
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
     cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])

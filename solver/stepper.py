@@ -25,7 +25,6 @@ from solver.control import (
     PAST,
     PROJECT_EVERY,
     RUNNING,
-    SAFETY,
     SHORTEST,
     SHRINK,
     STALLED,
@@ -37,15 +36,16 @@ from solver.gill import DIVERGED, LOST, PATIENCE
 from solver.kernel import KernelCode
 from solver.scalar import Compile, Function, kernel_functions
 
-#: Places in the state of a case. Given: time of the first sample, bound of the scaled error of a step, first and
-#: longest step, samples wanted, trial steps after which it counts as stalled.
-BEGIN, TOLERANCE, FIRST, LONGEST, SAMPLES, MOST = range(6)
+#: Places in the state of a case. Given: time of the first sample, bound of the scaled error of a step, time in which
+#: the machine moves by its own size, first and longest step, samples wanted, trial steps after which it counts as
+#: stalled.
+BEGIN, TOLERANCE, PACE, FIRST, LONGEST, SAMPLES, MOST = range(7)
 #: Kept: how it ended, time, trial step, that step before a switch shortened it, samples, trial and accepted steps,
 #: accepted steps since closures were restored, forced steps, corrections of closures not believed one after the other,
 #: samples when closures last held, step at which refusals for error began (0 for none), that error, 1 where the next
 #: trial is that step again; then switch, penetration and approach of every contact.
-OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(6, 17)
-UNCUT, UNCUT_ERROR, OVER, BEFORE = range(17, 21)
+OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(7, 18)
+UNCUT, UNCUT_ERROR, OVER, BEFORE = range(18, 22)
 
 
 Array = NDArray[np.float64]
@@ -88,9 +88,11 @@ def case_functions(
     constrained, jam, rubs = code.constrained, code.jam, code.jam >= 0
     layout = rows.layout
     n, contacts, channels = layout.size, rows.contacts, len(rows.recorded)
-    time_at, step_at, z_at, v_at, a_at, kept = layout.time, layout.step, layout.z, layout.v, layout.a, layout.scratch
+    time_at, step_at, z_at, a_at, kept = layout.time, layout.step, layout.z, layout.a, layout.scratch
     touching, switch, penetration, approach = rows.touching, rows.switch, rows.penetration, rows.approach
-    error_at, slopes, last, dense = rows.error, rows.slopes, rows.last_slopes, rows.dense
+    error_at, growth_at, size_at = rows.error, rows.growth, rows.size
+    pace_at, strictness_at = rows.pace, rows.strictness
+    slopes, last, dense = rows.slopes, rows.last_slopes, rows.dense
     memory, memories_count = layout.memory, len(remembering)
     contact_of = remembering or (0,)  # a tuple of nothing has no type for a compiler
     first_crossing, remember_contact = compiled(crossing), compiled(remember)
@@ -120,6 +122,7 @@ def case_functions(
     @compiled
     def begin(w: Array, s: Array) -> None:
         s[OUTCOME], s[NOW], s[STEP] = RUNNING, s[BEGIN], s[FIRST]
+        w[pace_at], w[strictness_at] = s[PACE], 1.0 / s[TOLERANCE]
         prepare(w)
         w[time_at] = s[NOW]
         held(w)
@@ -230,7 +233,7 @@ def case_functions(
         if s[SAMPLE] >= s[SAMPLES]:
             s[OUTCOME] = OK
             return
-        grown = step * (GROW if step <= FLOOR * s[FIRST] else min(GROW, SAFETY / max(e, 1e-10) ** 0.2))
+        grown = step * (GROW if step <= FLOOR * s[FIRST] else min(GROW, w[growth_at]))
         remember_contacts(w)
         if event >= 0:
             w[touching + event] = 1.0 - w[touching + event]
@@ -272,7 +275,7 @@ def case_functions(
                 w[jam] = 0.0
             dopri(w)
             s[TRIALS] += 1.0
-            e = w[error_at] / s[TOLERANCE]
+            e = w[error_at]
             jammed = rubs and w[jam] > 0.5
             accepted = e <= 1.0 and not jammed  # false for a number that is none
             bearable = max(BEARABLE_PART, BEARABLE / s[TOLERANCE])
@@ -291,7 +294,7 @@ def case_functions(
                         accepted = False
                         s[NATURAL], s[STEP] = max(s[NATURAL], step), shorter
             else:
-                s[STEP] = step * max(SHRINK, SAFETY / e**0.2) if e < math.inf and not jammed else 0.1 * step
+                s[STEP] = step * max(SHRINK, w[growth_at]) if e < math.inf and not jammed else 0.1 * step
                 if s[UNCUT] == 0.0 or e * s[UNCUT] * s[UNCUT] < s[UNCUT_ERROR] * step * step:
                     s[UNCUT], s[UNCUT_ERROR] = step, e
                 elif (
@@ -308,9 +311,7 @@ def case_functions(
                 s[SINCE] = PROJECT_EVERY
             if accepted:
                 s[ACCEPTED] += 1.0
-                size = 0.0
-                for i in range(n):
-                    size += abs(w[z_at + i]) + abs(w[v_at + i])
+                size = w[size_at]
                 if not (size < DIVERGED) or s[UNBELIEVED] >= PATIENCE or s[TRIALS] > s[MOST]:
                     s[OUTCOME], s[NOW] = STALLED if s[TRIALS] > s[MOST] else DIVERGING, now
                     return

@@ -24,6 +24,7 @@ from solver.machine import Machine
 from solver.model import Model
 from solver.preparation import model_of
 from solver.scalar import SCALAR
+from solver.scales import error_scales
 
 Work = NDArray[np.float64]
 Values = list[float]
@@ -44,7 +45,7 @@ def _kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...],
     rows = StepRows(layout, contacts, recorded)
     held = _held(model, layout, rows)
     space: dict[str, Any] = {"held": held}
-    exec(SCALAR.head + dopri_step(rows, runs.error_scales(machine, model), SCALAR.block("t")), space)
+    exec(SCALAR.head + dopri_step(rows, error_scales(machine, model), SCALAR.block("t")), space)
     project: Any = _in_place(_project(model, layout)) if model.kinematics.closures else 0
     functions: Any = (_nothing, _in_place(held), _in_place(space["dopri"]), project)
     return _Kernel(layout, functions, 0, "", -1 if model.rubbing is None else rows.jam)

@@ -204,7 +204,7 @@ def test_memories() -> None:
 def test_scalar_source(scene: tuple[Machine, Model]) -> None:
     """The same instructions in Python, for other compilers: accelerations and restored closures."""
     machine, model = scene
-    code = adaptive_code(model, [1.0] * 2 * model.size, (), SCALAR)
+    code = adaptive_code(model, [1.0] * model.size, (), SCALAR)
     layout, step = code.layout, StepRows(code.layout, len(model.contacts), ())
     kernel = kernel_functions(code, lambda function: function)
     drawn = lanes(model)

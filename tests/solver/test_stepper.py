@@ -24,7 +24,7 @@ class Run:
     def __init__(self, most: int = 10**6) -> None:
         self.model = build_model(shipped_machine("slider-crank"), ("A",))
         n, recorded = self.model.size, (0, 1)
-        code = adaptive_code(self.model, [1.0] * n + [20.0] * n, recorded, SCALAR)
+        code = adaptive_code(self.model, [1.0] * n, recorded, SCALAR)
         rows = StepRows(code.layout, 1, recorded)
         self.begin, self.advance = stepper.case_functions(code, rows, (), lambda function: function)
         self.w, self.s = np.zeros(code.layout.total), np.zeros(stepper.state_length(1))
@@ -34,7 +34,7 @@ class Run:
         for start, column in ((layout.z, z), (layout.v, start_velocity(self.model, list(p), z)), (layout.p, p)):
             self.w[start : start + len(column)] = column
         self.records = [np.zeros((2, SAMPLES)) for _ in range(3)]
-        self.s[: stepper.OUTCOME] = [0.0, 1e-7, FIRST, 1e-3, SAMPLES, most]
+        self.s[: stepper.OUTCOME] = [0.0, 1e-7, 0.05, FIRST, 1e-3, SAMPLES, most]
         self.begin(self.w, self.s)
 
     def go(self, count: int) -> None:
