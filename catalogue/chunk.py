@@ -105,7 +105,7 @@ def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
     """
     recipe = chunk.recipe
     revolutions = recipe.revolutions + SLACK_REVOLUTIONS
-    settings = Settings(sample_rate=recipe.sample_rate, accuracy=recipe.accuracy, revolutions=revolutions)
+    settings = Settings(sample_rate=recipe.sample_rate, accuracy=recipe.accuracy, revolutions=revolutions, motion=False)
     cases = [Case(entry.fault, entry.parameters) for entry in chunk.entries]
     return tuple(_outcome(history, recipe) for history in simulate_batch(_machine(chunk.machine), cases, settings))
 
