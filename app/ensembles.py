@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -40,7 +41,7 @@ def record_ensemble(machine: Machine, found: EnsembleResult, settings: Settings,
         "orders": found.orders,
         "order_level_frame": found.level[:, frame],
         "order_level_frame_spread_db": found.spread_db[:, frame],
-        "order_level_frame_error_db": found.error_db[:, frame],
+        **({"order_level_frame_error_db": found.error_db[:, frame]} if math.isfinite(found.error) else {}),
         "member_angle": np.array([member.angle for member in found.members]),
         "member_status": np.array([str(member.status) for member in found.members]),
     }
@@ -76,7 +77,7 @@ def record_ensemble(machine: Machine, found: EnsembleResult, settings: Settings,
 
 
 def summary(found: EnsembleResult) -> dict[str, str | float | int | bool | None]:
-    """Return how the ensemble was run and how well its mean is known."""
+    """Return how the ensemble was run and how well its mean is known; None for what does not exist."""
     asked = found.ensemble
     return {
         "starts": asked.starts,
@@ -86,7 +87,7 @@ def summary(found: EnsembleResult) -> dict[str, str | float | int | bool | None]
         "dropped_revolutions": found.transient,
         "revolutions": found.revolutions,
         "asked_db": asked.converged_db,
-        "error_db": found.error,
+        "error_db": found.error if math.isfinite(found.error) else None,
         "converged": found.converged if asked.converged_db is not None else None,
         "spread_db": found.overall_spread,
     }
@@ -114,10 +115,11 @@ def report(found: EnsembleResult) -> str:
     """Return what was computed as text."""
     ended = sum(member.status == "ok" for member in found.members)
     began = "the healthy machine's steady state" if found.from_healthy else "the drawn pose"
+    known = f"known to {found.error:.2g} dB" if math.isfinite(found.error) else "not known how well"
     lines = [
         f"{ended} of {len(found.members)} members from {began}, {found.revolutions} revolutions each after the "
         f"{found.transient:g} dropped",
-        f"one-order bands: the mean is known to {found.error:.2g} dB, members scatter by {found.overall_spread:.2g} dB",
+        f"one-order bands: the mean is {known}, members scatter by {found.overall_spread:.2g} dB",
     ]
     if found.ensemble.converged_db is not None and found.converged:
         lines.append(f"converged to the {found.ensemble.converged_db:g} dB asked for")

@@ -57,7 +57,7 @@ def simulate_ensemble(
     ------
     SettingsError
         A drive without a constant speed or a load that does not repeat, so that there is no steady state; a frame that
-        cannot move.
+        cannot move; fewer revolutions allowed than the transient takes.
     AssemblyError, MachineError
         As :func:`solver.simulate.start_of`.
     """
@@ -78,7 +78,11 @@ def simulate_ensemble(
     fixed = None
     if ensemble.converged_db is None:
         span = settings.revolutions if settings.duration is None else settings.duration * frequency - skipped
-        fixed = max(FEWEST, round(span / BLOCK))
+        # Less a hair: a span of whole blocks may come out of its units a rounding longer.
+        fixed = max(FEWEST, math.ceil(span / BLOCK - 1e-6))
+    elif ensemble.most_revolutions < skipped + SEEN:
+        least = f"must be at least {skipped + SEEN:g} here, {skipped:g} of them the transient"
+        raise SettingsError(f"most revolutions: {ensemble.most_revolutions:g}: {least}")
     members = Members(machine, case, settings, starts, prepared.speed)
     average = Average(ensemble.converged_db or _SETTLED_DB)
     left_out = skipped
@@ -93,7 +97,11 @@ def simulate_ensemble(
             progress(members.revolutions, ensemble.most_revolutions)
     if average.seen and not average.finish():
         reason = reason or "one block did not resemble the one before: the transient may not be over"
-    message = "; ".join(filter(None, (remark, reason)))
+    ran = ""
+    if fixed is not None and settings.duration is not None:
+        seconds = members.revolutions / frequency
+        ran = f"ran {seconds:.3g} s for the {settings.duration:g} s asked for: blocks of {BLOCK} revolutions are whole"
+    message = "; ".join(filter(None, (remark, reason, ran)))
     return _result(case, ensemble, members, average, angles, message, skipped, settings, from_healthy)
 
 

@@ -56,7 +56,9 @@ class Ensemble:
             raise SettingsError(f"converged: {self.converged_db}: must be a finite number of dB greater than 0")
         least = SETTLING_REVOLUTIONS + (FEWEST - 1) * BLOCK + SEEN
         if not least <= self.most_revolutions < math.inf:
-            raise SettingsError(f"most revolutions: {self.most_revolutions:g}: must be at least {least}")
+            raise SettingsError(f"most revolutions: {self.most_revolutions:g}: must be a number of at least {least}")
+        if self.seed < 0:
+            raise SettingsError(f"seed: {self.seed}: must be 0 or more")
 
 
 @dataclass(frozen=True)
@@ -92,9 +94,10 @@ class EnsembleResult:
     level : (k, c) array
         Rms in the one-order band, of the mean power.
     spread_db, error_db : (k, c) arrays
-        Standard deviation of the members' levels over the whole time; standard error of the mean level.
+        Standard deviation of the members' levels over the whole time; standard error of the mean level,
+        infinite where there is one block only.
     error : float
-        What `converged_db` bounds, dB.
+        What `converged_db` bounds, dB; infinite where it is not known, because no block resembled the one before.
     converged : bool
         Whether it does; of no meaning where nothing was asked.
     revolutions : int

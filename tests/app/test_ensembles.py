@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 
 from app.cli import main
 from catalogue.hdf5 import read_arrays
+from solver import averages
 
 PAGE = Path(__file__).parents[2] / "docs" / "solver.md"
 WORN = ("slider-crank", "--fault", "B=0.2mm", "--sample-rate", "5 kHz")
@@ -61,8 +62,21 @@ def test_json_is_as_documented_and_the_plot_is_drawn(tmp_path: Path) -> None:
     assert set(found["ensemble"]) == set(shape["ensemble"])
     assert set(found["members"][0]) == set(shape["members"][0])
     assert found["ensemble"]["converged"] is None
-    assert found["ensemble"]["revolutions"] == 12  # of 12, 2 dropped, in blocks of 4: rounded
+    assert found["ensemble"]["revolutions"] == 12  # of 12, 2 dropped, in blocks of 4: rounded up
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_error_that_is_not_known_is_null(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(averages, "settled", lambda *given: False)
+    asked = (*WORN, "--starts", "2", "-o", tmp_path / "o.npz")
+    result = invoke(*asked, "--json")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["ensemble"]["error_db"] is None
+    assert "order_level_frame_error_db" not in found["datasets"]
+    with np.load(tmp_path / "o.npz") as packed:
+        assert "ensemble_error_db" not in json.loads(str(packed["attributes"]))
+    assert "the mean is not known how well" in invoke(*asked).stdout
 
 
 def test_the_report_says_how_well_the_mean_is_known(tmp_path: Path) -> None:
@@ -81,6 +95,8 @@ def test_the_report_says_how_well_the_mean_is_known(tmp_path: Path) -> None:
         (["-o", "o.h5", "--converged", "much"], "must be a number of dB"),
         (["-o", "o.h5", "--starts", "1"], "1"),
         (["-o", "o.h5", "--speed", "0 rpm"], "turn at a constant speed"),
+        (["-o", "o.h5", "--seed=-1"], "--seed"),
+        (["-o", "o.h5", "--most-revolutions", "11"], "must be a number of at least 12"),
     ],
 )
 def test_refusals(arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from solver import averages
 from solver import ensemble as module
 from solver.averages import decibels, overall, spread_db
 from solver.blocks import BLOCK, Members
@@ -133,6 +134,30 @@ def test_the_bound_is_named(machine: Machine) -> None:
     assert found.revolutions + found.transient <= 20
 
 
+def test_a_transient_longer_than_what_is_allowed_is_refused(machine: Machine) -> None:
+    drawn = Ensemble(2, healthy_start=False, most_revolutions=12)
+    fast = replace(PERIODIC, parameters={"drive.speed": 2 * SPEED})
+    with pytest.raises(SettingsError, match="most revolutions: 12: must be at least 17 here, 11 of them the transient"):
+        simulate_ensemble(machine, fast, drawn, SETTINGS)
+
+
+@pytest.mark.parametrize(("revolutions", "blocks"), [(1, 2), (8, 2), (10, 3), (13, 4)])
+def test_a_duration_is_rounded_up_to_whole_blocks(machine: Machine, revolutions: int, blocks: int) -> None:
+    settings = replace(SETTINGS, duration=(2 + revolutions) / 10)
+    found = simulate_ensemble(machine, PERIODIC, Ensemble(2, converged_db=None), settings)
+    assert found.revolutions == blocks * BLOCK
+    lasts = 0.1 * (2 + blocks * BLOCK + 2)  # dropped, blocks, and what the last one looks at beyond its end
+    assert f"ran {lasts:.3g} s for the {settings.duration:g} s asked for" in found.message
+
+
+def test_without_two_blocks_alike_the_error_is_not_known(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(averages, "settled", lambda *given: False)
+    found = simulate_ensemble(machine, PERIODIC, Ensemble(2, most_revolutions=20), SETTINGS)
+    assert found.status is Status.OK and np.isfinite(found.level).all()
+    assert found.error == math.inf and not found.converged
+    assert found.message == "not converged to 0.2 dB within the 20 revolutions that were allowed"
+
+
 def test_members_that_fail_are_named_and_left_out(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     true = module.starts_at
 
@@ -171,7 +196,9 @@ def test_without_a_healthy_steady_state_members_start_as_drawn(
         ({"starts": 1}, "starts: 1"),
         ({"kind": "luck"}, "kind: luck"),
         ({"converged_db": 0.0}, "converged: 0.0"),
-        ({"most_revolutions": 3}, "most revolutions: 3"),
+        ({"most_revolutions": 11}, "most revolutions: 11: must be a number of at least 12"),
+        ({"most_revolutions": math.nan}, "most revolutions: nan"),
+        ({"seed": -1}, "seed: -1: must be 0 or more"),
     ],
 )
 def test_what_means_nothing_is_refused(options: dict[str, Any], text: str) -> None:
