@@ -69,6 +69,8 @@ def _rates(machine: Machine, joint: str, w: float, values: Mapping[str, float], 
         return values.get(contact_path(joint, name), 0.0)
 
     stiffness, drag = number("stiffness") * w, number("viscous") * w
+    if not stiffness:  # neither body can move: nothing swings
+        return ContactRates(0.0, 0.0)
     if n is None:
         return ContactRates(math.sqrt(stiffness), number("damping") * w + drag)
     impact = max(_LEAST_IMPACT, 2 * math.sqrt(acceleration * number("clearance")))

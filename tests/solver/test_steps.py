@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,6 +48,14 @@ def test_stiffer_contacts_take_smaller_steps() -> None:
     assert step(1e7, 0.0) == pytest.approx(rule.contact / math.sqrt(4e7))
     assert step(1e9, 0.0) == pytest.approx(step(1e7, 0.0) / 10)
     assert step(1e7, 1e6) == pytest.approx(rule.decay / 4e6)
+
+
+@pytest.mark.parametrize("law", [{}, {"law": "hertz", "hysteresis": 0.5}, {"law": "flores", "restitution": 0.8}])
+def test_bodies_that_cannot_move_do_not_swing(law: dict[str, Any]) -> None:
+    tree = shipped_machine("slider-crank").model_dump(mode="json", exclude_unset=True)
+    tree["joints"]["B"]["contact"] = {"stiffness": 1e9, **law}
+    values = {"joints.B.contact.stiffness": 1e9, "joints.B.clearance": 1e-4, "joints.B.contact.restitution": 0.8}
+    assert contact_rates(parse_machine(tree), {"B": 0.0}, values, 60.0)["B"] == ContactRates(0.0, 0.0)
 
 
 def test_friction_settles_a_block_at_its_rate() -> None:
