@@ -13,7 +13,7 @@ from solver.history import Case, Settings
 from solver.machine import Machine
 from solver.model import Model
 from solver.numbers import contact_paths
-from solver.preparation import Prepared, mobility_of, model_of, prepare
+from solver.preparation import Prepared, model_of, prepare
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,7 @@ class Group:
 
     Attributes
     ----------
-    model : Model or None
-        None where the machine cannot be assembled with clearance in these joints.
+    model : Model
     varying : tuple of str
         Numbers that are neither contact numbers nor the drive speed, by path.
     ready : list of Prepared
@@ -31,7 +30,7 @@ class Group:
         Places in the table of those that cannot start, and why.
     """
 
-    model: Model | None
+    model: Model
     varying: tuple[str, ...]
     ready: list[Prepared]
     failed: list[tuple[int, AssemblyError]]
@@ -53,16 +52,11 @@ def groups(machine: Machine, cases: Sequence[Case], settings: Settings) -> Itera
         varying = tuple(sorted(path for path in values if path not in contact and path != "drive.speed"))
         members[case.fault.joints, varying].append((index, values))
     for (joints, varying), listed in members.items():
-        try:
-            mobility = mobility_of(machine, joints)
-        except AssemblyError as error:
-            yield Group(None, varying, [], [(index, error) for index, _ in listed])
-            continue
         model = model_of(machine, joints, varying)
         group = Group(model, varying, [], [])
         for index, values in listed:
             try:
-                group.ready.append(prepare(machine, model, mobility, index, values, varying, settings))
+                group.ready.append(prepare(machine, model, index, values, varying, settings))
             except AssemblyError as error:
                 group.failed.append((index, error))
         yield group

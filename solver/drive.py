@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from solver.errors import SettingsError
 from solver.machine import ForceDrive, Machine, RotationDrive, TorqueDrive, TranslationDrive
@@ -14,6 +16,9 @@ from solver.tables import linear, linear_integral
 
 #: Orders that are this far from a whole number count as one.
 _WHOLE = 1e-6
+#: Samples of a travel in one period of its fastest harmonic, 0.05 % of an amplitude; and of all periods of a long run.
+_TRAVEL_SAMPLES = 100
+_MOST_TRAVEL_SAMPLES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -104,7 +109,7 @@ def repeating_frequency(machine: Machine, drive_speed: float) -> float:
     return frequency
 
 
-def prescribed_motion(machine: Machine, number: Numbers, t: ca.SX) -> PrescribedMotion | None:
+def prescribed_motion(machine: Machine, number: Callable[[str, float], Number], t: ca.SX) -> PrescribedMotion | None:
     """Motion of a rotation or translation drive, ``None`` when the drive is an effort or absent.
 
     Contract: f = w t + sum a [sin(k w t + p) - sin p], and for translation + sum A [sin(2 pi f t + p) - sin p].
@@ -128,6 +133,28 @@ def prescribed_motion(machine: Machine, number: Numbers, t: ca.SX) -> Prescribed
             value += amplitude * (ca.sin(phase) - ca.sin(harmonic.phase))
     rate = ca.jacobian(value, t)
     return PrescribedMotion(drive.joint, isinstance(drive, RotationDrive), value, rate, ca.jacobian(rate, t))
+
+
+def travel_range(machine: Machine, values: Mapping[str, float], duration: float) -> tuple[float, float]:
+    """Least and largest travel of a sliding drive from the drawing, m.
+
+    Parameters
+    ----------
+    machine : Machine
+        With a translation drive.
+    values : mapping of str to float
+        Numbers of the drive by path that differ from the file.
+    duration : float
+        s.
+    """
+    drive, t = machine.drive, ca.SX.sym("t")
+    assert isinstance(drive, TranslationDrive)
+    motion = prescribed_motion(machine, lambda path, value: values.get(path, value), t)
+    assert motion is not None
+    fastest = max((h.frequency for h in drive.harmonics), default=0.0)
+    count = int(min(_TRAVEL_SAMPLES * (1 + fastest * duration), _MOST_TRAVEL_SAMPLES))
+    travel = ca.Function("travel", [t], [motion.value])(np.linspace(0.0, duration, count + 1)[None, :]).full()
+    return float(travel.min()), float(travel.max())
 
 
 def known_effort(machine: Machine, number: Numbers, rate: Number) -> ca.SX | None:

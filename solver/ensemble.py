@@ -67,7 +67,6 @@ def simulate_ensemble(
     group = next(groups(machine, [case], settings))
     for _, error in group.failed:
         raise error
-    assert group.model is not None
     prepared = group.ready[0]
     frequency = repeating_frequency(machine, prepared.speed)
     if all(index is None for index in group.model.frame_indices):

@@ -102,9 +102,13 @@ def walk(model: Model, p: Sequence[float], speed: float, steps: int = _WALK_STEP
     AssemblyError
         The machine cannot be assembled at some drive angle, or a joint is redundant; the message names it.
     """
-    check_closures(model, p)
     period = drive_period(model, speed)
-    times = [period * k / steps for k in range(steps)] if period else [0.0]
+    return follow(model, p, [period * k / steps for k in range(steps)] if period else [0.0])
+
+
+def follow(model: Model, p: Sequence[float], times: Sequence[float]) -> list[tuple[float, Array]]:
+    """Assembled poses of the ideal machine at given times of its drive, each from the one before; as :func:`walk`."""
+    check_closures(model, p)
     free = inner_coordinates(model)
     poses: list[tuple[float, Array]] = []
     z = np.zeros(model.size)

@@ -13,16 +13,16 @@ from solver.contact_rates import contact_rates
 from solver.contact_rules import restitution_remarks
 from solver.drive import drive_rates
 from solver.errors import AssemblyError, MachineError, SettingsError
-from solver.friction_rates import friction_rate, without_sliding_friction
+from solver.friction_rates import without_sliding_friction
 from solver.history import Settings
 from solver.machine import Machine, RotationDrive, TranslationDrive
 from solver.model import Model, build_model
-from solver.pose import check_closures, start_pose, start_velocity, walk
+from solver.pose import check_closures, start_pose, start_velocity
+from solver.positions import check_travel, mobility_of, rubbing_rate
 from solver.scales import pace_of
 from solver.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
-    contact_mobility,
     largest_step,
     response,
     smooth_eigenvalues,
@@ -106,51 +106,6 @@ def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...
     return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
 
 
-def _top_speed(machine: Machine) -> float:
-    """Fastest speed of a rotation, rad/s, with its sign; 1 for other drives."""
-    drive = machine.drive
-    if not isinstance(drive, RotationDrive):
-        return 1.0
-    return max((speed for _, speed in drive.speed), key=abs) if isinstance(drive.speed, tuple) else drive.speed
-
-
-@lru_cache(maxsize=64)
-def _turning(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
-    """The model with a rotation at a constant speed of 1 rad/s, a lane parameter; other drives as they are."""
-    drive = machine.drive
-    if isinstance(drive, RotationDrive):
-        drive = drive.model_copy(update={"speed": math.copysign(1.0, _top_speed(machine)), "ripple": ()})
-    kept = tuple(path for path in varying if not path.startswith("drive."))
-    return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
-
-
-@lru_cache(maxsize=64)
-def _poses(machine: Machine, joints: tuple[str, ...]) -> list[tuple[float, Array]]:
-    """Twelve poses of the machine as filed over one turn at 1 rad/s, or one period of a sliding drive."""
-    model = _turning(machine, joints, ())
-    poses = walk(model, model.vector({}), 1.0)
-    return poses[:: max(1, len(poses) // 12)]
-
-
-@lru_cache(maxsize=64)
-def mobility_of(machine: Machine, joints: tuple[str, ...]) -> dict[str, float]:
-    """Contact mobilities of the machine as filed, over twelve poses; also refuses what cannot be assembled."""
-    model = _turning(machine, joints, ())
-    return contact_mobility(model, _poses(machine, joints), model.vector({}))
-
-
-def _friction_rate(
-    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: dict[str, float],
-    mobility: dict[str, float],
-) -> float:  # fmt: skip
-    """Largest rate of friction of a case, 1/s."""
-    model = _turning(machine, joints, varying)
-    top = values.get("drive.speed", _top_speed(machine)) or 1.0
-    turning = abs(top) if isinstance(machine.drive, RotationDrive) else 1.0
-    poses = [(t / turning, z) for t, z in _poses(machine, joints)]
-    return friction_rate(model, poses, model.vector({**values, "drive.speed": top}), values, mobility)
-
-
 @dataclass(frozen=True)
 class _Smooth:
     """Motions between impacts: eigenvalues of all, 1/s, and the modes of the suspension under the rigid machine."""
@@ -174,17 +129,14 @@ def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
 
 
 def prepare(
-    machine: Machine, model: Model, mobility: dict[str, float], index: int, values: dict[str, float],
-    varying: tuple[str, ...], settings: Settings,
-) -> Prepared:  # fmt: skip
+    machine: Machine, model: Model, index: int, values: dict[str, float], varying: tuple[str, ...], settings: Settings
+) -> Prepared:
     """Work out everything a run needs.
 
     Parameters
     ----------
     machine : Machine
     model : Model
-    mobility : dict of str to float
-        Of its clearance joints, 1/kg.
     index : int
         Place in the table of cases.
     values : dict of str to float
@@ -198,7 +150,7 @@ def prepare(
     MachineError
         A parameter that the machine does not have.
     AssemblyError
-        No start pose, or contradicting velocities.
+        No start pose, contradicting velocities, or positions of the drive at which the machine does not close.
     SettingsError
         A run of absurd length.
     """
@@ -208,6 +160,7 @@ def prepare(
         raise MachineError(machine.name, min(unknown), values[min(unknown)], "this machine has no such number")
     vector = model.vector(complete)
     joints = model.clearance_joints
+    mobility = mobility_of(machine, joints, complete)
     others = tuple((path, value) for path, value in complete.items() if not _is_contact(path, joints))
     z, v = _start(machine, joints, varying, others)
     motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
@@ -217,8 +170,9 @@ def prepare(
     duration = settings.duration
     if duration is None:
         duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)
+    check_travel(machine, joints, complete, duration)
     rule = STEP_RULES[settings.accuracy]
-    rubbing = _friction_rate(machine, joints, varying, complete, mobility) if settings.integrator == "gill" else 0.0
+    rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.integrator == "gill" else 0.0
     contacts = contact_rates(machine, mobility, complete, fastest).values()
     longest = settings.step or largest_step(rule, contacts, motions.eigenvalues, fastest, rubbing)
     smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, fastest)

@@ -16,7 +16,8 @@ from solver.links import link_motion
 from solver.machine import Machine
 from solver.model import Model
 from solver.pose import Start
-from solver.preparation import Prepared, mobility_of
+from solver.positions import mobility_of
+from solver.preparation import Prepared
 from solver.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ def check_assembly(machine: Machine) -> None:
     AssemblyError
         Names the angle and the joint that stays open.
     """
-    mobility_of(machine, ())
+    mobility_of(machine, (), {})
 
 
 def _runs(settings: Settings) -> Callable[..., Iterator[Run]]:
@@ -106,9 +107,9 @@ def simulate_batch(
         model = group.model
         for index, error in group.failed:
             results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
-        if model is None:
-            continue
         ready = group.ready
+        if not ready:
+            continue
         if starts is not None:
             given = [(case, starts[case.index]) for case in ready]
             ready = [case if start is None else _started(case, start) for case, start in given]

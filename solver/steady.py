@@ -97,7 +97,6 @@ def starts_at(
     group = next(groups(machine, [case], settings))
     for _, error in group.failed:
         raise error
-    assert group.model is not None
     model, prepared = group.model, group.ready[0]
     poses = walk(model, prepared.vector, prepared.speed, PHASES)
     return [

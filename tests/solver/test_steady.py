@@ -33,7 +33,6 @@ def test_starts_close_and_keep_the_frame(name: str, fault: dict[str, float]) -> 
     starts = starts_at(machine, case, Settings(), phases, healthy.displacement[phases], healthy.velocity[phases])
     group = next(groups(machine, [case], Settings()))
     model = group.model
-    assert model is not None
     frame = list(model.frame_indices)
     revolution = 2 * math.pi / abs(healthy.drive_speed)
     for phase, start in zip(phases, starts, strict=True):

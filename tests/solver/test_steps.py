@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_simulate import crank_at
 
+from solver.case_groups import groups
 from solver.contact_rates import ContactRates, contact_rates
 from solver.fault import FaultState
 from solver.friction_rates import friction_rate
-from solver.machine import parse_machine, shipped_machine
+from solver.machine import Machine, parse_machine, shipped_machine
 from solver.model import build_model
 from solver.pose import walk
 from solver.simulate import Case, Settings, Status, simulate
@@ -89,6 +91,29 @@ def test_fixed_steps_resolve_strong_friction() -> None:
     peaks = [np.abs(history.acceleration).max(axis=0) for history in (fixed, controlled)]
     # Measured: 0.1 % in x and y, 12 % in theta, which is chaotic here.
     assert peaks[0] == pytest.approx(peaks[1], rel=0.3)
+
+
+def step_of(machine: Machine, parameters: dict[str, float] | None = None) -> float:
+    """Longest step of `gill` with a worn B, s."""
+    case = Case(FaultState({"B": 2e-4}), parameters or {})
+    return next(groups(machine, [case], Settings(method="gill", duration=0.1))).ready[0].longest_step
+
+
+def test_steps_follow_the_masses_of_a_case() -> None:
+    """A case's light slider is as fast as a light slider in the file."""
+    machine = shipped_machine("slider-crank")
+    light = machine.links["slider"].model_copy(update={"mass": 1e-3})
+    filed = machine.model_copy(update={"links": {**machine.links, "slider": light}})
+    assert step_of(machine, {"links.slider.mass": 1e-3}) == step_of(filed)
+    assert step_of(filed) < 0.1 * step_of(machine)
+
+
+def test_steps_of_a_ram_that_only_swings() -> None:
+    """A travel speed of 0 is one: at 1 m/s friction would ask for steps a thousand times shorter."""
+    drive = {"kind": "translation", "joint": "G", "harmonics": [{"frequency": 5, "amplitude": 0.003, "phase": 1}]}
+    step = step_of(parse_machine(crank_at(1.0, drive=drive)))
+    # Of its contact, 1.3e-5 s; friction settles in some 0.01 s.
+    assert 1e-6 < step < 1e-4
 
 
 def test_levels_of_accuracy_are_ordered() -> None:
