@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _HELD = 0.05
 #: Nor does one creep that is slower than this part of the friction velocity: it stands.
 _STANDING = 1e-6
+#: Above so many friction velocities all friction is there (tanh 3 = 0.995), and no damper that asks for small steps.
+_SATURATED = 3.0
 
 
 def jam_message(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> str:
@@ -74,6 +76,38 @@ def hold_remark(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) 
         elif abs(acceleration[i]) < _HELD * friction[i] * abs(normal[i]) * mobility[i]:
             remarks.append(f"sliding joint {name} sticks: {creeps}")
     return "; ".join(remarks)
+
+
+def failure_remark(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> str:
+    """Joints that can lock themselves, or that friction holds, at the end of a run that failed, and a cure.
+
+    Parameters
+    ----------
+    model : Model
+    t : float
+    z, v : (n,) arrays
+        Where it ended.
+    p : sequence of float
+        Lane parameters.
+
+    Returns
+    -------
+    str
+        Empty where friction holds no joint, or where what is left of the motion says nothing.
+    """
+    if model.rubbing is None or not (np.isfinite(z).all() and np.isfinite(v).all()):
+        return ""
+    remarks = []
+    friction, slow, rate, leverage, mobility, acceleration, normal = _state(model, t, z, v, p)
+    for i, name in enumerate(model.rubbing.joints):
+        pressed = friction[i] * abs(normal[i])
+        if friction[i] * abs(leverage[i]) >= 1:
+            figures = f"{friction[i]:.3g} x {abs(leverage[i]):.3g}"
+            remarks.append(f"sliding joint {name} can lock itself: friction x leverage is {figures}")
+        elif abs(rate[i]) < _SATURATED * slow[i] and abs(acceleration[i]) < _HELD * pressed * mobility[i]:
+            moving = f"pressed by {abs(normal[i]):.3g} N, it creeps at {1e3 * abs(rate[i]):.2g} mm/s"
+            remarks.append(f"sliding joint {name} is held by a friction of {friction[i]:.3g}: {moving}")
+    return f"{'; '.join(remarks)}; lower the friction, or raise the friction velocity" if remarks else ""
 
 
 def _state(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> list[Array]:

@@ -16,7 +16,7 @@ from solver import adaptive, control, gill, sampling
 from solver.dopri import StepRows
 from solver.history import Settings, Status
 from solver.ir import LANES
-from solver.jamming import hold_remark, jam_message
+from solver.jamming import failure_remark, hold_remark, jam_message
 from solver.kernel import Kernel, compile_adaptive, compile_model
 from solver.lanes import BUSY, CASE, ENDED, FREE, NEXT, SLOTS, Queue, Records, Rows, empty_records, idle_lanes
 from solver.machine import Machine
@@ -166,9 +166,8 @@ def _gill_group(
         if status is Status.JAMMED:
             message = jam_message(*end)
         elif status is Status.DIVERGED:
-            message = (
-                f"diverged at {reached / rate:.6g} s with steps of {h:.3g} s; try a higher accuracy or a smaller step"
-            )
+            where = f"left all bounds at {reached / rate:.6g} s with steps of {h:.3g} s"
+            message = failed(where, failure_remark(*end), "a higher accuracy or a smaller step")
         else:
             message = hold_remark(*end)
         z, v, a, memory = np.split(out[lane, :, :reached], [len(recorded) * i for i in (1, 2, 3)])
@@ -308,5 +307,12 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reach
         return status, hold_remark(*end)
     if status is Status.JAMMED:
         return status, jam_message(*end)
-    what = "diverged" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
-    return status, f"{what} at {reached:.6g} s; try another tolerance, or `gill` with a small step"
+    what = "left all bounds" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
+    return status, failed(
+        f"{what} at {reached:.6g} s", failure_remark(*end), "another tolerance, or `gill` with a small step"
+    )
+
+
+def failed(where: str, friction: str, advice: str) -> str:
+    """Message of a run that failed, beside its status: where, and joints that friction holds or else general advice."""
+    return f"{where}; {friction or f'try {advice}'}"

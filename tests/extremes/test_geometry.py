@@ -60,7 +60,7 @@ def test_fixed_steps_that_meet_a_change_point_exactly_say_so() -> None:
     assert np.isfinite(history.acceleration).all()
     if history.status is Status.DIVERGED:
         assert history.t[-1] == pytest.approx(0.075, abs=1e-3)
-        assert "diverged at 0.075 s" in history.message
+        assert "left all bounds at 0.075 s" in history.message
 
 
 def driven_slide() -> Machine:

@@ -7,15 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from laws import states
+from laws import states, tree_of
 from scipy.integrate import simpson
 
+from solver import control
 from solver.account import account
+from solver.case_groups import groups
 from solver.errors import MachineError
 from solver.fault import HEALTHY, FaultState
 from solver.kernel import kernel_code
 from solver.machine import Machine, parse_machine, shipped_machine
 from solver.model import build_model
+from solver.runs import how_it_ended
 from solver.simulate import Case, History, Settings, Status, simulate, simulate_batch
 
 G = 9.81
@@ -144,6 +147,25 @@ def test_a_self_locking_slider_creeps_and_is_named() -> None:
     fixed = simulate(strut(0.0, 1.0), Case(), Settings(duration=0.05, method="gill"))
     assert fixed.status is Status.JAMMED
     assert figures in fixed.message
+
+
+def test_a_run_that_friction_stops_names_the_joint() -> None:
+    """A slider wedged by a friction of 5 behind a worn pin: steps shrink without end, whatever the tolerance."""
+    tree = tree_of("slider-crank")
+    tree["joints"]["G1"]["friction"] = 5.0
+    machine, case = parse_machine(tree), Case(FaultState({"B": 2e-4}))
+    group = next(groups(machine, [case], Settings()))
+    model, ready = group.model, group.ready[0]
+    wedged = simulate(machine, case, Settings(duration=0.02, accuracy="draft")).end
+    assert wedged is not None
+    final = np.concatenate([[wedged.t], wedged.z, wedged.v])
+    for outcome, status in ((control.STALLED, Status.STEP_TOO_SMALL), (control.DIVERGING, Status.DIVERGED)):
+        found, message = how_it_ended(model, ready, outcome, final, wedged.t)
+        assert found is status
+        assert "sliding joint G1 is held by a friction of 5: pressed by 7" in message
+        assert message.endswith("lower the friction, or raise the friction velocity")
+    final[-1] = np.nan  # nothing can be said of friction there
+    assert "sliding joint" not in how_it_ended(model, ready, control.DIVERGING, final, wedged.t)[1]
 
 
 def work_of_friction(machine: Machine, fault: FaultState, method: Any) -> tuple[History, np.ndarray, np.ndarray]:

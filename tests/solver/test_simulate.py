@@ -137,7 +137,7 @@ def test_a_case_that_blows_up_is_a_status() -> None:
     bad, good = simulate_batch(QR, [stiff, gentle], settings)
     assert good.status is Status.OK
     assert bad.status is Status.DIVERGED
-    assert "diverged at" in bad.message
+    assert bad.message.startswith("left all bounds at")  # beside its status, it does not repeat it
     assert 0 < len(bad.t) < len(good.t)
     for array in (bad.displacement, bad.velocity, bad.acceleration, bad.band_limited_acceleration):
         assert len(array) == len(bad.t)
