@@ -75,6 +75,8 @@ class Settings:
     motion : bool
         Give displacement, velocity and instantaneous acceleration; without them (and without `links`) a run is
         cheaper, and only the band-limited acceleration is there, to make spectra of.
+    most_trials : int or None
+        Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
     device : str
         ``cpu``, or ``cuda``: one case a thread of a CUDA device; ``adaptive`` only.
     """
@@ -88,10 +90,11 @@ class Settings:
     revolutions: float = 10.0
     links: bool = False
     motion: bool = True
+    most_trials: int | None = None
     device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:
-        for name in ("duration", "sample_rate", "rtol", "step", "revolutions"):
+        for name in ("duration", "sample_rate", "rtol", "step", "revolutions", "most_trials"):
             value = getattr(self, name)
             if value is not None and not (0 < value < math.inf):
                 raise SettingsError(f"{name}: {value}: must be a finite number greater than 0")

@@ -267,7 +267,8 @@ def queue_of(waiting: Sequence[Prepared], settings: Settings) -> Queue:
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
     cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])
     needed = [_PATIENCE * case.duration / case.longest_step for case in waiting]
-    cases["most_trials"] = np.clip(needed, _LEAST_PATIENCE, _MOST_PATIENCE).astype(np.int64)
+    patience = np.clip(needed, _LEAST_PATIENCE, _MOST_PATIENCE).astype(np.int64)
+    cases["most_trials"] = patience if settings.most_trials is None else settings.most_trials
     starts = np.array([np.concatenate([case.z, case.v, case.memory]) for case in waiting])
     return Queue(cases, starts, np.array([case.vector for case in waiting]).reshape(len(waiting), -1))
 

@@ -18,7 +18,7 @@ from solver.history import Case, History, Settings, Status
 from solver.ir import LANES
 from solver.machine import Machine
 from solver.native import processor
-from solver.workbench import MOTIONS, Point, bench_of, middle
+from solver.workbench import MOTIONS, REFERENCES, Point, bench_of, middle
 
 __all__ = ["Point", "Recommendation", "TradeOff", "computer", "measure"]
 
@@ -143,7 +143,7 @@ def measure(
     machine : Machine
     case : Case, optional
     progress : callable, optional
-        Called with settings done and settings in all.
+        Called with settings done and settings in all, those that may serve as the reference among them.
     rungs : sequence of Settings, optional
         What to measure instead of the usual tolerances and steps, each method from coarse to fine; ``adaptive`` by its
         `rtol`. Durations and rates are not looked at.
@@ -163,13 +163,12 @@ def measure(
     case = case or Case()
     bench, preparation = bench_of(machine, case)
     rungs = bench.rungs() if rungs is None else rungs
-    total = len(rungs) + 2
+    total = len(rungs) + len(REFERENCES)
     tell = progress or (lambda done, total: None)
     tell(0, total)
-    references, failed = bench.references()
+    references, failed = bench.references(lambda tried: tell(tried, total))
     if len(references) < 2:
         return failed
-    tell(2, total)
     (reference_rtol, finest), (check_rtol, check) = references
     lines = bench.levels(finest)
     difference = mean_difference_db(lines[1:], lines[0])
@@ -178,7 +177,7 @@ def measure(
     reference = middle(levels, chaotic)
     kept = compared(reference)
     points: list[Point] = []
-    for done, settings in enumerate(rungs, start=3):
+    for done, settings in enumerate(rungs, start=len(REFERENCES) + 1):
         histories, seconds = bench.run(settings)
         point = bench.point(settings, histories, seconds, reference, chaotic)
         if points and settings.integrator == "gill" and points[-1].step == point.step:

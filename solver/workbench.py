@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,12 @@ _MOST_SAMPLES = 400_000
 #: The least of so many runs is the cost; no more runs once they took so long, s.
 _REPEATS = 3
 _LONG = 3.0
+#: Trial steps of a run, in multiples of the fixed steps of `standard`, after which it counts as stalled, and the least
+#: of them: references that end well take about one (slider-crank at 600 rpm), and a user waits for each that does not.
+_PATIENCE = 4
+_LEAST_PATIENCE = 2_000_000
+#: No other tolerance is tried as the reference once those that failed took so long, s.
+_NO_REFERENCE = 20.0
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,8 @@ class Bench:
 
     def run(self, settings: Settings, repeats: int = _REPEATS) -> tuple[list[History], float]:
         """Histories of the eight lanes, and the processor seconds of one of them: the least of the repeats."""
-        full = replace(settings, duration=self.duration, sample_rate=self.sample_rate)
+        patience = max(_LEAST_PATIENCE, math.ceil(_PATIENCE * self.duration / self.standard_step))
+        full = replace(settings, duration=self.duration, sample_rate=self.sample_rate, most_trials=patience)
         least, total = math.inf, 0.0
         for _ in range(repeats):
             histories = simulate_batch(self.machine, [self.case] * LANES, full, starts=self.starts)
@@ -121,15 +128,23 @@ class Bench:
                 break
         return histories, least
 
-    def references(self) -> tuple[list[tuple[float, list[History]]], History]:
-        """The two tightest tolerances with which every lane ends well, and a history of the last that did not."""
+    def references(self, tell: Callable[[int], None]) -> tuple[list[tuple[float, list[History]]], History]:
+        """The two tightest tolerances with which every lane ends well, and a history of the last that did not.
+
+        `tell` is called with the number of tolerances tried after each. Those that fail are given up together after
+        :data:`_NO_REFERENCE`.
+        """
         found: list[tuple[float, list[History]]] = []
-        for rtol in REFERENCES:
-            histories, _ = self.run(Settings(rtol=rtol), repeats=1)
+        lost = 0.0
+        for tried, rtol in enumerate(REFERENCES, start=1):
+            histories, seconds = self.run(Settings(rtol=rtol), repeats=1)
+            tell(tried)
             worst = max(histories, key=lambda history: history.status is not Status.OK)
             if worst.status is Status.OK:
                 found.append((rtol, histories))
-            if len(found) == 2:
+            else:
+                lost += seconds * LANES
+            if len(found) == 2 or lost > _NO_REFERENCE:
                 break
         return found, worst
 

@@ -58,7 +58,7 @@ def test_the_table_names_setting_error_and_recommendation(machine: Machine) -> N
     advice = found.recommend(0.5)
     assert advice.point is not None
     text = report(machine, found, advice, 0.5)
-    assert re.search(r"adaptive, rtol 1e-06 +standard +0\.00016 s ", text)
+    assert re.search(r"adaptive, rtol 1e-06 +standard +0\.00012 s ", text)
     assert f"recommended for 0.5 dB: {option_of(advice.point)}; the cheapest" in text
     assert found.computer in text
     assert "no recommendation for 1e-09 dB: the reference itself" in report(machine, found, found.recommend(1e-9), 1e-9)

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from solver import workbench
 from solver.errors import SettingsError
 from solver.fault import FaultState
 from solver.harmonics import harmonic_error
-from solver.history import Settings, Status
+from solver.history import History, Settings, Status
 from solver.machine import Machine, load_machine
 from solver.simulate import Case, simulate
 from solver.tradeoff import Point, TradeOff, measure
@@ -55,6 +56,20 @@ def test_a_perturbation_of_p1_dies_out(periodic: TradeOff) -> None:
     assert periodic.growth < 1e-2  # measured 2.4e-5
     assert periodic.difference_db < 1e-6  # measured 1.3e-9
     assert periodic.reference_error_db < 1e-5  # measured 5e-7
+
+
+@pytest.mark.parametrize(("lost", "tried"), [(math.inf, 4), (0.0, 1)])
+def test_references_that_stall_are_given_up(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, lost: float, tried: int
+) -> None:
+    monkeypatch.setattr(workbench, "_PATIENCE", 0)
+    monkeypatch.setattr(workbench, "_LEAST_PATIENCE", 1000)  # of some 1e5 that these runs take
+    monkeypatch.setattr(workbench, "_NO_REFERENCE", lost)
+    told: list[tuple[int, int]] = []
+    found = measure(machine, P1, lambda done, total: told.append((done, total)), rungs=RUNGS)
+    assert isinstance(found, History)
+    assert found.status is Status.STEP_TOO_SMALL
+    assert told == [(done, len(RUNGS) + 4) for done in range(tried + 1)]
 
 
 def test_errors_fall_with_the_tolerance(periodic: TradeOff) -> None:
