@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from solver.machine import Machine
     from solver.units import Dimension
 
 
@@ -44,6 +45,37 @@ class Quantity(click.ParamType[float]):
         if self._positive and number <= 0:
             raise click.BadParameter(f"{value}: must be greater than 0", ctx, param)
         return number
+
+
+def drive_speed(machine: Machine, text: str | None) -> dict[str, float]:
+    """Return what ``--speed`` changes in a machine: a speed of rotation or of sliding, as its drive is.
+
+    Parameters
+    ----------
+    machine : Machine
+    text : str or None
+        As typed, of either sign.
+
+    Raises
+    ------
+    click.BadParameter
+        A drive without one speed, or a value that does not measure it.
+    """
+    if text is None:
+        return {}
+    drive = machine.drive
+    if drive is None or drive.kind not in ("rotation", "translation"):
+        kind = "no drive" if drive is None else f"a {drive.kind} drive"
+        rule = f"{machine.name} has {kind}; only a rotation or translation drive has a speed"
+        raise click.BadParameter(f"{text}: {rule}", param_hint="--speed")
+    if isinstance(getattr(drive, "speed", None), tuple):
+        rule = f"the drive of {machine.name} runs up by a table: change that in its file"
+        raise click.BadParameter(f"{text}: {rule}", param_hint="--speed")
+    quantity = Quantity("ANGULAR_SPEED" if drive.kind == "rotation" else "SPEED", positive=False)
+    try:
+        return {"drive.speed": quantity.convert(text, None, None)}
+    except click.BadParameter as error:
+        raise click.BadParameter(error.message, param_hint="--speed") from None
 
 
 class Decibels(click.ParamType[float]):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from app.commands.parameters import Decibels, Quantity, json_option, print_json
+from app.commands.parameters import Decibels, Quantity, drive_speed, json_option, print_json
 
 if TYPE_CHECKING:
     from app.recording import Recording
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 @click.command("simulate")
 @click.argument("machine")
 @click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
-@click.option(
-    "--speed", type=Quantity("ANGULAR_SPEED", positive=False), help='Drive speed instead of the file\'s: "600 rpm".'
-)
+@click.option("--speed", help='Drive speed instead of the file\'s: "600 rpm", or "0.1 m/s" of a sliding drive.')
 @click.option("--duration", type=Quantity("TIME"), help="Length of the histories; by rule from transient and speed.")
 @click.option(
     "--sample-rate", type=Quantity("FREQUENCY"), default="20 kHz", show_default=True, help="Of the histories."
@@ -34,6 +32,12 @@ if TYPE_CHECKING:
     help="How finely to integrate [default: standard].",
 )
 @click.option("--rtol", type=click.FloatRange(1e-12, 1e-2), help="Scaled error of a step, in place of --accuracy.")
+@click.option(
+    "--method",
+    type=click.Choice(["adaptive", "gill"]),
+    help="Error-controlled steps [default], or Runge-Kutta-Gill with fixed ones.",
+)
+@click.option("--step", type=Quantity("TIME"), help="Longest step of gill, in place of --accuracy.")
 @click.option(
     "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Where to integrate."
 )
@@ -64,11 +68,13 @@ if TYPE_CHECKING:
 def command(
     machine: str,
     fault: str,
-    speed: float | None,
+    speed: str | None,
     duration: float | None,
     sample_rate: float,
     accuracy: Accuracy | None,
     rtol: float | None,
+    method: Literal["adaptive", "gill"] | None,
+    step: float | None,
     device: Literal["cpu", "cuda"],
     starts: int | None,
     starts_by: Kind,
@@ -85,6 +91,8 @@ def command(
 
     if accuracy is not None and rtol is not None:
         raise click.UsageError("--rtol: give either --accuracy or --rtol, not both")
+    if accuracy is not None and step is not None:
+        raise click.UsageError("--step: give either --accuracy or --step, not both")
     several = starts is not None or converged is not None
     if several:
         refuse_for_ensembles(output, links=links, duration=duration is not None and converged is not None)
@@ -101,13 +109,14 @@ def command(
     from solver.simulate import Case, Settings, Status, simulate
 
     found = resolve_machine(machine)
-    parameters = {} if speed is None else {"drive.speed": speed}
-    case = Case(fault=parse_fault(fault, found), parameters=parameters)
+    case = Case(fault=parse_fault(fault, found), parameters=drive_speed(found, speed))
     settings = Settings(
         duration=duration,
         sample_rate=sample_rate,
         accuracy=accuracy or "standard",
+        method=method,
         rtol=rtol,
+        step=step,
         links=links,
         device=device,
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import Decibels, Quantity, json_option, print_json
+from app.commands.parameters import Decibels, drive_speed, json_option, print_json
 from app.commands.progress import ProgressLine
 from app.commands.tables import indented, table
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 @click.command("trade-off")
 @click.argument("machine")
 @click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
-@click.option("--speed", type=Quantity("ANGULAR_SPEED", positive=False), help="Drive speed instead of the file's.")
+@click.option("--speed", help='Drive speed instead of the file\'s: "600 rpm", or "0.1 m/s" of a sliding drive.')
 @click.option(
     "--error", type=Decibels(), default="0.1dB", show_default=True, metavar="0.1dB", help="Harmonic error wanted."
 )
 @click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Also draw it.")
 @json_option
-def command(machine: str, fault: str, speed: float | None, error: float, plot: Path | None, as_json: bool) -> None:
+def command(machine: str, fault: str, speed: str | None, error: float, plot: Path | None, as_json: bool) -> None:
     """Measure harmonic error against processor time for MACHINE, and recommend a setting."""
     if plot is not None:
         from app.plots import check_ending
@@ -39,7 +39,7 @@ def command(machine: str, fault: str, speed: float | None, error: float, plot: P
     from solver.tradeoff import measure
 
     found = resolve_machine(machine)
-    case = Case(parse_fault(fault, found), {} if speed is None else {"drive.speed": speed})
+    case = Case(parse_fault(fault, found), drive_speed(found, speed))
     with ProgressLine("measuring", "settings") as line:
         measured = measure(found, case, line.show)
     if isinstance(measured, History):
@@ -58,9 +58,10 @@ def command(machine: str, fault: str, speed: float | None, error: float, plot: P
 
 
 def option_of(point: Point) -> str:
-    """Return the option of `jointplay simulate` that asks for a setting; empty where only Python can."""
+    """Return the options of `jointplay simulate` that ask for a setting."""
     if point.settings.integrator == "gill":
-        return ""
+        # A step to all its digits: a shorter one would make for more steps a sample.
+        return f"--method gill --accuracy {point.accuracy}" if point.accuracy else f"--step {point.step!r}"
     return f"--accuracy {point.accuracy}" if point.accuracy else f"--rtol {point.settings.rtol:g}"
 
 
@@ -109,7 +110,7 @@ def described(found: TradeOff, point: Point) -> dict[str, object]:
         "accuracy": point.accuracy or None,
         "rtol": point.settings.rtol,
         "step_s": point.step,
-        "option": option_of(point) or None,
+        "option": option_of(point),
         "status": str(point.status),
         "processor_s_per_s": point.seconds,
         "error_db": number(point.error_db),
@@ -140,8 +141,7 @@ def report(machine: Machine, found: TradeOff, advice: Recommendation, error: flo
     if best is None:
         end = f"no recommendation for {error:g} dB: {advice.reason}"
     else:
-        how = option_of(best) or f'Settings(method="gill", step={best.step:.4g}) in Python'
-        end = f"recommended for {error:g} dB: {how}; {advice.reason}"
+        end = f"recommended for {error:g} dB: {option_of(best)}; {advice.reason}"
     return "\n".join([
         *head, "", indented(table(columns, rows, frozenset({2, 3, 4, 5, 6}))), "", end,
         f"processor time of {found.computer}, lanes filled; equations and kernels took {found.preparation:.2g} s apart",
