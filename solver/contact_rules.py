@@ -35,7 +35,11 @@ def contact_breaches(defaults: Contact, contacts: Mapping[str, Contact]) -> Iter
         for name in LAW_NUMBERS[contact.law]:
             said = name == "exponent" or name in contact.model_fields_set
             if not said or getattr(contact, name) is None:
-                yield f"{path}.{name}", None, f"is missing; law {contact.law} needs it"
+                rule = f"is missing; law {contact.law} needs it"
+                if defaults.law == contact.law and "law" in defaults.model_fields_set:
+                    # The law was written there, perhaps nowhere else; a joint may still complete it.
+                    yield f"defaults.contact.{name}", None, f"{rule}, and {path.removesuffix('.contact')} has none"
+                yield f"{path}.{name}", None, rule
 
 
 def _foreign(path: str, contact: Contact) -> Iterator[_Breach]:

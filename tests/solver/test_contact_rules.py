@@ -77,7 +77,11 @@ def test_a_machine_is_read_again_as_it_was_written(law: Tree) -> None:
          'must be a hysteresis factor, for example "0.3 s/m"'),
         (HERTZ | {"hysteresis": -1}, None, "defaults.contact.hysteresis: -1: must not be less than 0"),
         ({"law": "gonthier", "restitution": 0.9}, None,
-         "joints.O.contact.stiffness: is missing; law gonthier needs it"),
+         "defaults.contact.stiffness: is missing; law gonthier needs it, and joints.O has none"),
+        ({"law": "hertz", "stiffness": 1e9}, {"friction": 0.1},
+         "defaults.contact.hysteresis: is missing; law hertz needs it, and joints.O has none"),
+        (FLORES, {"law": "hertz", "stiffness": 1e9},
+         "joints.A.contact.hysteresis: is missing; law hertz needs it"),
         ({}, {"law": "hertz", "stiffness": 1e9}, "joints.A.contact.hysteresis: is missing; law hertz needs it"),
         (FLORES | {"stiffness": "10 kN/mm"}, None, "defaults.contact.stiffness: 10 kN/mm: must be a plain number: "
          "with this law it is in N/m^n, n the exponent"),
