@@ -142,7 +142,7 @@ def test_restitution_after_a_free_flight(law: str, settings: dict[str, Any], tol
     ids=[*TABLE, "hertz"],
 )
 def test_a_restitution_of_one_keeps_energy(contact: dict[str, Any]) -> None:
-    """A slider-crank under a constant torque, two worn pins: energy less work drifts by 4e-8 J of 6 J at most, measured."""
+    """A slider-crank under a constant torque, two worn pins: energy less work drifts 4e-8 J of 6 J at most."""
     tree = tree_of("slider-crank", friction=0.0)
     tree["drive"] = {"kind": "torque", "joint": "O", "torque": 2.0}
     for support in tree["supports"]:
