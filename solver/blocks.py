@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from solver.bands import BandScheme, band_matrix
 from solver.errors import SettingsError
 from solver.history import Case, History, Settings, Status
+from solver.ir import LANES
 from solver.machine import Machine
 from solver.pose import Start
 from solver.sampling import PASS
@@ -26,6 +28,48 @@ BLOCK, SEEN = 4, 6
 #: Windows may be a little longer than their revolutions, see :data:`solver.segments.LENGTH_TOLERANCE`.
 _SLACK = 0.02
 _WINDOW = 4.0
+#: Memory for histories at once and for the densities of one block, bytes: sums, spreads and the block that waits hold
+#: some six times the latter.
+HISTORY_BYTES, DENSITY_BYTES = 1.5e9, 0.5e9
+#: Most blocks at once.
+_TOGETHER = 16
+#: Numbers that a run keeps for each sample of its history: time, four motions of the frame, records of three more of
+#: which velocities are at twice the rate; or, where only spectra are wanted, one motion and the record of velocities.
+_WITH_MOTION, _WITHOUT_MOTION = 25, 10
+
+
+def check_memory(machine: Machine, starts: int, sample_rate: float, speed: float) -> None:
+    """Refuse an ensemble whose spectra or histories no memory would hold.
+
+    Parameters
+    ----------
+    machine : Machine
+    starts : int
+    sample_rate : float
+        Hz.
+    speed : float
+        Of the drive, rad/s.
+
+    Raises
+    ------
+    SettingsError
+        Names starts, or sample rate, and the bound.
+    """
+    revolution = 2 * math.pi / abs(speed)
+    lines, channels = PASS * sample_rate * _WINDOW * revolution, len(MOTIONS) + len(machine.sensors)
+    needed = 8 * lines * channels
+    if 2 * needed > DENSITY_BYTES or SEEN * sample_rate * revolution * _bytes_a_sample(machine) > HISTORY_BYTES:
+        what = f"too many samples, {sample_rate * revolution:.3g} a revolution, for spectra in orders"
+        raise SettingsError(f"sample rate: {sample_rate:g} Hz: {what}; take a lower one")
+    if starts * needed > DENSITY_BYTES:
+        what = f"spectra of {lines:.3g} lines in {channels} channels each need over {DENSITY_BYTES / 1e9:g} GB"
+        most = math.floor(DENSITY_BYTES / needed)
+        raise SettingsError(f"starts: {starts}: {what}; take at most {most}, or a lower sample rate")
+
+
+def _bytes_a_sample(machine: Machine) -> int:
+    # Sensors see where the frame stands; its centre of gravity needs accelerations only.
+    return 8 * (_WITH_MOTION if machine.sensors else _WITHOUT_MOTION)
 
 
 @dataclass(frozen=True)
@@ -40,6 +84,13 @@ class BlockSpectra:
         """Only of these members, which must be among those here."""
         rows = [self.members.index(member) for member in members]
         return BlockSpectra(tuple(members), self.bands[rows], self.psd[rows])
+
+
+class _Spectra(NamedTuple):
+    """Of one member in one block: powers in bands, (k, c), and densities, (n, c)."""
+
+    bands: FloatArray
+    psd: FloatArray
 
 
 class Members:
@@ -80,53 +131,69 @@ class Members:
         self.units = (*frame_units(MOTIONS, "acceleration"), *("m/s2" for _ in machine.sensors))
         self.frequency = np.zeros(0)
         self._scheme = BandScheme(tuple(order + 0.5 for order in range(count + 1)), count)
-        self._machine, self._case, self._settings = machine, case, settings
+        self._machine, self._case = machine, case
+        self._settings = replace(settings, links=False, motion=bool(machine.sensors))
+        self._bytes = _bytes_a_sample(machine) * settings.sample_rate * 2 * math.pi / self.speed  # of a revolution
         self._states = list(starts)
 
     def blocks(self, skipped: float, count: int) -> list[BlockSpectra]:
         """Advance all members, leave out `skipped` revolutions, and give the spectra of `count` blocks.
 
         A member that fails on the way is in none of them and takes no further part; there are none without two left.
+        Histories live only until their spectra are taken: members run in groups that memory holds.
         """
-        histories = self._advance(skipped + (count - 1) * BLOCK + SEEN + _SLACK)
-        if len(histories) < 2:
-            return []
-        return [self._spectra(histories, skipped + block * BLOCK) for block in range(count)]
-
-    def _advance(self, revolutions: float) -> list[History]:
-        duration = revolutions * 2 * math.pi / self.speed
-        # Sensors see where the frame stands; its centre of gravity needs accelerations only.
-        seen = bool(self._machine.sensors)
-        settings = replace(self._settings, duration=duration, links=False, motion=seen)
-        cases = [self._case] * len(self.alive)
-        found = simulate_batch(self._machine, cases, settings, starts=[self._states[i] for i in self.alive])
+        revolutions = skipped + (count - 1) * BLOCK + SEEN + _SLACK
+        group = max(1, int(HISTORY_BYTES / (self._bytes * revolutions)))
+        if group > LANES:
+            group -= group % LANES
+        everyone = list(self.alive)
+        spectra: list[list[_Spectra]] = [[] for _ in range(count)]
+        for first in range(0, len(everyone), group):
+            for history in self._advance(everyone[first : first + group], revolutions):
+                for block, found in enumerate(spectra):
+                    found.append(self._spectra(history, skipped + block * BLOCK))
         self.revolutions += revolutions
-        self.seconds += sum(history.seconds for history in found)
-        kept = []
-        for member, history in zip(list(self.alive), found, strict=True):
+        if len(self.alive) < 2:
+            return []
+        return [
+            BlockSpectra(
+                tuple(self.alive), np.array([one.bands for one in found]), np.array([one.psd for one in found])
+            )
+            for found in spectra
+        ]
+
+    def at_once(self, skipped: float) -> int:
+        """Most blocks to ask :meth:`blocks` for: memory holds their densities, and histories that fill the lanes."""
+        revolutions = HISTORY_BYTES / (self._bytes * min(len(self.alive), LANES))
+        lines = PASS * self._settings.sample_rate * _WINDOW * 2 * math.pi / self.speed
+        densities = DENSITY_BYTES / (8 * lines * len(self.channels) * max(1, len(self.alive)))
+        return max(1, min(_TOGETHER, int(densities), int((revolutions - skipped - SEEN - _SLACK) / BLOCK) + 1))
+
+    def _advance(self, group: Sequence[int], revolutions: float) -> Iterator[History]:
+        """Histories of those of the group that do not fail; where they stand then is kept."""
+        settings = replace(self._settings, duration=revolutions * 2 * math.pi / self.speed)
+        starts = [self._states[i] for i in group]
+        found = simulate_batch(self._machine, [self._case] * len(group), settings, starts=starts)
+        for member, history in zip(group, found, strict=True):
+            self.seconds += history.seconds
             if history.status is Status.OK and history.end is not None:
                 self._states[member] = history.end
-                kept.append(history)
+                yield history
             else:
                 self.failures[member] = history
                 self.alive.remove(member)
-        return kept
 
-    def _spectra(self, histories: Sequence[History], first: float) -> BlockSpectra:
-        """Spectra of the block that begins `first` revolutions after the start of these histories."""
+    def _spectra(self, history: History, first: float) -> _Spectra:
+        """Spectra of the block that begins `first` revolutions after the start of a history."""
         rate = self._settings.sample_rate
         samples = rate * 2 * math.pi / self.speed
         here = slice(round(first * samples), round((first + SEEN + _SLACK) * samples) + 1)
-        bands, densities = [], []
-        for history in histories:
-            signal = self._signal(history, here)
-            bands.append(band_matrix(signal, rate, self.speed, self._scheme).auto_power)
-            windows = revolution_segments(len(signal), rate, self.speed, _WINDOW, _WINDOW / 2)
-            frequency = windows.frequency
-            self.frequency = frequency[frequency <= PASS * rate]
-            lines = windows.coefficients(signal, len(self.frequency))
-            densities.append(np.mean(lines.real**2 + lines.imag**2, axis=0).T / windows.resolution)
-        return BlockSpectra(tuple(self.alive), np.array(bands), np.array(densities))
+        signal = self._signal(history, here)
+        bands = band_matrix(signal, rate, self.speed, self._scheme).auto_power
+        windows = revolution_segments(len(signal), rate, self.speed, _WINDOW, _WINDOW / 2)
+        self.frequency = windows.frequency[windows.frequency <= PASS * rate]
+        lines = windows.coefficients(signal, len(self.frequency))
+        return _Spectra(bands, np.mean(lines.real**2 + lines.imag**2, axis=0).T / windows.resolution)
 
     def _signal(self, history: History, here: slice) -> FloatArray:
         """Alias-free accelerations of the frame and at the sensors, (n, c)."""

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from solver.averages import Average, spread_db, standard_error_db
-from solver.blocks import BLOCK, SEEN, Members
+from solver.blocks import BLOCK, SEEN, Members, check_memory
 from solver.case_groups import groups
 from solver.contact_rates import extent_of
 from solver.drive import repeating_frequency
@@ -27,8 +27,6 @@ __all__ = ["Ensemble", "EnsembleResult", "Kind", "Member", "simulate_ensemble"]
 
 #: Frames start this part of the machine's extent apart.
 PERTURBATION = 1e-6
-#: Blocks run at once, which bounds the memory of their histories.
-_TOGETHER = 16
 #: Successive blocks that differ by no more than this, dB, are settled where no other number was asked for.
 _SETTLED_DB = 0.2
 
@@ -57,7 +55,7 @@ def simulate_ensemble(
     ------
     SettingsError
         A drive without a constant speed or a load that does not repeat, so that there is no steady state; a frame that
-        cannot move; fewer revolutions allowed than the transient takes.
+        cannot move; fewer revolutions allowed than the transient takes; spectra that no memory would hold.
     AssemblyError, MachineError
         As :func:`solver.simulate.start_of`.
     """
@@ -71,6 +69,7 @@ def simulate_ensemble(
     frequency = repeating_frequency(machine, prepared.speed)
     if all(index is None for index in group.model.frame_indices):
         raise SettingsError(f"{machine.name}: its frame is fixed: it has no spectrum")
+    check_memory(machine, ensemble.starts, settings.sample_rate, prepared.speed)
     starts, angles, remark = _starts(machine, case, ensemble, settings)
     from_healthy = ensemble.healthy_start and not remark
     skipped = float(SETTLING_REVOLUTIONS) if from_healthy else float(round(prepared.transient * frequency))
@@ -113,7 +112,7 @@ def _next(average: Average, members: Members, ensemble: Ensemble, fixed: int | N
     if len(members.alive) < 2:
         return 0, f"{len(members.alive)} of {ensemble.starts} members did not fail"
     if fixed is not None:
-        return min(fixed - average.seen, _TOGETHER), ""
+        return min(fixed - average.seen, members.at_once(skipped)), ""
     assert ensemble.converged_db is not None
     error = average.error()
     if error <= ensemble.converged_db:
@@ -130,7 +129,7 @@ def _next(average: Average, members: Members, ensemble: Ensemble, fixed: int | N
     else:
         missing = math.ceil(average.blocks * ((error / ensemble.converged_db) ** 2 - 1))
         missing = max(1, min(missing, average.blocks))
-    return min(missing, room, _TOGETHER), ""
+    return min(missing, room, members.at_once(skipped)), ""
 
 
 def _starts(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver import averages
+from solver import averages, blocks
 from solver import ensemble as module
 from solver.averages import decibels, overall, spread_db
 from solver.blocks import BLOCK, Members
@@ -204,6 +204,47 @@ def test_without_a_healthy_steady_state_members_start_as_drawn(
 def test_what_means_nothing_is_refused(options: dict[str, Any], text: str) -> None:
     with pytest.raises(SettingsError, match=text):
         Ensemble(**options)
+
+
+def test_members_in_groups_give_what_they_give_together(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = Ensemble(starts=3, converged_db=None)
+    settings = replace(SETTINGS, revolutions=8)
+    together = simulate_ensemble(machine, CHAOTIC, asked, settings)
+    sizes: list[int] = []
+    true = blocks.simulate_batch
+
+    def counted(machine: Machine, cases: Any, *more: Any, **named: Any) -> Any:
+        sizes.append(len(cases))
+        return true(machine, cases, *more, **named)
+
+    monkeypatch.setattr(blocks, "simulate_batch", counted)
+    # Of 1000 samples a revolution, some 200 bytes each: what a member needs for the first two blocks, not for more.
+    monkeypatch.setattr(blocks.Members, "at_once", lambda *given: 2)
+    monkeypatch.setattr(blocks, "HISTORY_BYTES", 3e6)
+    apart = simulate_ensemble(machine, CHAOTIC, asked, settings)
+    assert sizes == [1, 1, 1]
+    assert np.array_equal(apart.level, together.level) and np.array_equal(apart.psd, together.psd)
+
+
+def test_blocks_at_once_are_as_many_as_memory_holds(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    start = start_of(machine, CHAOTIC, SETTINGS)
+    members = Members(machine, CHAOTIC, SETTINGS, [start] * 8, SPEED)
+    assert members.at_once(2.0) == 16
+    slow = Members(machine, CHAOTIC, SETTINGS, [start] * 8, SPEED / 100)
+    assert slow.at_once(2.0) == 1
+    monkeypatch.setattr(blocks, "DENSITY_BYTES", 4e6)  # 1600 lines in 7 channels of 8 members are 0.72 MB
+    assert members.at_once(2.0) == 5
+
+
+def test_what_no_memory_would_hold_is_refused(machine: Machine) -> None:
+    slow = replace(PERIODIC, parameters={"drive.speed": 2 * math.pi})
+    with pytest.raises(
+        SettingsError, match=r"starts: 1000: spectra of 3.2e\+04 lines in 7 channels .* take at most 279"
+    ):
+        simulate_ensemble(machine, slow, Ensemble(starts=1000), Settings())
+    slower = replace(PERIODIC, parameters={"drive.speed": 2 * math.pi / 100})
+    with pytest.raises(SettingsError, match=r"sample rate: 20000 Hz: too many samples, 2e\+06 a revolution"):
+        simulate_ensemble(machine, slower, settings=Settings())
 
 
 def test_machines_without_a_steady_state_are_refused(machine: Machine) -> None:
