@@ -66,6 +66,9 @@ def test_threads_agree_with_lanes(
             assert (gap <= slack * bound * size).all(), motion
         if lane.status in (Status.DIVERGED, Status.STEP_TOO_SMALL):  # its end is where rounding took it
             continue
+        if lane.status is Status.CANNOT_ASSEMBLE:
+            assert lane.end is thread.end is None
+            continue
         for ours, theirs in ((thread.end.z, lane.end.z), (thread.end.v, lane.end.v)):
             assert np.abs(ours - theirs).max() < slack * CLOSE["velocity"] * np.abs(theirs).max()
         if lane.links is not None:
