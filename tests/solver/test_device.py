@@ -79,8 +79,7 @@ def test_threads_agree_with_lanes(
 
 def test_a_failing_case_is_a_status_and_its_neighbour_goes_on(simulated: dict[str, list[History]]) -> None:
     past, within = simulated["a slide driven past its reach"]
-    assert past.status in (Status.DIVERGED, Status.STEP_TOO_SMALL)
-    assert np.isfinite(past.acceleration).all()
+    assert past.status is Status.CANNOT_ASSEMBLE
     assert within.status is Status.OK
 
 
