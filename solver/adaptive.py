@@ -16,6 +16,7 @@ from solver.compiled import compiled
 from solver.control import (
     BEARABLE,
     BEARABLE_PART,
+    CAUTION,
     DIVERGING,
     FLOOR,
     GROW,
@@ -67,7 +68,7 @@ def _load(
         mine, case = lanes[lane], cases[c]
         mine.case, mine.slot, mine.fresh = c, free[cursor[FREE]], 1
         mine.begin = mine.t = case.begin
-        mine.h, mine.natural = case.first_step, 0.0
+        mine.h, mine.natural = CAUTION * case.first_step, 0.0
         mine.uncut, mine.over = 0.0, 0
         mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
         for i in range(2 * n):

@@ -12,6 +12,9 @@ OK, DIVERGING, STALLED, JAMMED, RUNNING = 0, 1, 2, 3, -1
 
 #: A step aims at this part of the tolerance, and is the last one times a number between these two.
 SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0
+#: A run begins with this part of its first step: what settles in the beginning would pass between the stages of a long
+#: one without any sign in the error estimate.
+CAUTION = 0.01
 #: A step shorter than this part of the time of the case stalls.
 SHORTEST = 1e-14
 #: Part of the first step below which an error estimate is taken for noise, and how often in one case.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from solver.control import (
     BEARABLE,
     BEARABLE_PART,
+    CAUTION,
     DIVERGING,
     FLOOR,
     GROW,
@@ -121,7 +122,7 @@ def case_functions(
 
     @compiled
     def begin(w: Array, s: Array) -> None:
-        s[OUTCOME], s[NOW], s[STEP] = RUNNING, s[BEGIN], s[FIRST]
+        s[OUTCOME], s[NOW], s[STEP] = RUNNING, s[BEGIN], CAUTION * s[FIRST]
         w[pace_at], w[strictness_at] = s[PACE], 1.0 / s[TOLERANCE]
         prepare(w)
         w[time_at] = s[NOW]
