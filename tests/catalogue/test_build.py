@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 import os
-import random
-import signal
-import subprocess
-import sys
-import threading
-import time
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-import fake_simulator
-import numpy as np
 import pytest
-from fake_simulator import MACHINE, PLAN, compute, diverges
+from building import FAILING, KEYS, assert_complete, quick_build
+from fake_simulator import MACHINE, PLAN, compute
 
-from catalogue import build as build_module
-from catalogue import executors
-from catalogue.build import BuildReport, Progress, build
+from catalogue.build import Progress, build
 from catalogue.directory import CatalogueDirectory
 from catalogue.errors import (
     BuildError,
@@ -36,29 +27,6 @@ from catalogue.store import Catalogue
 from catalogue.verify import verify
 from solver.errors import AssemblyError, MachineError
 from solver.machine import parse_machine, shipped_machine, shipped_machine_text
-
-KEYS = [entry.key for entry in PLAN.entries(MACHINE)]
-FAILING = {key for key in KEYS if diverges(key)}
-
-
-def quick_build(directory: Path, plan: Plan = PLAN, **options: Any) -> BuildReport:
-    options = {"workers": 0, "compute": compute, "chunk_size": 4, **options}
-    return build(MACHINE, plan, directory, **options)
-
-
-def assert_complete(directory: Path, plan: Plan = PLAN) -> None:
-    """The catalogue holds exactly the plan, each entry once, and is sound."""
-    catalogue = Catalogue.open(directory)
-    keys = {entry.key for entry in plan.entries(MACHINE)}
-    assert sorted([*catalogue.entries.key, *catalogue.failed.key]) == sorted(keys)
-    assert set(catalogue.failed.key) == {key for key in keys if diverges(key)}
-    for key, power in zip(catalogue.entries.key, catalogue.power(), strict=True):
-        made = fake_simulator._outcome(str(key), catalogue.scheme.count).power
-        assert made is not None
-        assert np.allclose(power, made, rtol=1e-6)
-    report = verify(directory)
-    assert report.is_sound, report.findings
-    assert report.entries == len(keys)
 
 
 def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -356,141 +324,3 @@ def test_caller_may_bring_an_executor(tmp_path: Path) -> None:
 
 def with_draws(draws: int) -> Plan:
     return parse_plan({**PLAN.content, "draws": draws})
-
-
-# With real processes, which are killed.
-
-
-def start(directory: Path, **environment: str) -> subprocess.Popen[str]:
-    paths = [str(Path(__file__).parent), *sys.path]
-    return subprocess.Popen(
-        [sys.executable, str(Path(fake_simulator.__file__)), str(directory)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "FAKE_SECONDS": "0.05", **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def children(pid: int) -> list[int]:
-    """Worker processes of a builder."""
-    found = []
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        for child in (task / "children").read_text().split():
-            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
-                found.append(int(child))
-    return found
-
-
-def ended(pid: int, seconds: float = 10.0) -> bool:
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        try:
-            if Path(f"/proc/{pid}/stat").read_text().rsplit(")")[-1].split()[0] == "Z":
-                return True
-        except OSError:
-            return True
-        time.sleep(0.05)
-    return False
-
-
-@pytest.mark.timeout(240)
-def test_builder_and_workers_killed_at_random_moments(tmp_path: Path) -> None:
-    """Kill -9 two builders and a worker of a third; the fourth finds everything done, and nothing was twice."""
-    directory, log = tmp_path / "catalogue", tmp_path / "log"
-    moments = random.Random(20)
-    done = 0
-    for _ in range(2):
-        with start(directory, FAKE_LOG=str(log)) as builder:
-            assert builder.stdout is not None
-            assert int(builder.stdout.readline().split()[0]) >= done  # nothing that was there is gone
-            for _ in range(moments.randint(1, 3)):
-                line = builder.stdout.readline()
-            time.sleep(moments.uniform(0.0, 0.06))
-            workers = children(builder.pid)
-            builder.kill()
-            assert all(ended(worker) for worker in workers)
-        done = int(line.split()[0])
-        assert done < len(KEYS)
-
-    with start(directory, FAKE_LOG=str(log)) as builder:
-        assert builder.stdout is not None
-        for _ in range(3):
-            builder.stdout.readline()
-        victim = moments.choice(children(builder.pid))
-        os.kill(victim, signal.SIGKILL)
-        output = builder.stdout.read().splitlines()
-    assert builder.returncode == 0
-    assert output[-1].split()[-1] in ("0", "1")  # deaths with a chunk in hand: this one may have been between two
-    assert output[-1].split()[3] == "0"  # but no entry
-    assert_complete(directory)
-    # Chunks in hand at each of the three deaths may have been computed twice; more must not.
-    assert len(log.read_text().split()) <= len(KEYS) + 3 * 2 * 4
-    with start(directory) as builder:
-        assert builder.communicate()[0].splitlines()[-1].startswith("added 0 ")
-
-
-@pytest.mark.timeout(120)
-def test_case_that_kills_its_worker_is_found_and_the_others_are_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(build_module, "ATTEMPTS", 1)
-    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.draw == 3)
-    monkeypatch.setenv("FAKE_DEADLY", victim)
-    report = quick_build(tmp_path, workers=1)
-    assert report.lost == (victim,)
-    assert report.workers_lost == 3  # the chunk of four, its half, the case itself
-    assert report.lost_reason == "its worker died, in 1 attempt"
-    assert report.added == len(KEYS) - 1
-
-
-@pytest.mark.timeout(120)
-@pytest.mark.parametrize("moment", [0.0, 3.0])  # s: while workers start, and when they compute
-def test_interrupt_of_the_builder_ends_workers_at_once(tmp_path: Path, moment: float) -> None:
-    with start(tmp_path / "catalogue", FAKE_SECONDS="60") as builder:
-        assert builder.stdout is not None
-        builder.stdout.readline()
-        while len(workers := children(builder.pid)) < 2:
-            time.sleep(0.01)
-        time.sleep(moment)
-        for process in (*workers, builder.pid):  # as a terminal does it: to all of them
-            os.kill(process, signal.SIGINT)
-        began = time.monotonic()
-        errors = builder.communicate()[1]
-    assert builder.returncode == -signal.SIGINT
-    assert errors.count("Traceback") == 1  # the builder's own, which a command line turns into a status
-    assert time.monotonic() - began < 30
-    assert all(ended(worker) for worker in workers)
-    quick_build(tmp_path / "catalogue")
-    assert_complete(tmp_path / "catalogue")
-
-
-def test_interrupt_while_workers_start_waits_until_they_have_their_orders() -> None:
-    finish = threading.Event()
-    other = threading.Thread(target=finish.wait)  # does not block the signal, as threads of libraries
-    other.start()
-    reached: list[bool] = []
-
-    def interrupted() -> None:
-        with executors._interrupts_held():
-            assert other.ident is not None
-            signal.pthread_kill(other.ident, signal.SIGINT)
-            time.sleep(0.1)
-            reached.append(True)
-
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            interrupted()
-        assert reached
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        finish.set()
-        other.join()
-
-
-def test_build_runs_in_a_thread(tmp_path: Path) -> None:
-    reports: list[BuildReport] = []
-    thread = threading.Thread(target=lambda: reports.append(quick_build(tmp_path, workers=1, chunk_size=64)))
-    thread.start()
-    thread.join()
-    assert reports[0].added == len(KEYS)

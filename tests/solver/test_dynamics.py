@@ -2,34 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
 
+from benchmarks.scaling import chain
 from solver.dynamics import BorderedSolver, ConstrainedSolver, constrained_solver
-from solver.machine import Machine, parse_machine
 from solver.model import Model, build_model
-
-
-def chain(loops: int) -> Machine:
-    """Four-bar loops in a row on one sprung frame: 2 `loops` + 2 links."""
-    links: dict[str, Any] = {"frame": {"mass": 50, "inertia": 5, "cg": [0, 0]}}
-    joints: dict[str, Any] = {}
-    for i in range(loops + 1):
-        links[f"post{i}"] = {"mass": 1, "inertia": 0.08, "cg": [i, 0.5]}
-        joints[f"O{i}"] = {"kind": "turning", "links": [f"post{i}", "frame"], "at": [i, 0]}
-    for i in range(loops):
-        links[f"bar{i}"] = {"mass": 1, "inertia": 0.08, "cg": [i + 0.5, 1]}
-        joints[f"A{i}"] = {"kind": "turning", "links": [f"bar{i}", f"post{i}"], "at": [i, 1]}
-        joints[f"B{i}"] = {"kind": "turning", "links": [f"bar{i}", f"post{i + 1}"], "at": [i + 1, 1]}
-    mounts = [
-        {"kind": "mount", "link": "frame", "at": [x, 0], "stiffness": [2e5, 4e5], "damping": [200, 300]}
-        for x in (-0.5, loops + 0.5)
-    ]
-    drive = {"kind": "rotation", "joint": "O0", "speed": 10.0}
-    return parse_machine({"name": "chain", "links": links, "joints": joints, "supports": mounts, "drive": drive})
 
 
 def test_border_and_no_border_solve_the_same_system() -> None:

@@ -1,0 +1,38 @@
+"""Builds of the small catalogue of :mod:`fake_simulator`, and what must be true of them afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import fake_simulator
+import numpy as np
+from fake_simulator import MACHINE, PLAN, compute, diverges
+
+from catalogue.build import BuildReport, build
+from catalogue.plan import Plan
+from catalogue.store import Catalogue
+from catalogue.verify import verify
+
+KEYS = [entry.key for entry in PLAN.entries(MACHINE)]
+FAILING = {key for key in KEYS if diverges(key)}
+
+
+def quick_build(directory: Path, plan: Plan = PLAN, **options: Any) -> BuildReport:
+    options = {"workers": 0, "compute": compute, "chunk_size": 4, **options}
+    return build(MACHINE, plan, directory, **options)
+
+
+def assert_complete(directory: Path, plan: Plan = PLAN) -> None:
+    """The catalogue holds exactly the plan, each entry once, and is sound."""
+    catalogue = Catalogue.open(directory)
+    keys = {entry.key for entry in plan.entries(MACHINE)}
+    assert sorted([*catalogue.entries.key, *catalogue.failed.key]) == sorted(keys)
+    assert set(catalogue.failed.key) == {key for key in keys if diverges(key)}
+    for key, power in zip(catalogue.entries.key, catalogue.power(), strict=True):
+        made = fake_simulator._outcome(str(key), catalogue.scheme.count).power
+        assert made is not None
+        assert np.allclose(power, made, rtol=1e-6)
+    report = verify(directory)
+    assert report.is_sound, report.findings
+    assert report.entries == len(keys)
