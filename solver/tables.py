@@ -29,15 +29,19 @@ def linear(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
 
 
 def linear_integral(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
-    """Integral of :func:`linear` from 0 to `x`, exact, for x >= 0."""
+    """Integral of :func:`linear` from 0 to `x`, exact, for x >= 0.
+
+    Its second derivative at a point of the table is the slope that follows: comparisons, because that of `fmin` and
+    `fmax` where both are equal would be half of either, and runs begin at such a point.
+    """
 
     def primitive(s: Number) -> ca.SX:
         y0 = points[0][1]
         total = y0 * s
         for (xa, ya), (xb, yb) in pairwise(points):
             slope = (yb - ya) / (xb - xa)
-            inside = ca.fmin(ca.fmax(s, xa), xb) - xa
-            total += slope * (inside * inside / 2 + inside * ca.fmax(s - xb, 0))
+            inside = ca.if_else(s < xa, 0.0, ca.if_else(s < xb, s - xa, xb - xa))
+            total += slope * (inside * inside / 2 + inside * ca.if_else(s < xb, 0.0, s - xb))
         return ca.SX(total)
 
     return primitive(x) - primitive(0.0)

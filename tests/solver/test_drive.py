@@ -1,4 +1,4 @@
-"""Which drives come round, and how often."""
+"""How prescribed drives move at the points of their tables; which drives come round, and how often."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import json
 import math
 from typing import Any
 
+import casadi as ca
+import numpy as np
 import pytest
+from laws import run
 from test_simulate import crank_at
 
-from solver.drive import repeating_frequency
+from solver.drive import prescribed_motion, repeating_frequency
 from solver.ensemble import Ensemble, simulate_ensemble
 from solver.errors import SettingsError
 from solver.fault import FaultState
@@ -72,3 +75,34 @@ def test_an_ensemble_of_a_driven_slide(kind: Any) -> None:
     assert found.status is Status.OK
     assert found.converged and found.from_healthy
     assert found.drive_speed == pytest.approx(8 * math.pi)
+
+
+#: Speed over time, and the slope that follows each of its points.
+RAMPS, SLOPES = [[0.0, 1.0], [0.02, 3.0], [0.05, -3.0], [0.08, 0.0]], [100.0, -200.0, 100.0, 0.0]
+
+
+@pytest.mark.parametrize("kind", ["rotation", "translation"])
+def test_acceleration_at_a_point_of_a_table_is_what_follows(kind: str) -> None:
+    """Exactly there, and with any number of points before: steps begin at the first, and samples lie on all."""
+    joint = "O" if kind == "rotation" else "G"
+    machine = parse_machine(crank_at(1.0, drive={"kind": kind, "joint": joint, "speed": RAMPS}))
+    t = ca.SX.sym("t")
+    motion = prescribed_motion(machine, lambda path, value: value, t)
+    assert motion is not None
+    at = np.array([time for time, _ in RAMPS])[None, :]
+    rate, acceleration = (part.full()[0] for part in ca.Function("motion", [t], [motion.rate, motion.acceleration])(at))
+    assert rate == pytest.approx([speed for _, speed in RAMPS], abs=1e-13)
+    assert acceleration == pytest.approx(SLOPES, abs=1e-13)
+
+
+def test_effort_of_a_run_up_from_its_first_sample() -> None:
+    """Inertia times the slope, which begins at once; halfway along too."""
+    tree = {
+        "name": "m", "gravity": 0.0,
+        "links": {"wall": {"fixed": True}, "body": {"mass": 2.0, "inertia": 0.3, "cg": [0, 0]}},
+        "joints": {"O": {"kind": "turning", "links": ["body", "wall"], "at": [0, 0]}},
+        "drive": {"kind": "rotation", "joint": "O", "speed": RAMPS},
+    }  # fmt: skip
+    _, motion = run(parse_machine(tree), {}, duration=0.08, sample_rate=100.0)
+    assert motion.acceleration[[0, 1], 1, 2] == pytest.approx([100.0, 100.0])
+    assert motion.reactions["drive_effort"][[0, 1, 3]] == pytest.approx([30.0, 30.0, -60.0])
