@@ -7,6 +7,7 @@ contact begins or ends to push. A lane whose case has ended takes the next one f
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ _crossing = compiled(crossing)
 _remember = compiled(remember)
 
 
-@compiled
+@partial(compiled, forceinline=True)
 def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
@@ -86,7 +87,7 @@ def _load(
     return loaded
 
 
-@compiled
+@partial(compiled, forceinline=True)
 def _end(
     w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
     ended: Integers, cursor: Integers, memory: int,
@@ -105,7 +106,7 @@ def _end(
     mine.case = -1
 
 
-@compiled
+@partial(compiled, forceinline=True)
 def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Array) -> None:
     """Penetration, its rate and the switch function now are those at the start of the next step."""
     for j in range(contacts):
@@ -114,7 +115,7 @@ def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Arra
         old[2, j, lane] = w[(rows.switch + j) * LANES + lane]
 
 
-@compiled
+@partial(compiled, forceinline=True)
 def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, old: Array) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step, and the part of the step at which; -1 for none."""
     event, part = -1, 1.0
@@ -139,7 +140,7 @@ def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, o
     return event, part
 
 
-@compiled
+@partial(compiled, forceinline=True)
 def _any_contact(w: Array, contacts: int, rows: Rows, lane: int) -> bool:
     """Whether any contact of the lane pushes over the step."""
     pushing = 0.0

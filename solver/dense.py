@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -89,7 +90,8 @@ def _slope(builder: Any, x: Any, y: Any, c: list[Any]) -> Any:
 _write_values, _write_slopes = _group(_value), _group(_slope)
 
 
-@compiled
+# Inlined, as all that the driver calls at every step: handing arrays over cost a third of all time.
+@partial(compiled, forceinline=True)
 def record(
     w: Array, kept: int, dense: int, n: int, lane: int, begin: float, t: float, step: float, first: int, last: int,
     slot: int, channels: Integers, interval: float, oversampling: int, head: int, velocities: Array,
@@ -122,13 +124,17 @@ def record(
     x0, dx = (begin - t) * scale, interval * scale
     wide = oversampling * dx
     motion = coordinates.shape[0] > 0
-    low, high = -(-first // oversampling), -(-last // oversampling)
+    # Integer divisions are dear: these two serve all phases. Phase k begins at the first whole number of turns from
+    # which its samples are not before `first`, and ends likewise.
+    whole, rest = first // oversampling, first % oversampling
+    end, over = last // oversampling, last % oversampling
+    low, high = whole + (rest > 0), end + (over > 0)
     for r in range(count):
         start = w[(kept + n + channels[r]) * LANES + lane]
         at = (dense + 4 * (count + r)) * LANES + lane
         for phase in range(oversampling):
             row = ((slot * count + r) * oversampling + phase) * velocities.shape[3] + head
-            for s in range(-((phase - first) // oversampling), -((phase - last) // oversampling), GROUP):
+            for s in range(whole + (phase < rest), end + (phase < over), GROUP):
                 _write_values(w, at, velocities, row + s, start, 1.0, x0 + phase * dx + s * wide, wide)
         if motion:
             row = (slot * count + r) * coordinates.shape[2]
