@@ -6,7 +6,6 @@ contact begins or ends to push. A lane whose case has ended takes the next one f
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any
 
@@ -15,23 +14,20 @@ from numpy.typing import NDArray
 
 from solver.compiled import compiled
 from solver.control import (
-    BEARABLE,
-    BEARABLE_PART,
     CAUTION,
     DIVERGING,
-    FLOOR,
-    GROW,
     JAMMED,
-    MOST_FORCED,
-    NOISY_CUT,
     OK,
-    PAST,
     PROJECT_EVERY,
     SHORTEST,
-    SHRINK,
     STALLED,
-    crossing,
+    accepted,
+    arrival,
+    next_step,
+    refused,
     remember,
+    shortened,
+    switch_part,
 )
 from solver.dense import record, samples_until
 from solver.gill import DIVERGED, LOST, PATIENCE, call
@@ -42,11 +38,13 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Structured = NDArray[Any]
 
-_crossing = compiled(crossing)
-_remember = compiled(remember)
+# What runs at every step is inlined: handing arrays over to functions cost a third of all time.
+_inlined = partial(compiled, forceinline=True)
+_accepted, _arrival, _next_step, _refused = (_inlined(rule) for rule in (accepted, arrival, next_step, refused))
+_remember, _shortened, _switch_part = (_inlined(rule) for rule in (remember, shortened, switch_part))
 
 
-@partial(compiled, forceinline=True)
+@_inlined
 def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
@@ -87,7 +85,7 @@ def _load(
     return loaded
 
 
-@partial(compiled, forceinline=True)
+@_inlined
 def _end(
     w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
     ended: Integers, cursor: Integers, memory: int,
@@ -106,7 +104,7 @@ def _end(
     mine.case = -1
 
 
-@partial(compiled, forceinline=True)
+@_inlined
 def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Array) -> None:
     """Penetration, its rate and the switch function now are those at the start of the next step."""
     for j in range(contacts):
@@ -115,32 +113,23 @@ def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Arra
         old[2, j, lane] = w[(rows.switch + j) * LANES + lane]
 
 
-@partial(compiled, forceinline=True)
+@_inlined
 def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, old: Array) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step, and the part of the step at which; -1 for none."""
     event, part = -1, 1.0
     for j in range(contacts):
-        s1 = w[(rows.switch + j) * LANES + lane]
-        r1 = w[(rows.approach + j) * LANES + lane]
-        where = 2.0
-        if w[(rows.touching + j) * LANES + lane] > 0.5:
-            if s1 < 0.0:
-                s0 = old[2, j, lane]
-                where = s0 / (s0 - s1) if s0 > 0.0 else 0.5
-        elif s1 > 0.0 or old[1, j, lane] > 0.0 > r1:
-            # Also where both ends are open but the pair came near and went: it may have touched in between.
-            if old[0, j, lane] < 0.0:
-                p1 = w[(rows.penetration + j) * LANES + lane]
-                where = _crossing(old[0, j, lane], step * old[1, j, lane], p1, step * r1)
-            elif s1 > 0.0:  # still inside after its force had gone: pressed in again
-                s0 = old[2, j, lane]
-                where = s0 / (s0 - s1) if s0 < 0.0 else 0.5
+        where = _switch_part(
+            w[(rows.touching + j) * LANES + lane] > 0.5,
+            old[2, j, lane], w[(rows.switch + j) * LANES + lane],
+            old[0, j, lane], w[(rows.penetration + j) * LANES + lane],
+            old[1, j, lane], w[(rows.approach + j) * LANES + lane], step,
+        )  # fmt: skip
         if where <= 1.0 and (event < 0 or where < part):
             event, part = j, where
     return event, part
 
 
-@partial(compiled, forceinline=True)
+@_inlined
 def _any_contact(w: Array, contacts: int, rows: Rows, lane: int) -> bool:
     """Whether any contact of the lane pushes over the step."""
     pushing = 0.0
@@ -259,50 +248,34 @@ def integrate(
                 continue
             case = cases[mine.case]
             mine.trials += 1
-            e = w[rows.error * LANES + lane]
-            bearable = max(BEARABLE_PART, BEARABLE / case.tolerance)
-            step, t = mine.h, mine.t
-            now = t + step
-            if abs(now - mine.end) <= SHORTEST * (abs(mine.end) + interval):
-                now = mine.end  # to the last digit, or the last sample would need another step
+            e, step, t = w[rows.error * LANES + lane], mine.h, mine.t
+            now = _arrival(t, step, mine.end, interval)
             shortest = SHORTEST * (abs(t) + interval)
             jammed = jam >= 0 and w[jam * LANES + lane] > 0.5
-            accept = e <= 1.0 and not jammed  # false for a number that is none
-            tiny = step <= FLOOR * case.first_step
-            patient = e < math.inf and not jammed and mine.forced < MOST_FORCED
-            if not accept and patient and e <= bearable and (tiny or mine.over == 1):
-                # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
-                accept = True
-                mine.forced += 1
-                e = 1.0
+            accept, noise = _accepted(
+                e, jammed, step, case.first_step, case.tolerance, mine.over == 1, mine.forced
+            )  # fmt: skip
+            mine.forced += noise
             mine.over = 0
-            event, part = -1, 1.0
+            event = -1
             if accept:
                 event, part = _first_switch(w, contacts, rows, lane, step, old)
                 if event >= 0:
-                    s1 = w[(rows.switch + event) * LANES + lane]
-                    flipped = (s1 > 0.0) != (w[(rows.touching + event) * LANES + lane] > 0.5)
-                    met = flipped and abs(s1) <= precision
-                    if not met and step > 1e3 * shortest and abs(part - 1.0) > 1e-9:
-                        # Shorten, aiming a little past the switch.
+                    at = event * LANES + lane
+                    pushing = w[rows.touching * LANES + at] > 0.5
+                    switch, approach = w[rows.switch * LANES + at], w[rows.approach * LANES + at]
+                    shorter = _shortened(step, part, pushing, switch, approach, precision, shortest)
+                    if shorter > 0.0:
                         accept = False
-                        mine.natural = max(mine.natural, step)
-                        speed = abs(w[(rows.approach + event) * LANES + lane]) + 1e-12
-                        mine.h = max(min(0.999 * step, part * step + PAST * precision / speed), 0.001 * step)
+                        mine.natural, mine.h = max(mine.natural, step), shorter
             else:
-                growth = w[rows.growth * LANES + lane]
-                mine.h = step * max(SHRINK, growth) if e < math.inf and not jammed else 0.1 * step
-                if mine.uncut == 0.0 or e * mine.uncut * mine.uncut < mine.uncut_error * step * step:
-                    mine.uncut, mine.uncut_error = step, e
-                elif (
-                    step <= NOISY_CUT * mine.uncut
-                    and mine.uncut_error < min(e, bearable)
-                    and patient
-                    and project != 0
-                    and not _any_contact(w, contacts, rows, lane)
-                ):  # step over what shorter steps make worse
-                    mine.h, mine.over, mine.uncut = mine.uncut, 1, 0.0
-                    mine.forced += 1
+                smooth = project != 0 and not _any_contact(w, contacts, rows, lane)
+                mine.h, mine.uncut, mine.uncut_error, over = _refused(
+                    step, e, jammed, w[rows.growth * LANES + lane], case.tolerance, mine.forced, smooth, mine.uncut,
+                    mine.uncut_error,
+                )  # fmt: skip
+                mine.over = over
+                mine.forced += over
                 mine.natural = mine.h
                 # Near a loss of rank it is the drift of the closures that spoils the accelerations.
                 mine.since = PROJECT_EVERY
@@ -340,19 +313,17 @@ def integrate(
             for i in range(n):
                 w[(rows.slopes + i) * LANES + lane] = w[(rows.last_slopes + i) * LANES + lane]
             _remember_contacts(w, contacts, rows, lane, old)
-            grown = step * (GROW if tiny else min(GROW, w[rows.growth * LANES + lane]))
             if event >= 0:
                 pushes = w[(rows.touching + event) * LANES + lane]
                 w[(rows.touching + event) * LANES + lane] = 1.0 - pushes
                 cursor[STALE] = 1
-                grown = max(grown, mine.natural)
             _remember_impacts(w, rows, remembering, lane)
-            mine.natural = 0.0
             if step >= mine.uncut:
                 mine.uncut = 0.0
-            mine.h = min(grown, case.longest_step)
-            if now + 1.01 * mine.h > mine.end:
-                mine.h = mine.end - now  # end where the last sample is
+            natural = mine.natural if event >= 0 else 0.0
+            mine.natural = 0.0
+            growth = w[rows.growth * LANES + lane]
+            mine.h = _next_step(step, case.first_step, growth, natural, case.longest_step, now, mine.end)
             mine.since += 1
         if project != 0 and _restore_closures(project, w, n, lanes, saved):
             cursor[STALE] = 1

@@ -7,30 +7,25 @@ trial step and taken up again.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from solver.control import (
-    BEARABLE,
-    BEARABLE_PART,
     CAUTION,
     DIVERGING,
-    FLOOR,
-    GROW,
     JAMMED,
-    MOST_FORCED,
-    NOISY_CUT,
     OK,
-    PAST,
     PROJECT_EVERY,
     RUNNING,
     SHORTEST,
-    SHRINK,
     STALLED,
-    crossing,
+    accepted,
+    arrival,
+    next_step,
+    refused,
     remember,
+    shortened,
+    switch_part,
 )
 from solver.dopri import DENSE_ROWS, StepRows
 from solver.gill import DIVERGED, LOST, PATIENCE
@@ -96,7 +91,8 @@ def case_functions(
     slopes, last, dense = rows.slopes, rows.last_slopes, rows.dense
     memory, memories_count = layout.memory, len(remembering)
     contact_of = remembering or (0,)  # a tuple of nothing has no type for a compiler
-    first_crossing, remember_contact = compiled(crossing), compiled(remember)
+    allowed, arrive, following, after_refusal = (compiled(rule) for rule in (accepted, arrival, next_step, refused))
+    remember_contact, shorten, switched_at = (compiled(rule) for rule in (remember, shortened, switch_part))
 
     @compiled
     def remember_contacts(w: Array) -> None:
@@ -138,35 +134,13 @@ def case_functions(
         """The contact that switches first within an acceptable step (-1: none), and at which part of it."""
         event, part = -1, 1.0
         for j in range(contacts):
-            s0, s1 = s[BEFORE + j], w[switch + j]
-            p0, p1 = s[BEFORE + contacts + j], w[penetration + j]
-            r0, r1 = s[BEFORE + 2 * contacts + j], w[approach + j]
-            where = 2.0
-            if w[touching + j] > 0.5:
-                if s1 < 0.0:
-                    where = s0 / (s0 - s1) if s0 > 0.0 else 0.5
-            elif s1 > 0.0 or r0 > 0.0 > r1:
-                # Also where both ends are open but the pair came near and went: it may have touched in between.
-                if p0 < 0.0:
-                    where = first_crossing(p0, step * r0, p1, step * r1)
-                elif s1 > 0.0:  # still inside after its force had gone: pressed in again
-                    where = s0 / (s0 - s1) if s0 < 0.0 else 0.5
+            where = switched_at(
+                w[touching + j] > 0.5, s[BEFORE + j], w[switch + j], s[BEFORE + contacts + j], w[penetration + j],
+                s[BEFORE + 2 * contacts + j], w[approach + j], step,
+            )  # fmt: skip
             if where <= 1.0 and (event < 0 or where < part):
                 event, part = j, where
         return event, part
-
-    @compiled
-    def shortened(w: Array, s: Array, event: int, part: float, step: float, interval: float, precision: float) -> float:
-        """Step that ends a little past the switch; 0 where this one does."""
-        s1 = w[switch + event]
-        flipped = (s1 > 0.0) != (w[touching + event] > 0.5)
-        if flipped and abs(s1) <= precision:
-            return 0.0
-        if step <= 1e3 * SHORTEST * (abs(s[NOW]) + interval) or abs(part - 1.0) <= 1e-9:
-            return 0.0
-        speed = abs(w[approach + event]) + 1e-12
-        shorter: float = min(0.999 * step, part * step + PAST * precision / speed)
-        return max(0.001 * step, shorter)
 
     @compiled
     def record(
@@ -228,26 +202,23 @@ def case_functions(
         settle(w, s)
 
     @compiled
-    def accept(w: Array, s: Array, step: float, now: float, end: float, e: float, event: int) -> None:
+    def accept(w: Array, s: Array, step: float, now: float, end: float, event: int) -> None:
         """Go on from the end of a step whose samples are recorded."""
         s[NOW] = now
         if s[SAMPLE] >= s[SAMPLES]:
             s[OUTCOME] = OK
             return
-        grown = step * (GROW if step <= FLOOR * s[FIRST] else min(GROW, w[growth_at]))
         remember_contacts(w)
         if event >= 0:
             w[touching + event] = 1.0 - w[touching + event]
             settle(w, s)
-            grown = max(grown, s[NATURAL])
         else:
             go_on(w, s, last)
-        s[NATURAL] = 0.0
         if step >= s[UNCUT]:
             s[UNCUT] = 0.0
-        s[STEP] = min(grown, s[LONGEST])
-        if now + 1.01 * s[STEP] > end:
-            s[STEP] = end - now  # end where the last sample is
+        natural = s[NATURAL] if event >= 0 else 0.0
+        s[NATURAL] = 0.0
+        s[STEP] = following(step, s[FIRST], w[growth_at], natural, s[LONGEST], now, end)
         s[SINCE] += 1.0
 
     @compiled
@@ -268,9 +239,7 @@ def case_functions(
             if s[OUTCOME] != RUNNING:
                 return
             step = s[STEP]
-            now = s[NOW] + step
-            if abs(now - end) <= SHORTEST * (abs(end) + interval):
-                now = end  # to the last digit, or the last sample would need another step
+            now = arrive(s[NOW], step, end, interval)
             w[time_at], w[step_at] = s[NOW], step
             if rubs:
                 w[jam] = 0.0
@@ -278,39 +247,32 @@ def case_functions(
             s[TRIALS] += 1.0
             e = w[error_at]
             jammed = rubs and w[jam] > 0.5
-            accepted = e <= 1.0 and not jammed  # false for a number that is none
-            bearable = max(BEARABLE_PART, BEARABLE / s[TOLERANCE])
-            patient = e < math.inf and not jammed and s[FORCED] < MOST_FORCED
-            if not accepted and patient and e <= bearable and (step <= FLOOR * s[FIRST] or s[OVER] > 0.5):
-                # Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
-                accepted, e = True, 1.0
+            good, noise = allowed(e, jammed, step, s[FIRST], s[TOLERANCE], s[OVER] > 0.5, int(s[FORCED]))
+            if noise:
                 s[FORCED] += 1.0
             s[OVER] = 0.0
             event = -1
-            if accepted:
+            if good:
                 event, part = switched(w, s, step)
                 if event >= 0:
-                    shorter = shortened(w, s, event, part, step, interval, precision)
+                    pushing, shortest = w[touching + event] > 0.5, SHORTEST * (abs(s[NOW]) + interval)
+                    shorter = shorten(step, part, pushing, w[switch + event], w[approach + event], precision, shortest)
                     if shorter > 0.0:
-                        accepted = False
+                        good = False
                         s[NATURAL], s[STEP] = max(s[NATURAL], step), shorter
             else:
-                s[STEP] = step * max(SHRINK, w[growth_at]) if e < math.inf and not jammed else 0.1 * step
-                if s[UNCUT] == 0.0 or e * s[UNCUT] * s[UNCUT] < s[UNCUT_ERROR] * step * step:
-                    s[UNCUT], s[UNCUT_ERROR] = step, e
-                elif (
-                    step <= NOISY_CUT * s[UNCUT]
-                    and s[UNCUT_ERROR] < min(e, bearable)
-                    and patient
-                    and constrained
-                    and not any_contact(w)
-                ):  # step over what shorter steps make worse
-                    s[STEP], s[OVER], s[UNCUT] = s[UNCUT], 1.0, 0.0
+                smooth = constrained and not any_contact(w)
+                shorter, uncut, uncut_error, over = after_refusal(
+                    step, e, jammed, w[growth_at], s[TOLERANCE], int(s[FORCED]), smooth, s[UNCUT], s[UNCUT_ERROR]
+                )
+                s[STEP], s[UNCUT], s[UNCUT_ERROR] = shorter, uncut, uncut_error
+                if over:
+                    s[OVER] = 1.0
                     s[FORCED] += 1.0
                 s[NATURAL] = s[STEP]
                 # Near a loss of rank it is the drift of the closures that spoils the accelerations.
                 s[SINCE] = PROJECT_EVERY
-            if accepted:
+            if good:
                 s[ACCEPTED] += 1.0
                 size = w[size_at]
                 if not (size < DIVERGED) or s[UNBELIEVED] >= PATIENCE or s[TRIALS] > s[MOST]:
@@ -319,7 +281,7 @@ def case_functions(
                 record(
                     w, s, step, now, interval, oversampling, places, coordinates, velocities, accelerations, memories
                 )  # fmt: skip
-                accept(w, s, step, now, end, e, event)
+                accept(w, s, step, now, end, event)
             else:
                 reject(w, s, interval, JAMMED if jammed else STALLED)
             if constrained and s[OUTCOME] == RUNNING and s[SINCE] >= PROJECT_EVERY:

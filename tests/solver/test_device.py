@@ -71,7 +71,7 @@ def test_threads_agree_with_lanes(
             assert lane.end is thread.end is None
             continue
         for ours, theirs in ((thread.end.z, lane.end.z), (thread.end.v, lane.end.v)):
-            # Beyond the last sample by the reach of a filter: there the mean step does not tell how trials were decided.
+            # A filter's reach beyond the samples, where the mean step does not tell how trials were decided.
             assert np.abs(ours - theirs).max() < DECIDED_OTHERWISE * CLOSE["velocity"] * np.abs(theirs).max()
         if lane.links is not None:
             assert thread.links is not None
