@@ -21,7 +21,7 @@ from solver.model import Model, build_model
 from solver.scalar import SCALAR, kernel_functions
 
 #: Vector code and symbols round differently (order of sums, its own sine); as part of the largest acceleration.
-#: Measured on three kinds of processors: at most 1.1e-12, where every contact follows another law; the rest 1e-13.
+#: Measured: 3e-13 to 1.1e-12, most where every contact follows another law; five times that for other processors.
 ROUNDING = 5e-12
 
 
