@@ -17,7 +17,7 @@ from catalogue.errors import CatalogueError
 
 if TYPE_CHECKING:
     from catalogue.store import Catalogue
-    from solver.machine import Machine
+    from solver.machines.machine import Machine
 
 log = logging.getLogger(__name__)
 

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from app.plots import BLUE, SHOWN_DECADES, SYMBOLS, save
 from app.recording import MOTIONS, Attribute, Recording, accuracy_of, identity
-from solver.ensemble import EnsembleResult
-from solver.history import Settings
-from solver.machine import Machine
+from solver.cases.history import Settings
+from solver.machines.machine import Machine
+from solver.simulation.ensemble import EnsembleResult
 
 WINDOW = "hann"
 

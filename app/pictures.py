@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.outputs import checked
-from solver.drawing import machine_svg
-from solver.machine import Machine
-from solver.shapes import SupportMark, machine_shapes
+from solver.machines.drawing import machine_svg
+from solver.machines.machine import Machine
+from solver.machines.shapes import SupportMark, machine_shapes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from solver.errors import SettingsError
-from solver.machine import Machine
-from solver.simulate import Case, History, Settings
-from solver.spectrum import Spectrum, order_levels, sensor_signals, welch
+from solver.machines.machine import Machine
+from solver.simulation.simulate import Case, History, Settings
+from solver.spectra.spectrum import Spectrum, order_levels, sensor_signals, welch
 
 FloatArray = npt.NDArray[np.float64]
 Attribute = str | float | int | bool | tuple[str, ...]

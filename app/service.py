@@ -16,7 +16,7 @@ from app.settings import Settings
 from app.storage import DiagnosisRow, MeasurementRow, Store, Upload
 from app.workers import WorkerPool
 from solver.errors import UnitError
-from solver.units import ANGULAR_SPEED, FREQUENCY, to_si
+from solver.machines.units import ANGULAR_SPEED, FREQUENCY, to_si
 
 
 @dataclass(frozen=True)

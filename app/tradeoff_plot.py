@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from app.plots import BLUE, ORANGE, save
 
 if TYPE_CHECKING:
-    from solver.machine import Machine
-    from solver.tradeoff import TradeOff
+    from solver.machines.machine import Machine
+    from solver.simulation.tradeoff import TradeOff
 
 
 def plot_trade_off(machine: Machine, found: TradeOff, wanted_db: float, path: Path) -> None:

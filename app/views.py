@@ -9,7 +9,7 @@ from app import words
 from app.pictures import machine_picture
 from app.spectra import Comparison, comparisons
 from app.storage import DiagnosisRow, MeasurementRow, aware
-from solver.machine import parse_machine
+from solver.machines.machine import parse_machine
 
 SHOWN_HYPOTHESES = 12
 

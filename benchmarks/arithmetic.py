@@ -16,12 +16,13 @@ from threadpoolctl import threadpool_limits
 from benchmarks import slider_crank
 from benchmarks.computer import processor_seconds
 from benchmarks.scenes import Scene, p1, quick_return
-from solver import gill, native
-from solver.ir import LANES
-from solver.kernel import Kernel, compile_model, kernel_code
-from solver.machine import Machine
-from solver.model import Model, build_model
-from solver.pose import start_velocity
+from solver.cases.pose import start_velocity
+from solver.compiler import native
+from solver.compiler.ir import LANES
+from solver.equations.model import Model, build_model
+from solver.integrators import gill
+from solver.integrators.kernel import Kernel, compile_model, kernel_code
+from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ def flops(text: str) -> int:
 
 
 def assembly(text: str) -> str:
-    """What the compiler makes of vector code, with the options of :mod:`solver.native`."""
+    """What the compiler makes of vector code, with the options of :mod:`solver.compiler.native`."""
     name, features = native.processor()
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=name, features=features, opt=3, codemodel="jitdefault", jit=True

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import RATE
-from solver.fault import FaultState
-from solver.machine import Machine, Mount, RotationDrive, SlidingJoint
-from solver.simulate import Case, Settings, simulate
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, Mount, RotationDrive, SlidingJoint
+from solver.simulation.simulate import Case, Settings, simulate
 
 Array = NDArray[np.float64]
 

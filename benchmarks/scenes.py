@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.fault import FaultState
-from solver.harmonics import harmonic_error
-from solver.history import Case, Settings
-from solver.machine import Machine, load_machine, shipped_machine
-from solver.simulate import simulate
+from solver.cases.history import Case, Settings
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, load_machine, shipped_machine
+from solver.simulation.simulate import simulate
+from solver.spectra.harmonics import harmonic_error
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from catalogue.manifest import Manifest
 from catalogue.plan import Plan
 from catalogue.shard import OK, Outcome, Shard, ShardHeader
 from solver.errors import SolverError
-from solver.machine import Machine
-from solver.simulate import check_assembly
+from solver.machines.machine import Machine
+from solver.simulation.simulate import check_assembly
 
 __all__ = ["BuildReport", "Progress", "build"]
 

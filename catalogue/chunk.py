@@ -13,9 +13,9 @@ import numpy as np
 from catalogue.entry import Entry, Recipe
 from catalogue.keys import content_digest
 from catalogue.shard import OK, Outcome
-from solver.bands import band_matrix
-from solver.machine import Machine, parse_machine
-from solver.simulate import Case, History, Settings, Status, simulate_batch
+from solver.machines.machine import Machine, parse_machine
+from solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
+from solver.spectra.bands import band_matrix
 
 __all__ = ["Chunk", "Compute", "chunked", "simulate_chunk"]
 

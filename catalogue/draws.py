@@ -11,9 +11,9 @@ from pydantic import model_validator
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from solver.fields import Quantity, RuleError, Vector
-from solver.machine_parts import Part
-from solver.units import RATIO
+from solver.machines.fields import Quantity, RuleError, Vector
+from solver.machines.parts import Part
+from solver.machines.units import RATIO
 
 __all__ = ["Distribution", "log_uniform", "rounded_levels", "unit_draws"]
 

@@ -11,9 +11,9 @@ from typing import Any, Literal, Self
 import solver
 from catalogue.errors import CatalogueMismatchError
 from catalogue.keys import entry_key
-from solver.bands import BandScheme
-from solver.fault import FaultState
-from solver.machine import Machine
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine
+from solver.spectra.bands import BandScheme
 
 __all__ = ["AS_NEW", "HEALTHY", "Entry", "Recipe", "hypothesis_label"]
 

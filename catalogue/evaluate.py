@@ -18,10 +18,10 @@ from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.learning import MatcherCache
 from catalogue.measurement import Channel, Measurement
 from catalogue.store import Catalogue
-from solver.fault import FaultState
-from solver.machine import Machine, TurningJoint
-from solver.sensor import sensor_signals
-from solver.simulate import Case, History, Settings, Status, simulate_batch
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, TurningJoint
+from solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
+from solver.spectra.sensor import sensor_signals
 
 LEAST_REVOLUTIONS = 5.0
 """Length of a simulated recording in drive revolutions, at least."""

@@ -30,8 +30,8 @@ from catalogue.measurement import Measurement
 from catalogue.noise import NoiseFloor, noise_floor
 from catalogue.parameters import nominal_drive_speed
 from catalogue.sensors import SensorMap, map_sensors
-from solver.bands import BandMatrix, BandScheme, band_matrix
-from solver.machine import Machine
+from solver.machines.machine import Machine
+from solver.spectra.bands import BandMatrix, BandScheme, band_matrix
 
 __all__ = [
     "FEATURE_ORDERS",

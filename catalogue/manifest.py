@@ -21,7 +21,7 @@ from catalogue.parameters import MachineNumbers
 from catalogue.plan import Plan, parse_plan
 from catalogue.shard import ShardHeader
 from solver.errors import MachineError
-from solver.machine import Machine, parse_machine
+from solver.machines.machine import Machine, parse_machine
 
 __all__ = ["Manifest", "package_versions"]
 

@@ -20,7 +20,7 @@ from catalogue.errors import MeasurementError
 from catalogue.readers import Limits, RawColumn, RawRecording, reader_for
 from catalogue.time_base import TimeBase, even_time_base
 from catalogue.waveform import inspect_waveform
-from solver.spectrum import Quantity
+from solver.spectra.spectrum import Quantity
 
 TIME_NAMES = frozenset({"time", "t", "zeit", "temps", "tempo", "tiempo", "tijd", "tid", "czas"})
 FREQUENCY_NAMES = frozenset({"frequency", "freq", "f", "frequenz", "fréquence", "frecuencia", "frequenza"})

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from catalogue.draws import Distribution
 from catalogue.errors import PlanError
-from solver.case_numbers import SHORTHANDS
-from solver.fields import nearest
-from solver.machine import Machine, RotationDrive
+from solver.cases.parameters import SHORTHANDS
+from solver.machines.fields import nearest
+from solver.machines.machine import Machine, RotationDrive
 
 __all__ = ["MachineNumbers", "nominal_drive_speed"]
 

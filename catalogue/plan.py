@@ -17,12 +17,12 @@ from catalogue.errors import PlanError
 from catalogue.keys import content_digest, seed_from
 from catalogue.parameters import MachineNumbers, nominal_drive_speed
 from solver.errors import MachineError
-from solver.fields import Quantity, RuleError, Title, nearest
-from solver.machine import Machine, Part
-from solver.machine_errors import first_error
-from solver.sampling import PASS
-from solver.units import FREQUENCY, LENGTH, RATIO, TIME
-from solver.yamlfile import read_tree
+from solver.machines.fields import Quantity, RuleError, Title, nearest
+from solver.machines.machine import Machine, Part
+from solver.machines.refusals import first_error
+from solver.machines.units import FREQUENCY, LENGTH, RATIO, TIME
+from solver.machines.yamlfile import read_tree
+from solver.spectra.sampling import PASS
 
 __all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text", "resolve_plan"]
 

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from catalogue.errors import MeasurementError
 from catalogue.measurement import Measurement
-from solver.machine import Machine
-from solver.sensor import rigid_body, sensor_transform
-from solver.spectrum import DERIVATIVES
+from solver.machines.machine import Machine
+from solver.spectra.sensor import rigid_body, sensor_transform
+from solver.spectra.spectrum import DERIVATIVES
 
 MOTIONS = ("x", "y", "theta")
 

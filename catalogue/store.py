@@ -21,8 +21,8 @@ from catalogue.manifest import Manifest
 from catalogue.plan import Plan
 from catalogue.shard import Shard
 from catalogue.table import EntryTable, catalogue_order, joined_table
-from solver.bands import BandScheme
-from solver.machine import Machine
+from solver.machines.machine import Machine
+from solver.spectra.bands import BandScheme
 
 __all__ = ["Catalogue", "EntryTable", "StoredEntry"]
 

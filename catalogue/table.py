@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from catalogue.entry import AS_NEW, HEALTHY
 from catalogue.parameters import MachineNumbers
 from catalogue.shard import Shard
-from solver.machine import Machine
+from solver.machines.machine import Machine
 
 __all__ = ["EntryTable", "catalogue_order", "joined_table"]
 

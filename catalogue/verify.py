@@ -18,7 +18,7 @@ from catalogue.keys import entry_key
 from catalogue.manifest import Manifest
 from catalogue.shard import OK, Shard
 from solver.errors import MachineError
-from solver.machine import parse_machine
+from solver.machines.machine import parse_machine
 
 __all__ = ["Finding", "VerifyReport", "verify"]
 

@@ -1,4 +1,4 @@
-"""Exceptions of the solver: misuse only. A numerical failure is a status of a result, see :mod:`solver.simulate`."""
+"""Exceptions of the solver, misuse only. A numerical failure is the status of a result: :mod:`solver.cases.history`."""
 
 from __future__ import annotations
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from oracle.state import State
 
-from solver.fault import FaultState
-from solver.history import History
-from solver.links import LinkMotion
-from solver.machine import Machine, shipped_machine
-from solver.simulate import Case, Settings, Status, simulate
+from solver.cases.history import History
+from solver.equations.links import LinkMotion
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, shipped_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 Array = NDArray[np.float64]
 Tree = dict[str, Any]

@@ -35,7 +35,7 @@ def command(machine: str, catalogue: Path, plan: str, workers: int | None, as_js
     """
     from catalogue.build import build
     from catalogue.plan import resolve_plan
-    from solver.machine import resolve_machine
+    from solver.machines.machine import resolve_machine
 
     found = resolve_machine(machine)
     with ProgressLine("building", "cases") as line:

@@ -12,10 +12,10 @@ from app.commands.parameters import json_option, print_json
 from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from solver.account import Account
-    from solver.fault import FaultState
-    from solver.machine import Machine
-    from solver.matrix import MechanismMatrix
+    from solver.machines.fault import FaultState
+    from solver.machines.machine import Machine
+    from solver.machines.matrix import MechanismMatrix
+    from solver.simulation.account import Account
 
 
 @click.command("check")
@@ -30,11 +30,11 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
         from app.pictures import check_ending
 
         check_ending(drawing)
-    from solver.account import account
-    from solver.contact_rules import restitution_remarks
-    from solver.fault import parse_fault
-    from solver.machine import resolve_machine
-    from solver.simulate import check_assembly
+    from solver.machines.contact_rules import restitution_remarks
+    from solver.machines.fault import parse_fault
+    from solver.machines.machine import resolve_machine
+    from solver.simulation.account import account
+    from solver.simulation.simulate import check_assembly
 
     found = resolve_machine(machine)
     state = parse_fault(fault, found)
@@ -59,7 +59,7 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
 def matrix_of(machine: Machine, fault: FaultState) -> MechanismMatrix | str:
     """Return the mechanism matrix, or why it cannot say this machine."""
     from solver.errors import MachineError
-    from solver.matrix import MechanismMatrix
+    from solver.machines.matrix import MechanismMatrix
 
     try:
         return MechanismMatrix.from_machine(machine, fault.joints)
@@ -76,7 +76,7 @@ def document(
     drawing: Path | None,
 ) -> dict[str, object]:
     """Return everything as JSON values."""
-    from solver.matrix import MechanismMatrix
+    from solver.machines.matrix import MechanismMatrix
 
     content = {
         "name": machine.name,
@@ -109,7 +109,7 @@ def document(
 
 def report(machine: Machine, fault: FaultState, sizes: Account, matrix: MechanismMatrix | str, arrays: bool) -> str:
     """Return everything as plain text."""
-    from solver.matrix import MechanismMatrix
+    from solver.machines.matrix import MechanismMatrix
 
     size = len(sizes.coordinates) + len(sizes.closures)
     parts = [
@@ -170,7 +170,7 @@ def joints_of(machine: Machine, fault: FaultState) -> str:
 
 def arrays_of(matrix: MechanismMatrix) -> str:
     """Return the paper's arrays as tables: counts, neighbour lists (without the zeros that fill them up), factors."""
-    from solver.matrix_arrays import matrix_arrays
+    from solver.machines.matrix_arrays import matrix_arrays
 
     arrays = matrix_arrays(matrix)
     size = range(len(arrays.links))
@@ -201,7 +201,7 @@ def arrays_of(matrix: MechanismMatrix) -> str:
 
 def arrays_document(matrix: MechanismMatrix) -> dict[str, object]:
     """Return the paper's arrays as JSON values, links counted from 1."""
-    from solver.matrix_arrays import matrix_arrays
+    from solver.machines.matrix_arrays import matrix_arrays
 
     arrays = matrix_arrays(matrix)
     return {

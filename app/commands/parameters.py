@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from solver.machine import Machine
-    from solver.units import Dimension
+    from solver.machines.machine import Machine
+    from solver.machines.units import Dimension
 
 
 class Quantity(click.ParamType[float]):
@@ -23,7 +23,7 @@ class Quantity(click.ParamType[float]):
     Parameters
     ----------
     dimension : str
-        Name of a dimension in :mod:`solver.units`.
+        Name of a dimension in :mod:`solver.machines.units`.
     positive : bool
         Whether the value must be greater than 0.
     """
@@ -35,7 +35,7 @@ class Quantity(click.ParamType[float]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the SI value."""
-        from solver import units
+        from solver.machines import units
 
         dimension: Dimension = getattr(units, self._dimension)
         try:

@@ -12,10 +12,10 @@ from app.commands.parameters import Decibels, Quantity, drive_speed, json_option
 
 if TYPE_CHECKING:
     from app.recording import Recording
-    from solver.ensemble import Ensemble, Kind
-    from solver.history import Case, History, Settings
-    from solver.machine import Machine
-    from solver.steps import Accuracy
+    from solver.cases.history import Case, History, Settings
+    from solver.cases.steps import Accuracy
+    from solver.machines.machine import Machine
+    from solver.simulation.ensemble import Ensemble, Kind
 
 
 @click.command("simulate")
@@ -104,9 +104,9 @@ def command(
     from app.errors import SimulationFailedError, UnassembledError
     from app.recording import record
     from solver import __version__
-    from solver.fault import parse_fault
-    from solver.machine import resolve_machine
-    from solver.simulate import Case, Settings, Status, simulate
+    from solver.machines.fault import parse_fault
+    from solver.machines.machine import resolve_machine
+    from solver.simulation.simulate import Case, Settings, Status, simulate
 
     found = resolve_machine(machine)
     case = Case(fault=parse_fault(fault, found), parameters=drive_speed(found, speed))
@@ -121,7 +121,7 @@ def command(
         device=device,
     )
     if several:
-        from solver.ensemble import Ensemble
+        from solver.simulation.ensemble import Ensemble
 
         asked = Ensemble(starts or 8, starts_by, converged, most_revolutions, seed)
         run_ensemble(found, case, asked, settings, output, plot, as_json)
@@ -159,8 +159,8 @@ def run_ensemble(
     from app.errors import SimulationFailedError
     from app.outputs import writer_for
     from solver import __version__
-    from solver.ensemble import simulate_ensemble
-    from solver.history import Status
+    from solver.cases.history import Status
+    from solver.simulation.ensemble import simulate_ensemble
 
     with ProgressLine("simulating", "revolutions at most") as line:
         found = simulate_ensemble(
@@ -182,7 +182,7 @@ def run_ensemble(
 
 def report(history: History, recording: Recording, output: Path, plot: Path | None, as_json: bool) -> None:
     """Say what was computed and where it is."""
-    from solver.spectrum import frame_units
+    from solver.spectra.spectrum import frame_units
 
     steady = history.acceleration[history.t >= history.transient]
     rms = (steady**2).mean(axis=0) ** 0.5 if len(steady) else None

@@ -13,8 +13,8 @@ from app.commands.progress import ProgressLine
 from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from solver.machine import Machine
-    from solver.tradeoff import Point, Recommendation, TradeOff
+    from solver.machines.machine import Machine
+    from solver.simulation.tradeoff import Point, Recommendation, TradeOff
 
 
 @click.command("trade-off")
@@ -33,10 +33,10 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
 
         check_ending(plot)
     from app.errors import SimulationFailedError
-    from solver.fault import parse_fault
-    from solver.machine import resolve_machine
-    from solver.simulate import Case, History
-    from solver.tradeoff import measure
+    from solver.machines.fault import parse_fault
+    from solver.machines.machine import resolve_machine
+    from solver.simulation.simulate import Case, History
+    from solver.simulation.tradeoff import measure
 
     found = resolve_machine(machine)
     case = Case(parse_fault(fault, found), drive_speed(found, speed))

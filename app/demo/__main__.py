@@ -55,7 +55,7 @@ def build_catalogue() -> None:
     from catalogue.build import build
     from catalogue.errors import CatalogueMismatchError
     from catalogue.plan import resolve_plan
-    from solver.machine import shipped_machine
+    from solver.machines.machine import shipped_machine
 
     machine, plan = shipped_machine(MACHINE), resolve_plan(PLAN)
 

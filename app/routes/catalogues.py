@@ -14,7 +14,7 @@ from app.openapi import problems
 from app.routes.machines import Cursor, Limit
 from app.schemas import CatalogueDetail, CatalogueItem, CataloguePage
 from app.service import of_request
-from solver.drawing import machine_svg
+from solver.machines.drawing import machine_svg
 
 router = APIRouter(prefix="/catalogues", tags=["catalogues"])
 

@@ -14,8 +14,8 @@ from app.etags import respond
 from app.openapi import problems
 from app.schemas import MachineItem, MachinePage
 from app.service import of_request
-from solver.drawing import machine_svg
-from solver.machine import Machine, shipped_machine, shipped_machine_names
+from solver.machines.drawing import machine_svg
+from solver.machines.machine import Machine, shipped_machine, shipped_machine_names
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 

@@ -14,7 +14,7 @@ from small_service import PLAN, serving
 from app.settings import Settings
 from catalogue.build import build
 from catalogue.plan import parse_plan
-from solver.machine import shipped_machine
+from solver.machines.machine import shipped_machine
 
 RECORDINGS = Path(__file__).parent.parent / "data" / "recordings"
 

@@ -17,7 +17,7 @@ from small_service import spoiled
 
 from app.cli import COMMANDS, main
 from catalogue.hdf5 import read_arrays
-from solver.machine import parse_machine
+from solver.machines.machine import parse_machine
 
 JOINTPLAY = [sys.executable, "-m", "app.cli"]
 

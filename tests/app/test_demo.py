@@ -8,7 +8,7 @@ import pytest
 
 from app.demo.__main__ import content_of, recordings, truth_sentence
 from catalogue.measurement import read_measurement
-from solver.machine import shipped_machine
+from solver.machines.machine import shipped_machine
 
 NAMES = sorted(recordings())
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from app.cli import main
 from catalogue.hdf5 import read_arrays
-from solver import averages
+from solver.simulation import averages
 
 PAGE = Path(__file__).parents[2] / "docs" / "solver.md"
 WORN = ("slider-crank", "--fault", "B=0.2mm", "--sample-rate", "5 kHz")

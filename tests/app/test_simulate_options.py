@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import main
-from solver.history import Settings
-from solver.machine import shipped_machine
-from solver.simulate import simulate
+from solver.cases.history import Settings
+from solver.machines.machine import shipped_machine
+from solver.simulation.simulate import simulate
 
 SHORT = ("--duration", "20 ms", "--sample-rate", "5 kHz")
 

@@ -12,10 +12,10 @@ from click.testing import CliRunner, Result
 from app.cli import main
 from app.commands.trade_off import document, option_of, report
 from app.tradeoff_plot import plot_trade_off
-from solver.fault import FaultState
-from solver.history import Case, Settings
-from solver.machine import Machine, shipped_machine
-from solver.tradeoff import TradeOff, measure
+from solver.cases.history import Case, Settings
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, shipped_machine
+from solver.simulation.tradeoff import TradeOff, measure
 
 PAGE = Path(__file__).parents[2] / "docs" / "solver.md"
 

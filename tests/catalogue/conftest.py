@@ -9,7 +9,7 @@ import pytest
 from catalogue.build import build
 from catalogue.plan import parse_plan
 from catalogue.store import Catalogue
-from solver.machine import shipped_machine
+from solver.machines.machine import shipped_machine
 
 PLAN = {
     "name": "tests",

@@ -20,7 +20,7 @@ from catalogue.build import Progress, build
 from catalogue.chunk import Chunk
 from catalogue.plan import Plan, parse_plan
 from catalogue.shard import OK, Outcome
-from solver.machine import shipped_machine
+from solver.machines.machine import shipped_machine
 
 MACHINE = shipped_machine("slider-crank")
 

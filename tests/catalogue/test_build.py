@@ -26,7 +26,7 @@ from catalogue.plan import Plan, parse_plan
 from catalogue.store import Catalogue
 from catalogue.verify import verify
 from solver.errors import AssemblyError, MachineError
-from solver.machine import parse_machine, shipped_machine, shipped_machine_text
+from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 
 
 def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,10 @@ from catalogue.build import build
 from catalogue.chunk import Chunk, chunked, simulate_chunk
 from catalogue.plan import parse_plan
 from catalogue.store import Catalogue
-from solver.bands import band_matrix
 from solver.errors import AssemblyError
-from solver.machine import parse_machine, shipped_machine
-from solver.simulate import Case, Settings, simulate_batch
+from solver.machines.machine import parse_machine, shipped_machine
+from solver.simulation.simulate import Case, Settings, simulate_batch
+from solver.spectra.bands import band_matrix
 
 MACHINE = shipped_machine("slider-crank")
 PLAN = parse_plan(

@@ -19,7 +19,7 @@ from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
 from catalogue.measurement import Measurement, read_measurement
 from catalogue.plan import parse_plan
 from catalogue.store import Catalogue
-from solver.machine import shipped_machine
+from solver.machines.machine import shipped_machine
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 TRUTH = json.loads((RECORDINGS / "truth.json").read_text())

@@ -11,8 +11,8 @@ import pytest
 from catalogue.errors import DiagnosisError
 from catalogue.evaluate import PROTOCOLS, Protocol, draw_truth, evaluate, record
 from catalogue.store import Catalogue
-from solver.fault import FaultState
-from solver.simulate import Case, Settings, simulate
+from solver.machines.fault import FaultState
+from solver.simulation.simulate import Case, Settings, simulate
 
 SHORT = replace(PROTOCOLS["matched"], seconds=(1.0, 1.2), clearance=(80e-6, 700e-6))
 

@@ -16,11 +16,11 @@ from catalogue.feature_bands import feature_axes, feature_vector, joined, usable
 from catalogue.features import PreparedMeasurement, prepare
 from catalogue.measurement import Channel, Measurement, read_measurement
 from catalogue.sensors import map_sensors
-from solver.bands import BandScheme, band_matrix
-from solver.fault import parse_fault
-from solver.machine import Machine, parse_machine, shipped_machine
-from solver.sensor import sensor_transform
-from solver.simulate import Case, Settings, simulate
+from solver.machines.fault import parse_fault
+from solver.machines.machine import Machine, parse_machine, shipped_machine
+from solver.simulation.simulate import Case, Settings, simulate
+from solver.spectra.bands import BandScheme, band_matrix
+from solver.spectra.sensor import sensor_transform
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 TRUTH = json.loads((RECORDINGS / "truth.json").read_text())

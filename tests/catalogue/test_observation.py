@@ -10,7 +10,7 @@ import pytest
 from catalogue.errors import DiagnosisError
 from catalogue.feature_bands import feature_vector
 from catalogue.observation import Discrepancy, Sensing, observe, rounded_up
-from solver.sensor import rigid_body, sensor_transform
+from solver.spectra.sensor import rigid_body, sensor_transform
 
 NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0)
 TRANSFORM = sensor_transform(

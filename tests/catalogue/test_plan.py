@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from catalogue.draws import Distribution, rounded_levels, unit_draws
 from catalogue.errors import PlanError
 from catalogue.plan import Plan, load_plan, parse_plan, preset, preset_names, resolve_plan
-from solver.case_numbers import full_paths
-from solver.fault import FaultState
-from solver.history import Case
-from solver.machine import Machine, parse_machine, shipped_machine, shipped_machine_text
+from solver.cases.history import Case
+from solver.cases.parameters import full_paths
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_text
 
 QUICK_RETURN = shipped_machine("quick-return")
 

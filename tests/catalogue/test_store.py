@@ -22,7 +22,7 @@ from catalogue.errors import CatalogueFileError, EntryNotFoundError
 from catalogue.plan import parse_plan
 from catalogue.shard import Outcome, Shard
 from catalogue.store import Catalogue
-from solver.machine import parse_machine
+from solver.machines.machine import parse_machine
 
 ALL = parse_plan(
     {

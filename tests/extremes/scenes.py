@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from laws import Array, Tree, drawn, run, states, tree_of
 
-from solver.history import History
-from solver.links import LinkMotion
-from solver.machine import Machine, TorqueDrive, parse_machine
+from solver.cases.history import History
+from solver.equations.links import LinkMotion
+from solver.machines.machine import Machine, TorqueDrive, parse_machine
 
 RPM = 2 * math.pi / 60
 TORQUE: Tree = {"kind": "torque", "joint": "O", "torque": 2.0}

@@ -9,9 +9,9 @@ import numpy as np
 from extremes.scenes import RPM
 from laws import Tree, tree_of
 
-from solver.fault import FaultState
-from solver.machine import parse_machine
-from solver.simulate import Case, Settings, Status, simulate
+from solver.machines.fault import FaultState
+from solver.machines.machine import parse_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 DRIVES: list[Any] = [
     *(speed * RPM for speed in (0, 1, 60, -600, 3000, 60_000)),

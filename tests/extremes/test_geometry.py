@@ -13,9 +13,9 @@ from extremes.scenes import four_bar
 from laws import Tree, run, tree_of
 
 from solver.errors import MachineError
-from solver.fault import FaultState
-from solver.machine import Machine, parse_machine
-from solver.simulate import Case, Settings, Status, simulate
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 Method = Literal["adaptive", "gill"]
 WORN = {"A": 1e-4}

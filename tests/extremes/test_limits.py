@@ -9,8 +9,8 @@ import pytest
 from laws import Array, run, tree_of
 from scipy.integrate import solve_ivp
 
-from solver.history import History
-from solver.machine import parse_machine, shipped_machine
+from solver.cases.history import History
+from solver.machines.machine import parse_machine, shipped_machine
 
 
 def harmonics(history: History) -> Array:

@@ -12,7 +12,7 @@ import pytest
 from extremes.scenes import framed
 from laws import run, states, tree_of
 
-from solver.machine import parse_machine
+from solver.machines.machine import parse_machine
 
 
 @pytest.mark.parametrize(

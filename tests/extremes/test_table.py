@@ -27,7 +27,7 @@ from extremes.scenes import (
 )
 from laws import Tree, tree_of
 
-from solver.machine import shipped_machine
+from solver.machines.machine import shipped_machine
 
 Fault = Mapping[str, float]
 WORN: Fault = {"B": 2e-4}

@@ -14,12 +14,12 @@ from oracle.dense import JammedError, _System
 from oracle.state import State
 from scipy.integrate import solve_ivp
 
-from solver.contact_laws import remembers
+from solver.cases.history import History
+from solver.equations.contact_laws import remembers
+from solver.equations.links import LinkMotion
 from solver.errors import MachineError, SettingsError
-from solver.history import History
-from solver.links import LinkMotion
-from solver.machine import Machine
-from solver.simulate import Case, Settings, Status, simulate
+from solver.machines.machine import Machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ import numpy as np
 from oracle.sketch import sketch
 
 from solver.errors import MachineError
-from solver.fault import FaultState
-from solver.machine import Machine, parse_machine
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine
 
 Tree = dict[str, Any]
 

@@ -15,16 +15,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from solver import adaptive, dense, lanes, runs
-from solver.dopri import StepRows, dopri_step
-from solver.kernel import Kernel
-from solver.lanes import GROUP, Lanes, Queue
-from solver.layout import Layout
-from solver.machine import Machine
-from solver.model import Model
-from solver.preparation import model_of
-from solver.scalar import SCALAR
-from solver.scales import error_scales
+from solver.cases.preparation import model_of
+from solver.cases.scales import error_scales
+from solver.compiler.layout import Layout
+from solver.compiler.scalar import SCALAR
+from solver.equations.model import Model
+from solver.integrators import adaptive, dense, lanes
+from solver.integrators.dopri import StepRows, dopri_step
+from solver.integrators.kernel import Kernel
+from solver.integrators.lanes import GROUP, Lanes, Queue
+from solver.machines.machine import Machine
+from solver.simulation import runs
 
 Work = NDArray[np.float64]
 Values = list[float]

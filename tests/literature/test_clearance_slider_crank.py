@@ -16,9 +16,9 @@ import pytest
 from laws import drawn
 from numpy.typing import NDArray
 
-from solver.fault import FaultState
-from solver.machine import Machine, parse_machine
-from solver.simulate import Case, Settings, Status, simulate
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ import pytest
 from laws import impacts, run, states, tree_of
 from trajectory import Trajectory, trajectories
 
-from solver.fault import FaultState
-from solver.machine import Machine, parse_machine
-from solver.restitution import effective_restitution, returned
-from solver.simulate import Case, Settings, Status, simulate
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine
+from solver.machines.restitution import effective_restitution, returned
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 #: Effective restitution, computed independently of this product from the identity, four digits; by restitution asked
 #: for and law. The errors of the first law are known: +13.7 % at 0.7 and +128 % at 0.3.

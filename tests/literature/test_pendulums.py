@@ -11,11 +11,11 @@ import pytest
 from oracle.state import State
 from trajectory import trajectory
 
-from solver.history import History
-from solver.machine import Machine, parse_machine
-from solver.model import build_model
-from solver.pose import start_velocity
-from solver.simulate import Case, Settings, Status, simulate
+from solver.cases.history import History
+from solver.cases.pose import start_velocity
+from solver.equations.model import build_model
+from solver.machines.machine import Machine, parse_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 #: Fixed steps of Runge-Kutta-Gill, and error-controlled ones.
 METHODS = {"gill": {"step": 1e-3}, "adaptive": {"rtol": 1e-10}}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from oracle.state import State
 
-from solver.history import History
-from solver.machine import Machine, parse_machine
-from solver.simulate import Case, Settings, Status, simulate
+from solver.cases.history import History
+from solver.machines.machine import Machine, parse_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 #: Fixed steps of Runge-Kutta-Gill, and error-controlled ones.
 METHODS = {"gill": {"step": 2e-4}, "adaptive": {"rtol": 1e-9}}

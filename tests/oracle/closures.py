@@ -8,7 +8,7 @@ import numpy as np
 from oracle.state import Array, State
 from oracle.tables import prescribed
 
-from solver.machine import Machine, RotationDrive, SlidingJoint, TranslationDrive
+from solver.machines.machine import Machine, RotationDrive, SlidingJoint, TranslationDrive
 
 
 def lacking(machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array) -> float:

@@ -22,7 +22,7 @@ from oracle.closures import blocked_motions
 from oracle.state import Array, ContactState, Slide, State, across, cross
 from oracle.tables import periodic_row, prescribed, table, time_row
 
-from solver.machine import (
+from solver.machines.machine import (
     ForceDrive,
     Machine,
     Mount,

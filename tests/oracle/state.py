@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.machine import Contact, Machine, SlidingJoint, TurningJoint
+from solver.machines.machine import Contact, Machine, SlidingJoint, TurningJoint
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.machine import RotationDrive, TranslationDrive
+from solver.machines.machine import RotationDrive, TranslationDrive
 
 Points = Sequence[tuple[float, float]]
 

@@ -14,10 +14,10 @@ from oracle.dense import JammedError, Solution, solve
 from oracle.sketch import Sketch, parameters, random_state, sketch
 from oracle.state import ContactState, State
 
+from solver.equations.links import LinkMotion, link_motion
+from solver.equations.model import build_model
 from solver.errors import AssemblyError
-from solver.links import LinkMotion, link_motion
-from solver.machine import Machine, RotationDrive, SlidingJoint, TranslationDrive
-from solver.model import build_model
+from solver.machines.machine import Machine, RotationDrive, SlidingJoint, TranslationDrive
 
 #: Largest difference, as part of the largest term of the equations. What is not the solver's fault sets it: a pin
 #: pressed 1e-6 m into a socket of 1e8 N/m loses six digits of sixteen before any equation is written.

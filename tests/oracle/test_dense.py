@@ -10,7 +10,7 @@ import pytest
 from oracle.closures import lacking
 from oracle.dense import JammedError, solve
 
-from solver.machine import Machine, parse_machine
+from solver.machines.machine import Machine, parse_machine
 
 G = 9.81
 

@@ -8,10 +8,10 @@ import pytest
 from laws import tree_of
 from oracle.sketch import sketch
 
-from solver.account import Account, account
 from solver.errors import AssemblyError
-from solver.fault import HEALTHY, FaultState
-from solver.machine import parse_machine, shipped_machine, shipped_machine_names
+from solver.machines.fault import HEALTHY, FaultState
+from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_names
+from solver.simulation.account import Account, account
 
 
 def balance(sizes: Account) -> int:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from trajectory import Trajectory, trajectories
 
-from solver.contact_laws import SLOWEST_APPROACH
-from solver.control import remember
+from solver.cases.history import History
+from solver.equations.contact_laws import SLOWEST_APPROACH
 from solver.errors import MachineError
-from solver.fault import FaultState
-from solver.history import History
-from solver.machine import Machine, parse_machine, shipped_machine
-from solver.simulate import Case, Settings, Start, Status, simulate, simulate_batch
+from solver.integrators.control import remember
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine, shipped_machine
+from solver.simulation.simulate import Case, Settings, Start, Status, simulate, simulate_batch
 
 CLEARANCE = 1e-4
 #: Pressed in, pulled so fast that the force vanishes (beyond v0 / c = 16 mm/s), pressed in again before the surfaces

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from solver.errors import MachineError
-from solver.fault import FaultState
-from solver.machine import Contact, Machine, TurningJoint, parse_machine, shipped_machine
-from solver.simulate import Case, Settings, simulate
+from solver.machines.fault import FaultState
+from solver.machines.machine import Contact, Machine, TurningJoint, parse_machine, shipped_machine
+from solver.simulation.simulate import Case, Settings, simulate
 
 Tree = dict[str, Any]
 FLORES = {"law": "flores", "stiffness": 1e10, "restitution": 0.9}

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from laws import Array, impacts, run, states, tree_of
 
-from solver.links import LinkMotion
-from solver.machine import Machine, SlidingJoint, parse_machine, shipped_machine
+from solver.equations.links import LinkMotion
+from solver.machines.machine import Machine, SlidingJoint, parse_machine, shipped_machine
 
 
 def test_gill_is_of_fourth_order() -> None:

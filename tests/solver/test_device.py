@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from device_cases import GONE_ON_WITH, TABLES, histories
 
+from solver.cases.history import History, Settings
 from solver.errors import SettingsError
-from solver.history import History, Settings
-from solver.machine import shipped_machine
-from solver.simulate import Status, simulate
+from solver.machines.machine import shipped_machine
+from solver.simulation.simulate import Status, simulate
 
 #: Differences as parts of the largest value. Both sides take the same steps; their sines round differently, and impacts
 #: amplify that. Measured with AVX-512: at most 5e-12, 8e-11 and 8e-10, with AVX2 thirty times that; ten times those
@@ -107,7 +107,7 @@ def test_settings(settings: dict[str, object], line: str) -> None:
 
 
 def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("solver.device", "solver.device_runs"):
+    for module in ("solver.integrators.device", "solver.simulation.device_runs"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setitem(sys.modules, "numba.cuda", None)
     monkeypatch.delattr("numba.cuda", raising=False)

@@ -12,13 +12,13 @@ import pytest
 from laws import run
 from test_simulate import crank_at
 
-from solver.drive import prescribed_motion, repeating_frequency
-from solver.ensemble import Ensemble, simulate_ensemble
+from solver.cases.history import Case, Settings, Status
+from solver.equations.drive import prescribed_motion, repeating_frequency
 from solver.errors import SettingsError
-from solver.fault import FaultState
-from solver.history import Case, Settings, Status
-from solver.machine import Machine, parse_machine, shipped_machine
-from solver.tradeoff import measure
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine, shipped_machine
+from solver.simulation.ensemble import Ensemble, simulate_ensemble
+from solver.simulation.tradeoff import measure
 
 
 def slide(*frequencies: float, **more: Any) -> Machine:

@@ -15,8 +15,8 @@ from laws import Array, Tree, run
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson, solve_ivp
 
-from solver.links import LinkMotion
-from solver.machine import parse_machine
+from solver.equations.links import LinkMotion
+from solver.machines.machine import parse_machine
 
 BODY: Tree = {"mass": 2.0, "inertia": 0.3, "cg": [0.0, 0.0]}
 WALL: Tree = {"fixed": True}

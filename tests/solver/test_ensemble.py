@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver import averages, blocks
-from solver import ensemble as module
-from solver.averages import decibels, overall, spread_db
-from solver.blocks import BLOCK, Members
-from solver.ensemble import Ensemble, EnsembleResult, simulate_ensemble
+from solver.cases.history import Case, Settings, Status
 from solver.errors import SettingsError
-from solver.fault import FaultState
-from solver.harmonics import compared
-from solver.history import Case, Settings, Status
-from solver.machine import Machine, shipped_machine
-from solver.simulate import simulate, start_of
-from solver.spectrum import order_levels, welch
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, shipped_machine
+from solver.simulation import averages, blocks
+from solver.simulation import ensemble as module
+from solver.simulation.averages import decibels, overall, spread_db
+from solver.simulation.blocks import BLOCK, Members
+from solver.simulation.ensemble import Ensemble, EnsembleResult, simulate_ensemble
+from solver.simulation.simulate import simulate, start_of
+from solver.spectra.harmonics import compared
+from solver.spectra.spectrum import order_levels, welch
 
 FAULT = FaultState({"B": 2e-4})
 PERIODIC = Case(FAULT)

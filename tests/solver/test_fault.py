@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from solver.errors import MachineError
-from solver.fault import HEALTHY, FaultState, parse_fault
-from solver.machine import shipped_machine
+from solver.machines.fault import HEALTHY, FaultState, parse_fault
+from solver.machines.machine import shipped_machine
 
 QR = shipped_machine("quick-return")
 

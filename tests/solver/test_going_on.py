@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.fault import FaultState
-from solver.lanes import SLOTS
-from solver.machine import shipped_machine
-from solver.simulate import Case, History, Settings, Status, simulate, simulate_batch
+from solver.integrators.lanes import SLOTS
+from solver.machines.fault import FaultState
+from solver.machines.machine import shipped_machine
+from solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
 
 MACHINE = shipped_machine("slider-crank")
 

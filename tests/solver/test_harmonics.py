@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from solver.errors import SettingsError
-from solver.harmonics import (
+from solver.spectra.harmonics import (
     compared,
     count_of,
     harmonic_error,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.fault import FaultState
-from solver.machine import Machine, SlidingJoint, shipped_machine
-from solver.simulate import Case, History, Settings, simulate
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, SlidingJoint, shipped_machine
+from solver.simulation.simulate import Case, History, Settings, simulate
 
 
 def run(name: str, fault: dict[str, float]) -> tuple[Machine, History]:

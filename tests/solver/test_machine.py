@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from machine_trees import MISSING, SLIDER_CRANK, SPRING, changed
 
 from solver.errors import MachineError
-from solver.machine import (
+from solver.machines.machine import (
     Contact,
     Machine,
     Mount,
@@ -27,7 +27,7 @@ from solver.machine import (
     shipped_machine_names,
     shipped_machine_text,
 )
-from solver.yamlfile import read_tree
+from solver.machines.yamlfile import read_tree
 
 SHAPER = Path(__file__).parents[1] / "data" / "machines" / "quick-return-shaper.yaml"
 

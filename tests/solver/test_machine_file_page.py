@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from solver.machine import Machine, parse_machine
-from solver.matrix import read_matrix_form
-from solver.yamlfile import read_tree
+from solver.machines.machine import Machine, parse_machine
+from solver.machines.matrix import read_matrix_form
+from solver.machines.yamlfile import read_tree
 
 PAGE = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)

@@ -9,9 +9,7 @@ import pytest
 from machine_trees import MISSING, SPRING, changed
 
 from solver.errors import MachineError
-from solver.machine import (
-    parse_machine,
-)
+from solver.machines.machine import parse_machine
 
 
 def refusal(tree: dict[str, Any] | str) -> str:

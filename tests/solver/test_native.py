@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver import native
+from solver.compiler import native
+from solver.compiler.ir import DECLARATIONS, LANES, Block
 from solver.errors import SettingsError
-from solver.ir import DECLARATIONS, LANES, Block
 
 
 def _doubling(factor: float) -> str:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from solver.cases.pose import start_pose, start_velocity, walk
+from solver.equations.model import build_model
 from solver.errors import AssemblyError
-from solver.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
-from solver.model import build_model
-from solver.pose import start_pose, start_velocity, walk
-from solver.simulate import Case, Settings, Status, check_assembly, simulate
+from solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
+from solver.simulation.simulate import Case, Settings, Status, check_assembly, simulate
 
 G = 9.81
 

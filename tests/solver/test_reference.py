@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from solver.fault import FaultState
-from solver.harmonics import harmonic_error
-from solver.machine import Machine, load_machine
-from solver.simulate import Case, Settings, Status, simulate
-from solver.steps import Accuracy
+from solver.cases.steps import Accuracy
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, load_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
+from solver.spectra.harmonics import harmonic_error
 
 Method = Literal["adaptive", "gill"]
 

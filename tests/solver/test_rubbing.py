@@ -10,16 +10,16 @@ import pytest
 from laws import states, tree_of
 from scipy.integrate import simpson
 
-from solver import control
-from solver.account import account
-from solver.case_groups import groups
+from solver.cases.groups import groups
+from solver.equations.model import build_model
 from solver.errors import MachineError
-from solver.fault import HEALTHY, FaultState
-from solver.kernel import kernel_code
-from solver.machine import Machine, parse_machine, shipped_machine
-from solver.model import build_model
-from solver.runs import how_it_ended
-from solver.simulate import Case, History, Settings, Status, simulate, simulate_batch
+from solver.integrators import control
+from solver.integrators.kernel import kernel_code
+from solver.machines.fault import HEALTHY, FaultState
+from solver.machines.machine import Machine, parse_machine, shipped_machine
+from solver.simulation.account import account
+from solver.simulation.runs import how_it_ended
+from solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
 
 G = 9.81
 METHODS = ("adaptive", "gill")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from solver.errors import MachineError, SettingsError
-from solver.fault import FaultState
-from solver.machine import parse_machine, shipped_machine
-from solver.simulate import Case, Settings, Status, simulate, simulate_batch
+from solver.machines.fault import FaultState
+from solver.machines.machine import parse_machine, shipped_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate, simulate_batch
 
 QR = shipped_machine("quick-return")
 SHORT = Settings(duration=0.05, sample_rate=10_000, accuracy="draft")

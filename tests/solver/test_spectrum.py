@@ -12,11 +12,11 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from solver.bands import BandScheme, band_matrices, band_matrix, transform_power
 from solver.errors import SettingsError
-from solver.segments import fast_length, revolution_segments
-from solver.sensor import rigid_body, sensor_signals, sensor_transform
-from solver.spectrum import convert, cross_spectra, order_levels, rescale, undo_sample_mean, welch
+from solver.spectra.bands import BandScheme, band_matrices, band_matrix, transform_power
+from solver.spectra.segments import fast_length, revolution_segments
+from solver.spectra.sensor import rigid_body, sensor_signals, sensor_transform
+from solver.spectra.spectrum import convert, cross_spectra, order_levels, rescale, undo_sample_mean, welch
 
 FS = 10_000.0
 DRIVE = 2.0 * math.pi * 2.0  # two revolutions a second

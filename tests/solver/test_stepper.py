@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from solver import stepper
-from solver.control import OK, RUNNING
-from solver.dopri import StepRows
-from solver.kernel import adaptive_code
-from solver.machine import shipped_machine
-from solver.model import build_model
-from solver.pose import start_pose, start_velocity
-from solver.scalar import SCALAR
+from solver.cases.pose import start_pose, start_velocity
+from solver.compiler.scalar import SCALAR
+from solver.equations.model import build_model
+from solver.integrators import stepper
+from solver.integrators.control import OK, RUNNING
+from solver.integrators.dopri import StepRows
+from solver.integrators.kernel import adaptive_code
+from solver.machines.machine import shipped_machine
 
 SAMPLES, INTERVAL, FIRST = 120, 1e-4, 1e-4
 

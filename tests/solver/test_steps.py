@@ -9,15 +9,11 @@ import numpy as np
 import pytest
 from test_simulate import crank_at
 
-from solver.case_groups import groups
-from solver.contact_rates import ContactRates, contact_rates
-from solver.fault import FaultState
-from solver.friction_rates import friction_rate
-from solver.machine import Machine, parse_machine, shipped_machine
-from solver.model import build_model
-from solver.pose import walk
-from solver.simulate import Case, Settings, Status, simulate
-from solver.steps import (
+from solver.cases.contact_rates import ContactRates, contact_rates
+from solver.cases.friction_rates import friction_rate
+from solver.cases.groups import groups
+from solver.cases.pose import walk
+from solver.cases.steps import (
     LEAST_RESPONSE,
     RESIDUE,
     STEP_RULES,
@@ -27,6 +23,10 @@ from solver.steps import (
     suspension_modes,
     transient_time,
 )
+from solver.equations.model import build_model
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, parse_machine, shipped_machine
+from solver.simulation.simulate import Case, Settings, Status, simulate
 
 
 def test_mobility_of_a_free_pin_is_the_sum_of_both_bodies() -> None:

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver import workbench
+from solver.cases.history import History, Settings, Status
 from solver.errors import SettingsError
-from solver.fault import FaultState
-from solver.harmonics import harmonic_error
-from solver.history import History, Settings, Status
-from solver.machine import Machine, load_machine
-from solver.simulate import Case, simulate
-from solver.tradeoff import Point, TradeOff, measure
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine, load_machine
+from solver.simulation import workbench
+from solver.simulation.simulate import Case, simulate
+from solver.simulation.tradeoff import Point, TradeOff, measure
+from solver.spectra.harmonics import harmonic_error
 
 DATA = Path(__file__).parents[1] / "data" / "reference"
 FAULT = FaultState({"B": 2e-4})

@@ -1,0 +1,1 @@
+"""What is asked of a model, and what follows before it moves: parameters, start, step size."""

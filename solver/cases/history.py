@@ -1,0 +1,179 @@
+"""Cases, settings, and the history that a simulation gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.cases.pose import Start
+from solver.cases.steps import STEP_RULES, Accuracy
+from solver.equations.links import LinkMotion
+from solver.errors import SettingsError
+from solver.machines.fault import HEALTHY, FaultState
+
+Array = NDArray[np.float64]
+
+
+class Status(StrEnum):
+    """How a case ended; a numerical failure is data, not an exception."""
+
+    OK = "ok"
+    DIVERGED = "diverged"
+    STEP_TOO_SMALL = "step_too_small"
+    CANNOT_ASSEMBLE = "cannot_assemble"
+    JAMMED = "jammed"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: a fault state, and numbers of the machine file that differ from the file.
+
+    Attributes
+    ----------
+    fault : FaultState
+    parameters : mapping of str to float
+        By path in the machine file (``links.bed.mass``, ``supports.0.stiffness.1``, ``joints.A.contact.friction``,
+        ``drive.speed``), or for every clearance joint at once: ``contact.stiffness``, ``contact.damping``,
+        ``contact.restitution``, ``contact.hysteresis``, ``contact.friction``, ``contact.viscous``,
+        ``contact.friction_velocity``, ``pin_radius``. SI units.
+    """
+
+    fault: FaultState = HEALTHY
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to run.
+
+    Attributes
+    ----------
+    duration : float or None
+        Simulated time, s; by default the transient and `revolutions` after it.
+    sample_rate : float
+        Hz of the results.
+    accuracy : str
+        ``draft``, ``standard`` or ``reference``: how finely contacts, suspension and drive are resolved.
+    method : str or None
+        ``adaptive`` (error-controlled, contacts located) or ``gill`` (Runge-Kutta-Gill, fixed steps); by default
+        ``adaptive``, or ``gill`` where a step is given.
+    rtol : float or None
+        Scaled error of a step of ``adaptive``, in place of what `accuracy` gives.
+    step : float or None
+        Longest step of ``gill``, s, in place of what `accuracy` gives.
+    revolutions : float
+        Revolutions of the drive after the transient where no duration is given; seconds where nothing turns.
+    links : bool
+        Also give the motion of every link and every reaction.
+    motion : bool
+        Give displacement, velocity and instantaneous acceleration; without them (and without `links`) a run is
+        cheaper, and only the band-limited acceleration is there, to make spectra of.
+    most_trials : int or None
+        Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
+    device : str
+        ``cpu``, or ``cuda``: one case a thread of a CUDA device; ``adaptive`` only.
+    """
+
+    duration: float | None = None
+    sample_rate: float = 20_000.0
+    accuracy: Accuracy = "standard"
+    method: Literal["adaptive", "gill"] | None = None
+    rtol: float | None = None
+    step: float | None = None
+    revolutions: float = 10.0
+    links: bool = False
+    motion: bool = True
+    most_trials: int | None = None
+    device: Literal["cpu", "cuda"] = "cpu"
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "sample_rate", "rtol", "step", "revolutions", "most_trials"):
+            value = getattr(self, name)
+            if value is not None and not (0 < value < math.inf):
+                raise SettingsError(f"{name}: {value}: must be a finite number greater than 0")
+        if self.accuracy not in STEP_RULES:
+            raise SettingsError(f"accuracy: {self.accuracy}: must be one of {', '.join(STEP_RULES)}")
+        if self.method not in (None, "adaptive", "gill"):
+            raise SettingsError(f"method: {self.method}: must be adaptive or gill")
+        if self.rtol is not None and not 1e-12 <= self.rtol <= 1e-2:
+            raise SettingsError(f"rtol: {self.rtol:g}: must be between 1e-12 and 1e-2")
+        if self.rtol is not None and self.integrator == "gill":
+            raise SettingsError(f"rtol: {self.rtol:g}: only the adaptive method has a tolerance; gill has a step")
+        if self.step is not None and self.integrator == "adaptive":
+            raise SettingsError(f"step: {self.step:g}: only gill has a fixed step; the adaptive method has rtol")
+        if self.device not in ("cpu", "cuda"):
+            raise SettingsError(f"device: {self.device}: must be cpu or cuda")
+        if self.device == "cuda" and self.integrator == "gill":
+            raise SettingsError("device: cuda: only the adaptive method runs there, not gill")
+
+    @property
+    def integrator(self) -> str:
+        """The method in use."""
+        return self.method or ("gill" if self.step is not None else "adaptive")
+
+
+@dataclass(frozen=True)
+class History:
+    """Motion of the frame in one case.
+
+    Attributes
+    ----------
+    case : Case
+    status : Status
+    message : str
+        Where and why, for a status other than ok; a remark otherwise, mostly empty.
+    t : (n,) array
+        s. A case that failed has the samples before its failure.
+    displacement, velocity, acceleration : (n, 3) arrays
+        x, y (m ...) and theta (rad ...) of the frame's centre of gravity from the drawn pose, global axes, at t; no
+        rows where the settings want no motion.
+    band_limited_acceleration : (n, 3) array
+        The acceleration to make spectra of: flat to 0.4 and free of aliases below 0.4 of the sample rate.
+    sample_rate : float
+        Hz.
+    transient : float
+        Time to drop from the start, s.
+    drive_speed : float
+        rad/s (m/s for a translation); 0 where no speed is prescribed.
+    step : float
+        s; the mean of an error-controlled run.
+    seconds : float
+        Processor time spent on the case.
+    links : LinkMotion or None
+        Where it was asked for.
+    end : Start or None
+        Where the run stands, to go on from; a little later than the last sample, by what the filter needs beyond it.
+    """
+
+    case: Case
+    status: Status
+    message: str
+    t: Array
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    band_limited_acceleration: Array
+    sample_rate: float
+    transient: float
+    drive_speed: float
+    step: float
+    seconds: float
+    links: LinkMotion | None = None
+    end: Start | None = None
+
+    @cached_property
+    def steadiness_db(self) -> Array:
+        """Change of the mean square acceleration from the first to the second half after the transient, dB, (3,)."""
+        steady = self.band_limited_acceleration[self.t >= self.transient]
+        half = len(steady) // 2
+        if half == 0:
+            return np.full(3, np.inf)
+        first, second = (np.mean(part**2, axis=0) for part in (steady[:half], steady[half : 2 * half]))
+        return np.asarray(10 * np.log10((second + 1e-30) / (first + 1e-30)))

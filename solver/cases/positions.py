@@ -1,0 +1,149 @@
+"""The ideal machine over the positions of its drive: does it close there, how fast are its contacts and friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.cases.friction_rates import friction_rate
+from solver.cases.pose import follow, walk
+from solver.cases.steps import contact_mobility
+from solver.equations.drive import travel_range
+from solver.equations.model import Model, build_model
+from solver.machines.machine import Machine, RotationDrive, TranslationDrive
+
+Array = NDArray[np.float64]
+
+#: Numbers by path, as a key of a cache.
+_Numbers = tuple[tuple[str, float], ...]
+#: Positions between the drawn one and the end of a travel.
+_TRAVEL_STEPS = 120
+
+
+def _top_speed(machine: Machine) -> float:
+    """Fastest speed of a rotation, rad/s, with its sign; 1 for other drives."""
+    drive = machine.drive
+    if not isinstance(drive, RotationDrive):
+        return 1.0
+    return max((speed for _, speed in drive.speed), key=abs) if isinstance(drive.speed, tuple) else drive.speed
+
+
+@lru_cache(maxsize=64)
+def _turning(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    """The model with a rotation at a constant speed of 1 rad/s, a lane parameter; other drives as they are."""
+    drive = machine.drive
+    if isinstance(drive, RotationDrive):
+        drive = drive.model_copy(update={"speed": math.copysign(1.0, _top_speed(machine)), "ripple": ()})
+    kept = tuple(path for path in varying if not path.startswith("drive.ripple."))
+    return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
+
+
+def _drive_numbers(machine: Machine, values: Mapping[str, float]) -> _Numbers:
+    """Numbers of a case that poses follow: those of a slide; a rotation is walked at 1 rad/s whatever its speed."""
+    if not isinstance(machine.drive, TranslationDrive):
+        return ()
+    return tuple(sorted((path, value) for path, value in values.items() if path.startswith("drive.")))
+
+
+def _paths(numbers: _Numbers) -> tuple[str, ...]:
+    return tuple(path for path, _ in numbers if path != "drive.speed")  # that is a lane parameter anyway
+
+
+@lru_cache(maxsize=64)
+def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, Array]]:
+    """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`."""
+    model = _turning(machine, joints, _paths(motion))
+    poses = walk(model, model.vector(dict(motion)), 1.0)
+    return poses[:: max(1, len(poses) // 12)]
+
+
+@lru_cache(maxsize=1024)
+def _mobility(machine: Machine, joints: tuple[str, ...], motion: _Numbers, masses: _Numbers) -> Mapping[str, float]:
+    numbers = motion + masses
+    model = _turning(machine, joints, _paths(numbers))
+    return contact_mobility(model, _poses(machine, joints, motion), model.vector(dict(numbers)))
+
+
+def mobility_of(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float]) -> Mapping[str, float]:
+    """Contact mobilities of a case, 1/kg, over twelve poses; also refuses what cannot be assembled.
+
+    Parameters
+    ----------
+    machine : Machine
+    joints : tuple of str
+        Those with clearance.
+    values : mapping of str to float
+        Numbers by path that differ from the machine file.
+
+    Raises
+    ------
+    AssemblyError
+        Names the drive's position and the joint that stays open.
+    """
+    masses = tuple(sorted((path, value) for path, value in values.items() if path.startswith("links.")))
+    return _mobility(machine, joints, _drive_numbers(machine, values), masses)
+
+
+def rubbing_rate(
+    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: Mapping[str, float],
+    mobility: Mapping[str, float],
+) -> float:  # fmt: skip
+    """Largest rate of friction of a case, 1/s.
+
+    Parameters
+    ----------
+    machine : Machine
+    joints : tuple of str
+        Those with clearance.
+    varying : tuple of str
+        As :func:`solver.cases.preparation.model_of`.
+    values : mapping of str to float
+        All lane parameters by path.
+    mobility : mapping of str to float
+        Of the clearance joints, 1/kg.
+    """
+    model = _turning(machine, joints, varying)
+    poses = _poses(machine, joints, _drive_numbers(machine, values))
+    numbers = dict(values)
+    if isinstance(machine.drive, RotationDrive):
+        # A crank that stands is judged at 1 rad/s; the speed 0 of a slide is one: harmonics move it.
+        top = numbers["drive.speed"] = values.get("drive.speed", _top_speed(machine)) or 1.0
+        poses = [(t / abs(top), z) for t, z in poses]
+    return friction_rate(model, poses, model.vector(numbers), numbers, mobility)
+
+
+def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float], duration: float) -> None:
+    """Refuse a slide that is driven to where the ideal machine does not close.
+
+    Parameters
+    ----------
+    machine : Machine
+    joints : tuple of str
+        Those with clearance.
+    values : mapping of str to float
+        Numbers by path that differ from the machine file.
+    duration : float
+        Of the run, s.
+
+    Raises
+    ------
+    AssemblyError
+        Names the travel and the joint that stays open.
+    """
+    if isinstance(machine.drive, TranslationDrive):
+        low, high = travel_range(machine, dict(_drive_numbers(machine, values)), duration)
+        _check_ends(machine, joints, low, high)
+
+
+@lru_cache(maxsize=64)
+def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: float) -> None:
+    assert isinstance(machine.drive, TranslationDrive)
+    drive = machine.drive.model_copy(update={"speed": 1.0, "harmonics": ()})  # time is travel then
+    model = build_model(machine.model_copy(update={"drive": drive}), joints, ())
+    for end in (low, high):
+        p = model.vector({"drive.speed": math.copysign(1.0, end)})
+        follow(model, p, [abs(end) * k / _TRAVEL_STEPS for k in range(_TRAVEL_STEPS + 1)])

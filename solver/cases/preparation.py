@@ -1,0 +1,213 @@
+"""From a case to numbers: lane parameters, start, transient, step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.cases.contact_rates import contact_rates
+from solver.cases.friction_rates import without_sliding_friction
+from solver.cases.history import Settings
+from solver.cases.pose import check_closures, start_pose, start_velocity
+from solver.cases.positions import check_travel, mobility_of, rubbing_rate
+from solver.cases.scales import pace_of
+from solver.cases.steps import (
+    BETWEEN_IMPACTS,
+    STEP_RULES,
+    largest_step,
+    response,
+    smooth_eigenvalues,
+    suspension_modes,
+    transient_time,
+)
+from solver.equations.drive import drive_rates
+from solver.equations.model import Model, build_model
+from solver.errors import AssemblyError, MachineError, SettingsError
+from solver.machines.contact_rules import restitution_remarks
+from solver.machines.machine import Machine, RotationDrive, TranslationDrive
+
+Array = NDArray[np.float64]
+
+#: Longest run, steps or samples of one case: refused beyond, so that a mistyped duration does not run for days.
+MOST_STEPS = 2_000_000_000
+#: Most memory for one kind of record (displacement, say) of one case.
+MOST_BYTES = 2e9
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A case with its lane parameters, start and step.
+
+    Attributes
+    ----------
+    index : int
+        Place in the table of cases.
+    vector : list of float
+        Lane parameters in kernel order.
+    z, v : (n,) arrays
+        Start.
+    memory : (m,) array
+        What contacts remember at the start, see :mod:`solver.equations.contact_laws`.
+    begin : float
+        Time of the start, s.
+    speed : float
+        What revolutions are counted by, rad/s; 0 where nothing repeats.
+    transient : float
+        s.
+    remark : str
+        What a reader of the results should know: where the transient rule does not hold, say.
+    duration : float
+        s.
+    response : float
+        How far the frame moves against what it would at a fast drive, see :func:`solver.cases.steps.response`.
+    pace : float
+        Time in which the machine moves by its own size, see :func:`solver.cases.scales.pace_of`.
+    longest_step : float
+        What the rules of :mod:`solver.cases.steps` allow at the asked accuracy, s.
+    smooth_step : float
+        Longest step that resolves suspension and drive, contacts apart, s.
+    """
+
+    index: int
+    vector: list[float]
+    z: Array
+    v: Array
+    memory: Array
+    begin: float
+    speed: float
+    transient: float
+    remark: str
+    duration: float
+    response: float
+    pace: float
+    longest_step: float
+    smooth_step: float
+
+
+@lru_cache(maxsize=64)
+def model_of(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    """The model of a machine with clearance in `joints`, the numbers `varying` as lane parameters; kept."""
+    return build_model(machine, joints, varying)
+
+
+@lru_cache(maxsize=64)
+def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    """The model with its drive standing, same coordinates."""
+    drive = machine.drive
+    if isinstance(drive, RotationDrive):
+        drive = drive.model_copy(update={"speed": 0.0, "ripple": ()})
+    elif isinstance(drive, TranslationDrive):
+        drive = drive.model_copy(update={"speed": 0.0, "harmonics": ()})
+    kept = tuple(path for path in varying if not path.startswith("drive."))
+    return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
+
+
+@dataclass(frozen=True)
+class _Smooth:
+    """Motions between impacts: eigenvalues of all, 1/s, and the modes of the suspension under the rigid machine."""
+
+    eigenvalues: Array
+    suspension: tuple[complex, ...]
+
+
+@lru_cache(maxsize=1024)
+def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
+    """Of the machine without clearances, its drive standing, with the given numbers by path."""
+    model = _standing(without_sliding_friction(machine), (), tuple(path for path, _ in values))
+    p = model.vector(dict(values))
+    suspension = suspension_modes(model, p)
+    try:
+        check_closures(model, p)
+    except AssemblyError:
+        # Redundant while nothing is worn (a healthy case was refused before): rigid on its supports, it still moves.
+        return _Smooth(np.array(suspension), tuple(suspension))
+    return _Smooth(smooth_eigenvalues(model, p), tuple(suspension))
+
+
+def prepare(
+    machine: Machine, model: Model, index: int, values: dict[str, float], varying: tuple[str, ...], settings: Settings
+) -> Prepared:
+    """Work out everything a run needs.
+
+    Parameters
+    ----------
+    machine : Machine
+    model : Model
+    index : int
+        Place in the table of cases.
+    values : dict of str to float
+        Parameters by full path.
+    varying : tuple of str
+        Those that are neither contact numbers nor the drive speed.
+    settings : Settings
+
+    Raises
+    ------
+    MachineError
+        A parameter that the machine does not have.
+    AssemblyError
+        No start pose, contradicting velocities, or positions of the drive at which the machine does not close.
+    SettingsError
+        A run of absurd length.
+    """
+    complete = {path: values.get(path, model.nominal[path]) for path in model.parameters}
+    unknown = set(values) - set(complete)
+    if unknown:
+        raise MachineError(machine.name, min(unknown), values[min(unknown)], "this machine has no such number")
+    vector = model.vector(complete)
+    joints = model.clearance_joints
+    mobility = mobility_of(machine, joints, complete)
+    others = tuple((path, value) for path, value in complete.items() if not _is_contact(path, joints))
+    z, v = _start(machine, joints, varying, others)
+    motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
+    speed, fastest = drive_rates(machine, complete)
+    transient, *remarks = transient_time(motions.suspension, speed)
+    remarks += restitution_remarks(machine, joints, complete)
+    duration = settings.duration
+    if duration is None:
+        duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)
+    check_travel(machine, joints, complete, duration)
+    rule = STEP_RULES[settings.accuracy]
+    rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.integrator == "gill" else 0.0
+    contacts = contact_rates(machine, mobility, complete, fastest).values()
+    longest = settings.step or largest_step(rule, contacts, motions.eigenvalues, fastest, rubbing)
+    smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, fastest)
+    recorded = model.size if settings.links else 3
+    if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
+        too_much = f"{duration * settings.sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
+        raise SettingsError(f"duration: {duration:g} s: {too_much}; take a lower sample rate")
+    if duration * max(settings.sample_rate, 1 / longest) > MOST_STEPS:
+        too_long = f"needs more than {MOST_STEPS:.0e} steps of {min(longest, 1 / settings.sample_rate):.3g} s"
+        raise SettingsError(f"duration: {duration:g} s: {too_long}")
+    remark = "; ".join(filter(None, remarks))
+    memory = np.zeros(len(model.remembering))
+    small, pace = response(motions.suspension, speed), pace_of(machine, complete)
+    return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, small, pace, longest, smooth)
+
+
+@lru_cache(maxsize=1024)
+def _start(
+    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: tuple[tuple[str, float], ...]
+) -> tuple[Array, Array]:
+    """Coordinates and velocities of the start: pins are concentric in it, so that no contact number matters."""
+    model, standing = model_of(machine, joints, varying), _standing(machine, joints, varying)
+    z = start_pose(standing, standing.vector(dict(values)))
+    v = start_velocity(model, model.vector(dict(values)), z)
+    z.flags.writeable = v.flags.writeable = False  # many cases share them
+    return z, v
+
+
+def _is_contact(path: str, joints: tuple[str, ...]) -> bool:
+    """Whether a number is one of a contact between pin and socket."""
+    return any(path.startswith(f"joints.{joint}.") for joint in joints)
+
+
+def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:
+    """Whether a number has to do with the motions between impacts, not with a contact, rubbing or the drive."""
+    if any(path.startswith(f"joints.{name}.friction") for name in machine.sliding_joints):
+        return False
+    return not path.startswith("drive.") and not _is_contact(path, joints)

@@ -1,0 +1,240 @@
+"""Step size and transient from the scene: contact frequencies, suspension, drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from solver.cases.contact_rates import ContactRates
+from solver.equations.model import Model
+
+Array = NDArray[np.float64]
+Accuracy = Literal["draft", "standard", "reference"]
+
+
+@dataclass(frozen=True)
+class StepRule:
+    """How finely each frequency of a scene is resolved.
+
+    Attributes
+    ----------
+    contact : float
+        Largest product of step and contact frequency, rad.
+    decay : float
+        Largest product of step and contact damping rate; Runge-Kutta-Gill is stable to 2.78.
+    smooth : float
+        Largest product of step and the fastest eigenvalue of everything but contacts.
+    rubbing : float
+        Largest product of step and the rate at which friction settles a sliding velocity. Its force is bounded: one
+        that is not resolved chatters, but does not grow.
+    per_revolution : float
+        Least steps in a revolution of the drive.
+    """
+
+    contact: float
+    decay: float
+    smooth: float
+    rubbing: float
+    per_revolution: float
+
+
+#: Chosen from measured harmonic errors, see ``docs/solver.md``.
+STEP_RULES: dict[Accuracy, StepRule] = {
+    "draft": StepRule(0.8, 1.2, 0.5, 2.0, 360),
+    "standard": StepRule(0.16, 0.4, 0.2, 1.0, 1440),
+    "reference": StepRule(0.008, 0.02, 0.02, 0.1, 7200),
+}
+
+#: What an error-controlled step keeps to as well: an estimate cannot see what it steps over, and near the limit of
+#: stability it lets noise of the size of its tolerance grow.
+BETWEEN_IMPACTS = StepRule(math.inf, math.inf, 0.5, math.inf, 120)
+
+#: The start-up transient of the suspension is dropped until it has decayed to this part of itself (-40 dB).
+RESIDUE = 0.01
+#: Revolutions dropped at least: the impacts take a few to settle.
+SETTLING_REVOLUTIONS = 2
+#: Least part of its motion at a fast drive that a frame is taken to answer a slow one with.
+LEAST_RESPONSE = 1e-3
+#: A suspension that decays slower than this part of its frequency counts as undamped.
+UNDAMPED = 1e-4
+
+
+def contact_mobility(model: Model, poses: Sequence[tuple[float, Array]], p: Sequence[float]) -> dict[str, float]:
+    """Largest mobility (1/kg, one over the effective mass) of each clearance joint over the given poses.
+
+    Parameters
+    ----------
+    model : Model
+    poses : sequence of (float, (n,) array)
+        Times and coordinates, see :func:`solver.cases.pose.walk`.
+    p : sequence of float
+        Lane parameters.
+    """
+    closures = len(model.kinematics.closures)
+    largest = dict.fromkeys(model.clearance_joints, 0.0)
+    rest = np.zeros(model.size)
+    for t, z in poses:
+        mass = np.asarray(model.inertia(t, z, rest, p)[0].full())
+        jacobian = np.asarray(model.constraint(t, z, rest, p)[1].full())
+        mobility = np.linalg.inv(mass)
+        if closures:
+            loops = jacobian[:closures]
+            spread = mobility @ loops.T
+            mobility = mobility - spread @ np.linalg.pinv(loops @ spread) @ spread.T
+        for i, joint in enumerate(model.clearance_joints):
+            rows = jacobian[closures + 2 * i : closures + 2 * i + 2]
+            largest[joint] = max(largest[joint], float(np.linalg.eigvalsh(rows @ mobility @ rows.T)[-1]))
+    return largest
+
+
+def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
+    """Eigenvalues (1/s, complex) of small motions about the drawn pose.
+
+    Parameters
+    ----------
+    model : Model
+        Without clearances and sliding friction, its drive standing: what is left are the motions of the suspension,
+        and of links that nothing drives.
+    p : sequence of float
+        Lane parameters.
+    """
+    if model.size == 0:
+        return np.zeros(0)
+    functions = ca.Function(
+        "linearised", [model.t, model.z, model.v, model.p],
+        [ca.jacobian(model.acceleration, model.z), ca.jacobian(model.acceleration, model.v)],
+    )  # fmt: skip
+    zero = np.zeros(model.size)
+    stiffness, damping = (np.asarray(part.full()) for part in functions(0.0, zero, zero, p))
+    # Only motions that keep the closures exist; the rest of coordinate space would add modes of rounding.
+    closures = np.asarray(model.constraint(0.0, zero, zero, p)[1].full())
+    tangent = linalg.null_space(closures) if len(closures) else np.eye(model.size)
+    reduced = [tangent.T @ part @ tangent for part in (stiffness, damping)]
+    n = tangent.shape[1]
+    system = np.block([[np.zeros((n, n)), np.eye(n)], reduced])
+    return np.asarray(np.linalg.eigvals(system))
+
+
+def largest_step(
+    rule: StepRule, contacts: Iterable[ContactRates], eigenvalues: Array, speed: float, rubbing: float = 0.0
+) -> float:
+    """Longest step that a rule allows a case, s; infinite where nothing moves.
+
+    Parameters
+    ----------
+    rule : StepRule
+    contacts : iterable of ContactRates
+        Of each clearance joint.
+    eigenvalues : array
+        Of the smooth motion, 1/s.
+    speed : float
+        Fastest prescribed motion, rad/s.
+    rubbing : float
+        Largest rate of friction, 1/s, see :mod:`solver.cases.friction_rates`.
+    """
+    limits = [math.inf]
+    for rates in contacts:
+        limits.append(rule.contact / rates.frequency if rates.frequency else math.inf)
+        limits.append(rule.decay / rates.decay if rates.decay else math.inf)
+    fastest = float(np.abs(eigenvalues).max(initial=0.0))
+    limits.append(rule.smooth / fastest if fastest else math.inf)
+    limits.append(rule.rubbing / rubbing if rubbing else math.inf)
+    limits.append(2 * math.pi / abs(speed) / rule.per_revolution if speed else math.inf)
+    return min(limits)
+
+
+def suspension_modes(model: Model, p: Sequence[float]) -> list[complex]:
+    """Modes of the whole machine, rigid as drawn, on its supports: one of each conjugate pair, 1/s.
+
+    Parameters
+    ----------
+    model : Model
+        Without clearances and with its drive standing.
+    p : sequence of float
+        Lane parameters.
+
+    Notes
+    -----
+    Links that nothing drives have slow motions of their own, which are no transient; held rigid, they have none.
+    """
+    names, frame = model.kinematics.names, model.machine.frame
+    cg = model.machine.links[frame].cg
+    rigid = np.zeros((model.size, 3))
+    for row, name in enumerate(names):
+        kind, link = name[:-1].split("(")
+        if kind == "theta":
+            rigid[row, 2] = 1.0
+        elif kind in ("x", "y"):
+            place = model.machine.links[link].cg
+            rigid[row, "xy".index(kind)] = 1.0
+            rigid[row, 2] = cg[1] - place[1] if kind == "x" else place[0] - cg[0]
+    free = [k for k, i in enumerate(model.frame_indices) if i is not None]
+    rigid = rigid[:, free]
+    if not free:
+        return []
+    gradient = ca.Function(
+        "suspension", [model.t, model.z, model.v, model.p],
+        [ca.jacobian(ca.mtimes(model.kinematics.axes, model.force), x) for x in (model.z, model.v)],
+    )  # fmt: skip
+    zero = np.zeros(model.size)
+    mass = rigid.T @ np.asarray(model.inertia(0.0, zero, zero, p)[0].full()) @ rigid
+    parts = [rigid.T @ np.asarray(part.full()) @ rigid for part in gradient(0.0, zero, zero, p)]
+    n = len(free)
+    system = np.block([[np.zeros((n, n)), np.eye(n)], [np.linalg.solve(mass, part) for part in parts]])
+    return [complex(s) for s in np.linalg.eigvals(system) if s.imag > 1e-6 * max(1.0, abs(s))]
+
+
+def response(modes: Sequence[complex], speed: float) -> float:
+    """How far the frame moves against what it would at a drive that is faster than its suspension.
+
+    Inertia forces grow with the square of the speed, and below its modes the suspension answers them with its
+    stiffness: (speed / lowest mode)^2, no less than :data:`LEAST_RESPONSE`. Errors of steps are held to this part of
+    the sizes that they are compared with, or the spectra of slow machines would drown in them.
+
+    Parameters
+    ----------
+    modes : sequence of complex
+        Suspension modes, 1/s.
+    speed : float
+        Drive speed, rad/s; 0 where nothing repeats.
+    """
+    lowest = min((float(abs(s)) for s in modes if abs(s) > 0), default=0.0)
+    if not speed or not lowest:
+        return 1.0
+    return max(LEAST_RESPONSE, min(1.0, (speed / lowest) ** 2))
+
+
+def transient_time(modes: Sequence[complex], speed: float) -> tuple[float, str]:
+    """Time to drop from the start of a run, s, and a remark where the rule does not hold.
+
+    Parameters
+    ----------
+    modes : sequence of complex
+        Suspension modes, 1/s.
+    speed : float
+        Drive speed, rad/s.
+
+    Returns
+    -------
+    (float, str)
+        The slowest mode's decay to :data:`RESIDUE`, no less than :data:`SETTLING_REVOLUTIONS`, in whole revolutions of
+        the drive. Undamped modes never decay: they are left out, and the remark says so.
+    """
+    undamped = [s for s in modes if -s.real < UNDAMPED * abs(s)]
+    rates = [-s.real for s in modes if s not in undamped]
+    decay = math.log(1 / RESIDUE) / min(rates) if rates else 0.0
+    remark = ""
+    if undamped:
+        frequencies = ", ".join(f"{abs(s) / (2 * math.pi):.3g}" for s in undamped)
+        remark = f"undamped suspension mode at {frequencies} Hz: its start-up transient stays in the spectra"
+    if not speed:
+        return decay, remark
+    revolution = 2 * math.pi / abs(speed)
+    return revolution * max(SETTLING_REVOLUTIONS, math.ceil(decay / revolution - 1e-9)), remark

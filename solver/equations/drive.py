@@ -1,0 +1,167 @@
+"""The drive: a prescribed relative motion, or a known effort."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from solver.equations.numbers import Number, Numbers
+from solver.equations.tables import linear, linear_integral
+from solver.errors import SettingsError
+from solver.machines.machine import ForceDrive, Machine, RotationDrive, TorqueDrive, TranslationDrive
+
+#: Orders that are this far from a whole number count as one.
+_WHOLE = 1e-6
+#: Samples of a travel in one period of its fastest harmonic, 0.05 % of an amplitude; and of all periods of a long run.
+_TRAVEL_SAMPLES = 100
+_MOST_TRAVEL_SAMPLES = 1_000_000
+
+
+@dataclass(frozen=True)
+class PrescribedMotion:
+    """Relative motion of links[0] to links[1] of the drive joint as a function of time.
+
+    Attributes
+    ----------
+    joint : str
+    rotation : bool
+        True for a rotation (rad), False for a sliding motion along the joint's direction (m).
+    value, rate, acceleration : casadi.SX
+        Functions of the time symbol; zero value at t = 0 (the drawn pose).
+    """
+
+    joint: str
+    rotation: bool
+    value: ca.SX
+    rate: ca.SX
+    acceleration: ca.SX
+
+
+def prescribes_motion(machine: Machine) -> bool:
+    """Whether the input motion is known and the effort unknown."""
+    return isinstance(machine.drive, RotationDrive | TranslationDrive)
+
+
+def drive_rates(machine: Machine, values: dict[str, float]) -> tuple[float, float]:
+    """What revolutions are counted by, and the fastest motion that the drive prescribes; rad/s.
+
+    Parameters
+    ----------
+    machine : Machine
+    values : dict of str to float
+        Lane parameters by path, the drive speed among them where it is one.
+
+    Returns
+    -------
+    (float, float)
+        The speed of a rotation; for a translation 2 pi times its lowest harmonic frequency. The first is 0 where the
+        motion does not repeat: a run-up, a constant travel, a known effort, no drive.
+    """
+    drive = machine.drive
+    if isinstance(drive, RotationDrive):
+        highest = max((abs(r.order) for r in drive.ripple), default=1.0)
+        if isinstance(drive.speed, tuple):
+            return 0.0, max(1.0, highest) * max(abs(speed) for _, speed in drive.speed)
+        speed = values.get("drive.speed", drive.speed)
+        return speed, max(1.0, highest) * abs(speed)
+    if isinstance(drive, TranslationDrive) and drive.harmonics:
+        frequencies = [2 * math.pi * abs(h.frequency) for h in drive.harmonics if h.frequency]
+        return (min(frequencies), max(frequencies)) if frequencies else (0.0, 0.0)
+    return 0.0, 0.0
+
+
+def repeating_frequency(machine: Machine, drive_speed: float) -> float:
+    """How often the machine comes round, Hz.
+
+    Parameters
+    ----------
+    machine : Machine
+    drive_speed : float
+        The first of :func:`drive_rates`, rad/s.
+
+    Raises
+    ------
+    SettingsError
+        It does not, or not in a way that repeats: there is no steady state and no harmonics.
+    """
+    drive = machine.drive
+    if not drive_speed:
+        kind = "none" if drive is None else drive.kind
+        raise SettingsError(f"{machine.name}: drive: {kind}: must turn at a constant speed for spectra in orders")
+    frequency = abs(drive_speed) / (2 * math.pi)
+    if isinstance(drive, TranslationDrive):
+        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - _WHOLE]
+        if odd or drive.speed:
+            rule = "must repeat with the lowest of its frequencies for spectra in orders"
+            raise SettingsError(f"{machine.name}: drive: {rule}")
+    if isinstance(drive, RotationDrive):
+        for i, ripple in enumerate(drive.ripple):
+            if ripple.amplitude and abs(ripple.order - round(ripple.order)) > _WHOLE:
+                rule = "must be a whole number for spectra in orders: the drive does not repeat with its revolution"
+                raise SettingsError(f"{machine.name}: drive.ripple.{i}.order: {ripple.order:g}: {rule}")
+    for i, load in enumerate(machine.loads):
+        if load.over_time is not None:
+            raise SettingsError(f"{machine.name}: loads.{i}.over_time: must not change in time for spectra in orders")
+    return frequency
+
+
+def prescribed_motion(machine: Machine, number: Callable[[str, float], Number], t: ca.SX) -> PrescribedMotion | None:
+    """Motion of a rotation or translation drive, ``None`` when the drive is an effort or absent.
+
+    Contract: f = w t + sum a [sin(k w t + p) - sin p], and for translation + sum A [sin(2 pi f t + p) - sin p].
+    """
+    drive = machine.drive
+    if not isinstance(drive, RotationDrive | TranslationDrive):
+        return None
+    if isinstance(drive.speed, tuple):
+        base = linear_integral(t, drive.speed)
+    else:
+        base = number("drive.speed", drive.speed) * t
+    value = ca.SX(base)
+    if isinstance(drive, RotationDrive):
+        for i, ripple in enumerate(drive.ripple):
+            amplitude = number(f"drive.ripple.{i}.amplitude", ripple.amplitude)
+            value += amplitude * (ca.sin(ripple.order * base + ripple.phase) - ca.sin(ripple.phase))
+    else:
+        for i, harmonic in enumerate(drive.harmonics):
+            amplitude = number(f"drive.harmonics.{i}.amplitude", harmonic.amplitude)
+            phase = 2 * ca.pi * harmonic.frequency * t + harmonic.phase
+            value += amplitude * (ca.sin(phase) - ca.sin(harmonic.phase))
+    rate = ca.jacobian(value, t)
+    return PrescribedMotion(drive.joint, isinstance(drive, RotationDrive), value, rate, ca.jacobian(rate, t))
+
+
+def travel_range(machine: Machine, values: Mapping[str, float], duration: float) -> tuple[float, float]:
+    """Least and largest travel of a sliding drive from the drawing, m.
+
+    Parameters
+    ----------
+    machine : Machine
+        With a translation drive.
+    values : mapping of str to float
+        Numbers of the drive by path that differ from the file.
+    duration : float
+        s.
+    """
+    drive, t = machine.drive, ca.SX.sym("t")
+    assert isinstance(drive, TranslationDrive)
+    motion = prescribed_motion(machine, lambda path, value: values.get(path, value), t)
+    assert motion is not None
+    fastest = max((h.frequency for h in drive.harmonics), default=0.0)
+    count = int(min(_TRAVEL_SAMPLES * (1 + fastest * duration), _MOST_TRAVEL_SAMPLES))
+    travel = ca.Function("travel", [t], [motion.value])(np.linspace(0.0, duration, count + 1)[None, :]).full()
+    return float(travel.min()), float(travel.max())
+
+
+def known_effort(machine: Machine, number: Numbers, rate: Number) -> ca.SX | None:
+    """Torque (N m) or force (N) of the drive on links[0] at the relative `rate`; ``None`` for a prescribed motion."""
+    drive = machine.drive
+    if isinstance(drive, TorqueDrive):
+        return linear(rate, drive.curve) if drive.curve else ca.SX(number("drive.torque", drive.torque or 0.0))
+    if isinstance(drive, ForceDrive):
+        return linear(rate, drive.curve) if drive.curve else ca.SX(number("drive.force", drive.force or 0.0))
+    return None

@@ -1,0 +1,279 @@
+"""Forces as pairs of a displacement and the force that does work along it.
+
+A spring acts along its length, a force at the vector to its point, a torque along an angle. The generalised forces
+follow by virtual work, Q = (d displacement / dz)' force, so no moment arm is ever written down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import casadi as ca
+
+from solver.equations import contact_laws
+from solver.equations.contact import ContactForce, ContactNumbers, NormalLaw, impact_pair
+from solver.equations.drive import known_effort
+from solver.equations.kinematics import Kinematics
+from solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
+from solver.equations.tables import linear, periodic
+from solver.equations.vectors import Complex, Vector, constant
+from solver.machines.machine import Contact, Machine, Mount, SlidingJoint, Spring, TurningJoint
+
+#: Length (m) below which a spring has no direction; it pulls with its force along nothing.
+SHORTEST = 1e-9
+
+
+@dataclass
+class Scene:
+    """What force elements need to know, and the forces written so far.
+
+    Attributes
+    ----------
+    machine, kinematics, number
+        The machine, its kinematics and its numbers.
+    t : casadi.SX
+        Time.
+    slides : dict of str to (casadi.SX, casadi.SX)
+        Travel of every sliding joint since drawn (m) and its rate (m/s).
+    total : casadi.SX
+        (n, 1) generalised forces written so far, the origins' in the axes of the frame.
+    """
+
+    machine: Machine
+    kinematics: Kinematics
+    number: Numbers
+    t: ca.SX
+    slides: dict[str, tuple[ca.SX, ca.SX]]
+    total: ca.SX
+
+    def add(self, displacement: ca.SX, force: ca.SX) -> None:
+        """A force along a scalar displacement."""
+        self.total += self.gradient(displacement) * force
+
+    def gradient(self, displacement: ca.SX) -> ca.SX:
+        """(n, 1) generalised force of a unit force along a scalar displacement."""
+        return ca.mtimes(ca.jacobian(displacement, self.kinematics.z), self.kinematics.axes).T
+
+    def push(self, vector: Vector, force: Complex) -> None:
+        """A force (axes of the frame) that does work where `vector` changes."""
+        for index, partial in self.kinematics.terms.partials(vector).items():
+            self.total[index] += partial.dot(force)
+
+    def twist(self, link: str, torque: ca.SX) -> None:
+        """A torque on a link."""
+        index = self.kinematics.poses[link].angle_index
+        if index is not None:
+            self.total[index] += torque
+
+    def anchor(self, to_link: str | None, at: tuple[float, float]) -> Vector:
+        """A point of the ground, or of the link that carries it."""
+        return constant(at) if to_link is None else self.kinematics.poses[to_link].point(at)
+
+    def angle(self, joint: TurningJoint) -> tuple[ca.SX, ca.SX]:
+        """Angle of links[0] relative to links[1] since drawn, and its rate."""
+        first, second = (self.kinematics.poses[link] for link in joint.links)
+        return first.theta - second.theta, first.omega - second.omega
+
+
+def supports(scene: Scene) -> None:
+    """Springs, dampers and mounts (the paper's groups IX and X), to the ground or to another link."""
+    number, terms = scene.number, scene.kinematics.terms
+    grounded: dict[str, list[tuple[str, Mount]]] = {}
+    for i, support in enumerate(scene.machine.supports):
+        path = f"supports.{i}"
+        point = scene.kinematics.poses[support.link].point(support.at)
+        if isinstance(support, Mount):
+            if support.to_link is None:
+                grounded.setdefault(support.link, []).append((path, support))
+            else:
+                _mount_between(scene, path, support)
+            continue
+        vector = point - scene.anchor(support.to_link, support.anchor)
+        line = terms.value(vector)
+        length = ca.sqrt(ca.fmax(line.dot(line), SHORTEST**2))
+        if isinstance(support, Spring):
+            free = number(f"{path}.free_length", support.free_length or 0.0)
+            tension = number(f"{path}.stiffness", support.stiffness) * (length - free)
+        else:
+            tension = number(f"{path}.damping", support.damping) * line.dot(terms.rate(vector)) / length
+        pull = -tension / length
+        scene.push(vector, Complex(pull * line.re, pull * line.im))
+
+    for link, mounts in grounded.items():
+        _mounts_to_ground(scene, link, mounts)
+
+
+def _mount_between(scene: Scene, path: str, mount: Mount) -> None:
+    """A mount between two links."""
+    terms, number = scene.kinematics.terms, scene.number
+    vector = scene.kinematics.poses[mount.link].point(mount.at) - scene.anchor(mount.to_link, mount.at)
+    offset, rate = (part.column for part in (terms.value(vector, ground=True), terms.rate(vector, ground=True)))
+    force = [
+        -number(f"{path}.stiffness.{k}", mount.stiffness[k]) * offset[k]
+        - number(f"{path}.damping.{k}", mount.damping[k]) * rate[k]
+        for k in range(2)
+    ]
+    scene.push(vector, terms.to_frame(Complex(*force)))
+
+
+def _mounts_to_ground(scene: Scene, link: str, mounts: list[tuple[str, Mount]]) -> None:
+    """All mounts of one link at once, so that their number costs nothing.
+
+    With X the displacement of the centre of gravity, a the arms as drawn and r = R a as turned, mount i pulls with
+    K_i (X + r_i - a_i) + C_i (X' + omega z x r_i). Force and moment are sums over the mounts in which only c = cos
+    theta and s = sin theta vary: the rest are constants.
+    """
+    pose, terms = scene.kinematics.poses[link], scene.kinematics.terms
+    centre = pose.centre - constant(pose.cg)
+    turn = terms.to_ground(terms.rotation[pose.turn])
+    c, s = turn.re, turn.im
+    offset, rate = (part.column for part in (terms.value(centre, ground=True), terms.rate(centre, ground=True)))
+    # Products of c and s, at most second order: (c - 1, s) for displacements, (c, s) and their squares for moments.
+    lean = (c - 1, s)
+    squares = (c * c, c * s, s * s)
+    force: list[Number] = [0.0, 0.0]
+    moment: Number = 0.0
+    twist: list[Number] = [0.0, 0.0, 0.0]
+    drag: list[Number] = [0.0, 0.0, 0.0]
+    for k, sign in ((0, -1), (1, 1)):
+        # Along axis k the arm is r_k; the moment of a force along it has the arm across, (r_y, r_x)[k], and this sign.
+        sums = _MountSums(scene, mounts, pose.cg, k)
+        pull = (
+            sums.stiffness * offset[k] + _linear(sums.stiffness_arm, k, lean)
+            + sums.damping * rate[k] + pose.omega * sign * _linear(sums.damping_arm, 1 - k, (c, s))
+        )  # fmt: skip
+        force[k] = -pull
+        moment -= sign * (
+            offset[k] * _linear(sums.stiffness_arm, 1 - k, (c, s))
+            + rate[k] * _linear(sums.damping_arm, 1 - k, (c, s))
+            - _linear(sums.drawn_arm, 1 - k, (c, s))
+        )
+        twist = [total + sign * part for total, part in zip(twist, sums.twist(), strict=True)]
+        drag = [total + part for total, part in zip(drag, sums.drag(k), strict=True)]
+    moment -= sum(m * q for m, q in zip(twist, squares, strict=True))
+    moment -= pose.omega * sum(m * q for m, q in zip(drag, squares, strict=True))
+    scene.push(centre, terms.to_frame(Complex(*force)))
+    scene.twist(link, ca.SX(moment))
+
+
+def _linear(arm: tuple[Number, Number], k: int, turn: tuple[Number, Number]) -> Number:
+    """Component k of R a for a weighted arm a: c a_x - s a_y, or s a_x + c a_y."""
+    c, s = turn
+    return c * arm[0] - s * arm[1] if k == 0 else s * arm[0] + c * arm[1]
+
+
+class _MountSums:
+    """Sums over mounts of stiffness and damping along one axis, times powers of their arms."""
+
+    def __init__(self, scene: Scene, mounts: list[tuple[str, Mount]], cg: tuple[float, float], k: int) -> None:
+        def total(weights: list[Number], factors: list[float]) -> Number:
+            return sum((w * f for w, f in zip(weights, factors, strict=True) if f), start=0.0)
+
+        stiffness = [scene.number(f"{path}.stiffness.{k}", mount.stiffness[k]) for path, mount in mounts]
+        damping = [scene.number(f"{path}.damping.{k}", mount.damping[k]) for path, mount in mounts]
+        x, y = ([mount.at[axis] - cg[axis] for _, mount in mounts] for axis in (0, 1))
+        ones, own = [1.0] * len(mounts), (x, y)[k]
+        xx, xy, yy = ([a * b for a, b in zip(*pair, strict=True)] for pair in ((x, x), (x, y), (y, y)))
+        self.stiffness, self.damping = total(stiffness, ones), total(damping, ones)
+        self.stiffness_arm = (total(stiffness, x), total(stiffness, y))
+        self.damping_arm = (total(damping, x), total(damping, y))
+        own_x, own_y = ([a * b for a, b in zip(own, axis, strict=True)] for axis in (x, y))
+        self.drawn_arm = (total(stiffness, own_x), total(stiffness, own_y))
+        self._stiffness_squares = [total(stiffness, product) for product in (xx, xy, yy)]
+        self._damping_squares = [total(damping, product) for product in (xx, xy, yy)]
+
+    def twist(self) -> tuple[Number, Number, Number]:
+        """Coefficients of c^2, c s, s^2 in sum K r_x r_y, whichever axis the stiffness is along."""
+        xx, xy, yy = self._stiffness_squares
+        return xy, xx - yy, -xy
+
+    def drag(self, k: int) -> tuple[Number, Number, Number]:
+        """Coefficients of c^2, c s, s^2 in sum C r^2, r the arm across axis k."""
+        xx, xy, yy = self._damping_squares
+        return (yy, 2 * xy, xx) if k == 0 else (xx, -2 * xy, yy)
+
+
+def loads(scene: Scene) -> None:
+    """External loads: constant, over time, over the drive angle; the point moves with its link, axes are global."""
+    for i, load in enumerate(scene.machine.loads):
+        path = f"loads.{i}"
+        if load.over_time is not None:
+            values = [linear(scene.t, [(row[0], row[k]) for row in load.over_time]) for k in (1, 2, 3)]
+        elif load.over_angle is not None:
+            values = [periodic(_drive_angle(scene), [(row[0], row[k]) for row in load.over_angle]) for k in (1, 2, 3)]
+        else:
+            names = (("force.0", load.force[0]), ("force.1", load.force[1]), ("torque", load.torque))
+            values = [ca.SX(scene.number(f"{path}.{name}", value)) for name, value in names]
+        force = scene.kinematics.terms.to_frame(Complex(values[0], values[1]))
+        scene.push(scene.kinematics.poses[load.link].point(load.at), force)
+        scene.twist(load.link, values[2])
+
+
+def _drive_angle(scene: Scene) -> ca.SX:
+    """Relative rotation (or travel) of the drive joint since drawn."""
+    drive = scene.machine.drive
+    assert drive is not None  # the machine file refuses a table over the drive angle without a drive
+    joint = scene.machine.joints[drive.joint]
+    return scene.angle(joint)[0] if isinstance(joint, TurningJoint) else scene.slides[drive.joint][0]
+
+
+def effort(scene: Scene) -> None:
+    """A drive that is a known torque or force."""
+    drive = scene.machine.drive
+    if drive is None:
+        return
+    joint = scene.machine.joints[drive.joint]
+    displacement, rate = scene.angle(joint) if isinstance(joint, TurningJoint) else scene.slides[drive.joint]
+    known = known_effort(scene.machine, scene.number, rate)
+    if known is not None:
+        scene.add(displacement, known)
+
+
+def viscous_joints(scene: Scene, open_joints: frozenset[str]) -> None:
+    """Viscous resistance of ideal turning joints (the paper's CT) and of sliding joints (its Ct)."""
+    for name, joint in scene.machine.joints.items():
+        if not joint.viscous or name in open_joints:
+            continue
+        displacement, rate = scene.slides[name] if isinstance(joint, SlidingJoint) else scene.angle(joint)
+        scene.add(displacement, -scene.number(f"joints.{name}.viscous", joint.viscous) * rate)
+
+
+def contact(scene: Scene, name: str, touching: ca.SX, memory: ca.SX) -> tuple[ca.SX, ContactForce]:
+    """Contact of one clearance joint: the vector from socket to pin centre (m), and the force on the pin.
+
+    `memory` is what a law that takes a restitution remembers, see :mod:`solver.equations.contact_laws`.
+    """
+    joint = scene.machine.joints[name]
+    assert isinstance(joint, TurningJoint)
+    pin = joint.pin
+    socket = joint.links[1] if pin == joint.links[0] else joint.links[0]
+    poses, terms = scene.kinematics.poses, scene.kinematics.terms
+    vector = poses[pin].point(joint.at) - poses[socket].point(joint.at)
+    e = terms.value(vector)
+    nominal = {key: getattr(joint.contact, key, 0.0) for key in CONTACT_NUMBERS} | {"pin_radius": joint.pin_radius}
+    known = [key for key in CONTACT_NUMBERS if joint.contact.has(key)]
+    numbers = {key: scene.number(contact_path(name, key), nominal[key]) for key in known}
+    shared = ContactNumbers(**{field.name: numbers[field.name] for field in fields(ContactNumbers)})
+    law = _normal_law(joint.contact, numbers, memory)
+    force = impact_pair(e, terms.rate(vector), poses[pin].omega, poses[socket].omega, shared, law, touching)
+    # The force moves the centres apart; off the centres, at the common contact point, it also turns both links.
+    scene.push(vector, force.on_pin)
+    scene.twist(pin, force.moment_on_pin)
+    scene.twist(socket, force.moment_on_socket)
+    return e.column, force
+
+
+def _normal_law(contact: Contact, numbers: dict[str, Number], memory: ca.SX) -> NormalLaw:
+    """The law of the machine file with its numbers, as a function of penetration and approach."""
+
+    def law(penetration: ca.SX, approach: ca.SX) -> contact_laws.NormalForce:
+        stiffness = numbers["stiffness"]
+        if contact.exponent is None:
+            return contact_laws.linear(stiffness, numbers["damping"], penetration, approach)
+        if contact.restitution is None:
+            hysteresis = numbers["hysteresis"]
+        else:
+            hysteresis = contact_laws.impact_hysteresis(contact.law, numbers["restitution"], approach, memory)
+        return contact_laws.hertzian(stiffness, contact.exponent, hysteresis, penetration, approach)
+
+    return law

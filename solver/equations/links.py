@@ -1,0 +1,131 @@
+"""Motion of every link and every reaction, from the recorded motion of a reduced model.
+
+The reduced model has eliminated most reactions. The expanded one, same equations with nothing eliminated, has them all
+as multipliers of its closures; it is evaluated at the recorded states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.equations.model import Model, build_model
+from solver.equations.numbers import contact_paths
+from solver.equations.vectors import Complex
+from solver.machines.machine import Machine
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinkMotion:
+    """What every link does and what the joints carry.
+
+    Attributes
+    ----------
+    links : tuple of str
+    displacement, velocity, acceleration : (n, links, 3) arrays
+        x, y (m ...) and theta (rad ...) of the centres of gravity from the drawn pose, global axes.
+    reactions : dict of str to array
+        By name: ``force_J`` (n, 2) on links[0] of turning joint J, N, global axes; ``force_J_on_pin`` (n, 2) for one
+        with clearance; ``normal_J`` and ``couple_J`` (n,) on links[0] of a sliding joint, N and N m, the normal being
+        the direction turned by +90 deg; ``drive_effort`` (n,) on links[0] of a prescribed drive, N m or N.
+    """
+
+    links: tuple[str, ...]
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    reactions: dict[str, Array]
+
+
+@lru_cache(maxsize=16)
+def _expanded(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    return build_model(machine, joints, varying, expanded=True)
+
+
+def _names(model: Model) -> list[str]:
+    """Name of every column that :func:`_evaluation` puts out."""
+    columns = []
+    for closure in model.kinematics.closures:
+        joint, _, kind = closure.name.partition(".")
+        columns.append(
+            {"x": f"force_{joint}", "y": f"force_{joint}", "drive": "drive_effort"}.get(kind, f"{kind}_{joint}")
+        )
+    return columns + [f"force_{joint}_on_pin" for joint in model.clearance_joints for _ in range(2)]
+
+
+def _evaluation(reduced: Model, full: Model) -> ca.Function:
+    """(t, z, v, p, memory of the reduced model) -> pose, velocity, acceleration of links; reactions in global axes."""
+    kin = reduced.kinematics
+    names = list(reduced.machine.links)
+    pose = ca.vertcat(*(
+        ca.vertcat(kin.terms.value(kin.poses[k].centre, ground=True).column, kin.poses[k].theta) for k in names
+    ))  # fmt: skip
+    drawn = ca.vertcat(*(ca.DM([*reduced.machine.links[k].cg, 0.0]) for k in names))
+    displacement = pose - drawn
+    velocity = ca.jtimes(pose, reduced.z, reduced.v) + ca.jacobian(pose, reduced.t)
+    acceleration = (
+        ca.mtimes(ca.jacobian(pose, reduced.z), reduced.acceleration)
+        + ca.jtimes(velocity, reduced.z, reduced.v)
+        + ca.jacobian(velocity, reduced.t)
+    )
+    # Coordinates of the expanded model are displacements of links: x(link), y(link), theta(link).
+    places = [3 * names.index(name[name.index("(") + 1 : -1]) + "xyt".index(name[0]) for name in full.kinematics.names]
+    arguments = [reduced.t, displacement[places], velocity[places], reduced.p]
+    terms = full.kinematics.terms
+    forces: list[ca.SX] = []
+    for row, closure in enumerate(full.kinematics.closures):
+        kind = closure.name.partition(".")[2]
+        if kind == "x":
+            forces.append(terms.to_ground(_pair(full.reactions, row)).column)
+        elif kind != "y":
+            forces.append(full.reactions[row])
+    forces += [terms.to_ground(_pair(push, 0)).column for push in full.push.values()]
+    reactions = full.function_of_memory("reactions", ca.vertcat(*forces) if forces else ca.SX(0, 1))(
+        *arguments, reduced.memory
+    )
+    return reduced.function_of_memory("links", displacement, velocity, acceleration, reactions)
+
+
+def _pair(vector: ca.SX, row: int) -> Complex:
+    return Complex(vector[row], vector[row + 1])
+
+
+def link_motion(
+    reduced: Model, p: list[float], t: Array, z: Array, v: Array, memory: Array | None = None
+) -> LinkMotion:
+    """Evaluate links and reactions at recorded states.
+
+    Parameters
+    ----------
+    reduced : Model
+    p : list of float
+        Its lane parameters.
+    t : (n,) array
+    z, v : (n, k) arrays
+        Recorded coordinates and velocities.
+    memory : (n, m) array, optional
+        What contacts remember; nothing by default: contacts count as beginning at every state.
+    """
+    contact = {path for joint in reduced.clearance_joints for path in contact_paths(reduced.machine, joint)}
+    varying = tuple(path for path in reduced.parameters if path not in contact and path != "drive.speed")
+    full = _expanded(reduced.machine, reduced.clearance_joints, varying)
+    count = len(t)
+    if count == 0:  # a case that failed at once: shapes are all there is
+        t, z, v = np.zeros(1), np.zeros((1, reduced.size)), np.zeros((1, reduced.size))
+    evaluate = _evaluation(reduced, full).map(len(t))
+    if memory is None or count == 0:
+        memory = np.zeros((len(t), len(reduced.remembering)))
+    columns = np.repeat(np.array(p).reshape(-1, 1), len(t), axis=1)
+    parts = [np.asarray(part.full()).T[:count] for part in evaluate(t[None, :], z.T, v.T, columns, memory.T)]
+    names = tuple(reduced.machine.links)
+    motion = [part.reshape(count, len(names), 3) for part in parts[:3]]
+    reactions: dict[str, Array] = {}
+    for name, column in zip(_names(full), parts[3].T, strict=True):
+        reactions[name] = np.column_stack([reactions[name], column]) if name in reactions else column
+    return LinkMotion(names, motion[0], motion[1], motion[2], reactions)

@@ -1,0 +1,291 @@
+"""Machine and set of clearance joints to symbolic equations of motion.
+
+A joint is its closure equation and a force element a force at a point; Jacobians, velocity terms and the generalised
+forces are derived from them, so there is no second copy of an equation that could disagree with the first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from solver.equations import drive, forces
+from solver.equations.contact import ContactForce
+from solver.equations.contact_laws import remembers
+from solver.equations.dynamics import Solver, constrained_solver, inertia
+from solver.equations.kinematics import Kinematics, kinematics
+from solver.equations.numbers import Numbers, contact_paths
+from solver.equations.rubbing import Rubbing, rubbing_joints, solve_with_friction
+from solver.errors import MachineError
+from solver.machines.machine import Machine, SlidingJoint
+
+
+@dataclass(frozen=True)
+class Model:
+    """Equations of one machine with one set of clearance joints.
+
+    Attributes
+    ----------
+    machine : Machine
+    clearance_joints : tuple of str
+    parameters : tuple of str
+        Paths of the lane parameters, in the order of `p`.
+    nominal : dict of str to float
+        Their values (and those of every folded number) in the machine file.
+    t, z, v, p : casadi.SX
+        Time (s), coordinates (n, 1), velocities (n, 1), lane parameters (k, 1).
+    kinematics : Kinematics
+    mass, force : casadi.SX
+        M (n, n) and Q (n, 1) of M a = Q + G' lambda with z'' = T a, T the kinematics' axes; Q holds the velocity terms.
+    solution : Solver
+        Of the constrained system for any right-hand sides.
+    phi, phi_rate : casadi.SX
+        Closures (m, 1) and their rate.
+    acceleration, reactions : casadi.SX
+        z'' (n, 1) and lambda (m, 1).
+    eccentricity : casadi.SX
+        Vectors from socket to pin centre of the clearance joints, stacked, (2k, 1), m.
+    push : dict of str to casadi.SX
+        (2, 1) force on the pin of each clearance joint, N, axes of the frame.
+    contacts : tuple of ContactForce
+        With whether the surfaces push as a symbol.
+    touching, held_acceleration : casadi.SX
+        These symbols, one a clearance joint, and z'' as a function of them: smooth as long as they are held.
+    rubbing : Rubbing or None
+        Sliding joints with Coulomb friction, contacts held; ``None`` without any.
+    jam : casadi.SX
+        1 where they jam: accelerations and reactions have no meaning there; else 0.
+    remembering : tuple of int
+        Clearance joints (as in `contacts`) whose law remembers, see :mod:`solver.equations.contact_laws`.
+    memory : casadi.SX
+        What they remember, m/s, a symbol each; 0 while the surfaces are apart.
+    """
+
+    machine: Machine
+    clearance_joints: tuple[str, ...]
+    parameters: tuple[str, ...]
+    nominal: dict[str, float]
+    t: ca.SX
+    z: ca.SX
+    v: ca.SX
+    p: ca.SX
+    kinematics: Kinematics
+    mass: ca.SX
+    force: ca.SX
+    solution: Solver
+    phi: ca.SX
+    phi_rate: ca.SX
+    acceleration: ca.SX
+    reactions: ca.SX
+    eccentricity: ca.SX
+    push: dict[str, ca.SX]
+    contacts: tuple[ContactForce, ...]
+    touching: ca.SX
+    held_acceleration: ca.SX
+    rubbing: Rubbing | None
+    jam: ca.SX
+    remembering: tuple[int, ...]
+    memory: ca.SX
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates n."""
+        return int(self.z.shape[0])
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Coordinates less closures: motions to integrate."""
+        return self.size - len(self.kinematics.closures)
+
+    @property
+    def frame_indices(self) -> tuple[int | None, int | None, int | None]:
+        """Where x, y, theta of the frame are among the coordinates; ``None`` for a motion it does not have."""
+        return self.kinematics.indices_of(self.machine.frame)
+
+    def function(self, name: str, *outputs: ca.SX) -> ca.Function:
+        """A CasADi function of (t, z, v, p): evaluated without any compilation, microseconds a call.
+
+        Contacts count as beginning now: nothing is remembered.
+        """
+        return ca.Function(name, [self.t, self.z, self.v, self.p], [self.unremembered(part) for part in outputs])
+
+    def function_of_memory(self, name: str, *outputs: ca.SX) -> ca.Function:
+        """A CasADi function of (t, z, v, p, memory)."""
+        return ca.Function(name, [self.t, self.z, self.v, self.p, self.memory], list(outputs))
+
+    def unremembered(self, expression: ca.SX) -> ca.SX:
+        """The expression with nothing remembered."""
+        if not self.remembering:
+            return expression
+        return ca.substitute(expression, self.memory, ca.SX.zeros(len(self.remembering)))
+
+    @cached_property
+    def right_hand_side(self) -> ca.Function:
+        """(t, z, v, p) -> z''; no numbers where sliding joints jam."""
+        if self.rubbing is None:
+            return self.function("right_hand_side", self.acceleration)
+        return self.function("right_hand_side", self.acceleration + ca.if_else(self.jam, math.nan, 0))
+
+    @cached_property
+    def rubbing_state(self) -> ca.Function:
+        """(t, z, v, p) -> numbers of rubbing joints as in :class:`~solver.equations.rubbing.Rubbing`, but for `jam`."""
+        rubbing = self.rubbing
+        assert rubbing is not None
+        switch = ca.vertcat(*(contact.switch for contact in self.contacts))
+        columns = [
+            rubbing.friction, rubbing.friction_velocity, rubbing.rate, rubbing.leverage, rubbing.mobility,
+            rubbing.acceleration, rubbing.normal,
+        ]  # fmt: skip
+        return self.function("rubbing_state", *_with_contacts_decided(self.touching, switch, columns))
+
+    @cached_property
+    def projection(self) -> ca.Function:
+        """(t, z, v, p) -> corrections of z and v that restore the closures, least mass-weighted."""
+        still = ca.SX.zeros(self.size)
+        corrections = (self.solution.solve(still, -residual)[0] for residual in (self.phi, self.phi_rate))
+        return self.function("projection", *(ca.mtimes(self.kinematics.axes, c) for c in corrections))
+
+    @cached_property
+    def constraint(self) -> ca.Function:
+        """(t, z, v, p) -> closures and eccentricities stacked, their Jacobian, their time derivative at v = 0."""
+        stacked = ca.vertcat(self.phi, self.eccentricity)
+        return self.function("constraint", stacked, ca.jacobian(stacked, self.z), ca.jacobian(stacked, self.t))
+
+    @cached_property
+    def constraint_bias(self) -> ca.Function:
+        """(t, z, v, p) -> second time derivative of closures and eccentricities stacked, without accelerations."""
+        bias = ca.vertcat(self.phi, self.eccentricity)
+        for _ in range(2):
+            bias = ca.jtimes(bias, self.z, self.v) + ca.jacobian(bias, self.t)
+        return self.function("constraint_bias", bias)
+
+    @cached_property
+    def inertia(self) -> ca.Function:
+        """(t, z, v, p) -> mass matrix and generalised forces of the coordinates themselves."""
+        axes = self.kinematics.axes
+        return self.function("inertia", ca.mtimes([axes, self.mass, axes.T]), ca.mtimes(axes, self.force))
+
+    @cached_property
+    def link_rates(self) -> ca.Function:
+        """(t, z, v, p) -> Jacobian (3N, n) of x, y, theta of every link in file order, and their rate at v = 0."""
+        kin = self.kinematics
+        poses = (kin.poses[name] for name in self.machine.links)
+        pose = ca.vertcat(*(ca.vertcat(kin.terms.value(k.centre, ground=True).column, k.theta) for k in poses))
+        return self.function("link_rates", ca.jacobian(pose, self.z), ca.jacobian(pose, self.t))
+
+    def vector(self, values: dict[str, float]) -> list[float]:
+        """Lane parameters in kernel order: `values` where given, the machine file's numbers elsewhere."""
+        return [values.get(path, self.nominal[path]) for path in self.parameters]
+
+
+def _with_contacts_decided(touching: ca.SX, switch: ca.SX, expressions: list[ca.SX]) -> list[ca.SX]:
+    """The expressions with surfaces pushing where their switch function is positive."""
+    if touching.shape[0] == 0:
+        return expressions
+    return list(ca.substitute(expressions, [touching], [ca.if_else(switch > 0, 1, 0)]))
+
+
+def _border(machine: Machine, kin: Kinematics) -> list[int]:
+    """Coordinates of the frame, where closures keep their rank without them.
+
+    They do where the whole machine can move as one body: what the frame's motion opens, the other links' can open, too.
+    A link that is tied to the ground takes that away.
+    """
+    if any(link.fixed or link.locked for name, link in machine.links.items() if name != machine.frame):
+        return []
+    return [i for i in kin.indices_of(machine.frame) if i is not None]
+
+
+def build_model(
+    machine: Machine, clearance_joints: Iterable[str] = (), varying: Iterable[str] = (), *, expanded: bool = False
+) -> Model:
+    """Write the equations of a machine.
+
+    Parameters
+    ----------
+    machine : Machine
+    clearance_joints : iterable of str
+        Turning joints that have clearance in this model.
+    varying : iterable of str
+        Numbers of the machine file, by path, that become lane parameters besides the contact numbers of the clearance
+        joints and the drive speed.
+    expanded : bool
+        See :func:`solver.equations.kinematics.kinematics`; slower, and every reaction is there.
+
+    Raises
+    ------
+    MachineError
+        A joint that is no turning joint, a path that no equation holds, or something the solver does not model.
+    """
+    wanted = tuple(clearance_joints)
+    for name in wanted:
+        if name not in machine.turning_joints:
+            rule = f"only a turning joint can have clearance; these are {', '.join(machine.turning_joints)}"
+            raise MachineError(machine.name, f"joints.{name}", None, rule)
+    open_joints = tuple(name for name in machine.turning_joints if name in wanted)
+    contacted = [path for name in open_joints for path in contact_paths(machine, name)]
+    speed = ["drive.speed"] if isinstance(getattr(machine.drive, "speed", None), float) else []
+    number = Numbers([*contacted, *speed, *varying])
+
+    t = ca.SX.sym("t")
+    motion = drive.prescribed_motion(machine, number, t)
+    rubbing_names = rubbing_joints(machine, number)
+    kin = kinematics(
+        machine, frozenset(open_joints), motion, number("gravity", machine.gravity),
+        rubbing=frozenset(rubbing_names), expanded=expanded,
+    )  # fmt: skip
+    z, v = kin.z, kin.v
+    n = int(z.shape[0])
+
+    def rate(expression: ca.SX) -> ca.SX:
+        return ca.jtimes(expression, z, v) + ca.jacobian(expression, t)
+
+    travel = {k: kin.slide(j)[0] for k, j in machine.joints.items() if isinstance(j, SlidingJoint)}
+    slides = {name: (offset, rate(offset)) for name, offset in travel.items()}
+    scene = forces.Scene(machine, kin, number, t, slides, ca.SX.zeros(n))
+    mass = inertia(scene)
+    forces.supports(scene)
+    forces.loads(scene)
+    forces.effort(scene)
+    forces.viscous_joints(scene, frozenset(open_joints))
+    touching = ca.SX.sym("touching", len(open_joints))
+    remembering = tuple(i for i, name in enumerate(open_joints) if remembers(machine, name))
+    memory = ca.SX.sym("memory", len(remembering))
+    memories = dict(zip(remembering, ca.vertsplit(memory), strict=True)) if remembering else {}
+    contacts = {
+        name: forces.contact(scene, name, touching[i], memories.get(i, ca.SX(0))) for i, name in enumerate(open_joints)
+    }
+
+    closed = bool(kin.closures)
+    phi = ca.vertcat(*(c.phi for c in kin.closures)) if closed else ca.SX(0, 1)
+    jacobian = ca.mtimes(ca.jacobian(phi, z), kin.axes) if closed else ca.SX(0, n)
+    phi_rate = rate(phi) if closed else ca.SX(0, 1)
+    gamma = -rate(phi_rate) if closed else ca.SX(0, 1)
+    solution = constrained_solver(mass, jacobian, _border(machine, kin))
+    rubbing, held_jam = None, ca.SX(0)
+    if rubbing_names:
+        held, reactions, rubbing = solve_with_friction(scene, rubbing_names, solution, gamma)
+        held_jam = rubbing.jam
+    else:
+        held, reactions = solution.solve(scene.total, gamma)
+    held = ca.mtimes(kin.axes, held)
+    switch = ca.vertcat(*(contact.switch for _, contact in contacts.values()))
+    force, acceleration, reactions, jam, *pushes = _with_contacts_decided(
+        touching,
+        switch,
+        [scene.total, held, reactions, held_jam, *(contact.on_pin.column for _, contact in contacts.values())],
+    )
+    unused = number.unused()
+    if unused:
+        raise MachineError(machine.name, unused[0], None, "no equation of this machine holds such a number")
+    eccentricity = ca.vertcat(*(e for e, _ in contacts.values())) if contacts else ca.SX(0, 1)
+    return Model(
+        machine, open_joints, number.paths, number.nominal, t, z, v, number.vector, kin, mass, force,
+        solution, phi, phi_rate, acceleration, reactions, eccentricity,
+        dict(zip(contacts, pushes, strict=True)), tuple(contact for _, contact in contacts.values()), touching, held,
+        rubbing, jam, remembering, memory,
+    )  # fmt: skip

@@ -1,0 +1,74 @@
+"""Numbers of a machine as a model sees them: folded constants, or symbols where a batch varies them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import casadi as ca
+
+from solver.machines.machine import Machine, TurningJoint
+
+Number = ca.SX | float
+
+#: Numbers of a clearance joint. They are lane parameters, because they differ from case to case; but for what the
+#: machine file has as 0 and no case changes: friction, say, then costs nothing.
+CONTACT_NUMBERS = (
+    "clearance", "stiffness", "damping", "restitution", "hysteresis", "friction", "viscous", "friction_velocity",
+    "pin_radius",
+)  # fmt: skip
+
+
+def contact_paths(machine: Machine, joint: str) -> list[str]:
+    """Paths of the contact numbers of a turning joint that are lane parameters whether or not a case changes them."""
+    found = machine.joints[joint]
+    assert isinstance(found, TurningJoint)
+    values = {**found.contact.model_dump(), "pin_radius": found.pin_radius, "clearance": 1.0}
+    return [contact_path(joint, name) for name in CONTACT_NUMBERS if values[name]]
+
+
+def contact_path(joint: str, number: str) -> str:
+    """Path of a number of a clearance joint: ``joints.A.contact.stiffness``, ``joints.A.clearance``."""
+    middle = "" if number in ("clearance", "pin_radius") else "contact."
+    return f"joints.{joint}.{middle}{number}"
+
+
+class Numbers:
+    """Symbols for the numbers that vary from case to case.
+
+    Parameters
+    ----------
+    varying : iterable of str
+        Machine-file paths that become lane parameters. Every other number is folded into the equations.
+    """
+
+    def __init__(self, varying: Iterable[str]) -> None:
+        self._symbols: dict[str, ca.SX] = {path: ca.SX.sym(path) for path in dict.fromkeys(varying)}
+        self._nominal: dict[str, float] = {}
+
+    def __call__(self, path: str, value: float) -> Number:
+        """The symbol of `path` where it varies, else `value`; the nominal value is remembered either way."""
+        self._nominal[path] = float(value)
+        return self._symbols.get(path, float(value))
+
+    def varies(self, path: str) -> bool:
+        """Whether `path` is a lane parameter."""
+        return path in self._symbols
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Lane parameters in kernel order."""
+        return tuple(self._symbols)
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Value in the machine file of every number asked for so far."""
+        return dict(self._nominal)
+
+    @property
+    def vector(self) -> ca.SX:
+        """Column of the lane parameters, shape (p, 1)."""
+        return ca.vertcat(*self._symbols.values()) if self._symbols else ca.SX(0, 1)
+
+    def unused(self) -> tuple[str, ...]:
+        """Paths declared as varying that no equation asked for: a misspelt or meaningless path."""
+        return tuple(path for path in self._symbols if path not in self._nominal)

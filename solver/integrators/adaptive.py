@@ -1,0 +1,329 @@
+"""Error-controlled integration in lanes: every lane its own time, step and case.
+
+A trial step is computed for all lanes at once; each lane then accepts it, refuses it, or shortens it to end where a
+contact begins or ends to push. A lane whose case has ended takes the next one from the queue.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.compiler.compiled import compiled
+from solver.compiler.ir import LANES
+from solver.integrators.control import (
+    CAUTION,
+    DIVERGING,
+    JAMMED,
+    OK,
+    PROJECT_EVERY,
+    SHORTEST,
+    STALLED,
+    accepted,
+    arrival,
+    next_step,
+    refused,
+    remember,
+    shortened,
+    switch_part,
+)
+from solver.integrators.dense import record, samples_until
+from solver.integrators.gill import DIVERGED, LOST, PATIENCE, call
+from solver.integrators.lanes import BUSY, ENDED, FREE, NEXT, STALE, Lanes, Queue, Records, Rows
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Structured = NDArray[Any]
+
+# What runs at every step is inlined: handing arrays over to functions cost a third of all time.
+_inlined = partial(compiled, forceinline=True)
+_accepted, _arrival, _next_step, _refused = (_inlined(rule) for rule in (accepted, arrival, next_step, refused))
+_remember, _shortened, _switch_part = (_inlined(rule) for rule in (remember, shortened, switch_part))
+
+
+@_inlined
+def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
+    """Bring what the contacts of a lane remember up to date with an accepted state."""
+    for m in range(remembering.size):
+        penetration, approach = rows.penetration + remembering[m], rows.approach + remembering[m]
+        _remember(w, (rows.memory + m) * LANES + lane, penetration * LANES + lane, approach * LANES + lane)
+
+
+@compiled
+def _load(
+    w: Array, n: int, contacts: int, rows: Rows, cases: Structured, starts: Array, parameters: Array,
+    lanes: Structured, remembering: Integers, free: Integers, cursor: Integers,
+) -> int:  # fmt: skip
+    """Give idle lanes the next cases of the queue, as long as there is room for their records; how many got one."""
+    loaded = 0
+    for lane in range(LANES):
+        c = cursor[NEXT]
+        if lanes[lane].case >= 0 or c >= cases.size or cursor[FREE] == 0:
+            continue
+        cursor[FREE] -= 1
+        mine, case = lanes[lane], cases[c]
+        mine.case, mine.slot, mine.fresh = c, free[cursor[FREE]], 1
+        mine.begin = mine.t = case.begin
+        mine.h, mine.natural = CAUTION * case.first_step, 0.0
+        mine.uncut, mine.over = 0.0, 0
+        mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
+        for i in range(2 * n):
+            w[(2 + i) * LANES + lane] = starts[c, i]
+        w[rows.pace * LANES + lane], w[rows.strictness * LANES + lane] = case.pace, 1.0 / case.tolerance
+        for i in range(parameters.shape[1]):
+            w[(rows.parameters + i) * LANES + lane] = parameters[c, i]
+        for j in range(contacts):
+            w[(rows.touching + j) * LANES + lane] = 0.0
+        for m in range(remembering.size):
+            w[(rows.memory + m) * LANES + lane] = starts[c, 2 * n + m]
+        cursor[NEXT] += 1
+        cursor[BUSY] += 1
+        loaded += 1
+    return loaded
+
+
+@_inlined
+def _end(
+    w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
+    ended: Integers, cursor: Integers, memory: int,
+) -> None:  # fmt: skip
+    """Put the lane's case away: how it ended, and where it stands."""
+    mine = lanes[lane]
+    case = cases[mine.case]
+    case.outcome, case.reached, case.begin = outcome, reached, mine.t
+    for i in range(2 * n):
+        starts[mine.case, i] = w[(2 + i) * LANES + lane]
+    for i in range(2 * n, starts.shape[1]):
+        starts[mine.case, i] = w[(memory + i - 2 * n) * LANES + lane]
+    ended[cursor[ENDED], 0], ended[cursor[ENDED], 1] = mine.case, mine.slot
+    cursor[ENDED] += 1
+    cursor[BUSY] -= 1
+    mine.case = -1
+
+
+@_inlined
+def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Array) -> None:
+    """Penetration, its rate and the switch function now are those at the start of the next step."""
+    for j in range(contacts):
+        old[0, j, lane] = w[(rows.penetration + j) * LANES + lane]
+        old[1, j, lane] = w[(rows.approach + j) * LANES + lane]
+        old[2, j, lane] = w[(rows.switch + j) * LANES + lane]
+
+
+@_inlined
+def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, old: Array) -> tuple[int, float]:
+    """Contact that begins or ceases to push first within the step, and the part of the step at which; -1 for none."""
+    event, part = -1, 1.0
+    for j in range(contacts):
+        where = _switch_part(
+            w[(rows.touching + j) * LANES + lane] > 0.5,
+            old[2, j, lane], w[(rows.switch + j) * LANES + lane],
+            old[0, j, lane], w[(rows.penetration + j) * LANES + lane],
+            old[1, j, lane], w[(rows.approach + j) * LANES + lane], step,
+        )  # fmt: skip
+        if where <= 1.0 and (event < 0 or where < part):
+            event, part = j, where
+    return event, part
+
+
+@_inlined
+def _any_contact(w: Array, contacts: int, rows: Rows, lane: int) -> bool:
+    """Whether any contact of the lane pushes over the step."""
+    pushing = 0.0
+    for j in range(contacts):
+        pushing += w[(rows.touching + j) * LANES + lane]
+    return pushing > 0.5
+
+
+@compiled
+def _restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: Array) -> bool:
+    """Restore the closures of the lanes that are due, and only of them; whether there were any.
+
+    The others are left exactly as they are, so that no result depends on which cases run beside it.
+    """
+    due = False
+    for lane in range(LANES):
+        due = due or (lanes[lane].case >= 0 and lanes[lane].since >= PROJECT_EVERY)
+    if not due:
+        return False
+    for i in range(2 * n * LANES):
+        saved[i] = w[2 * LANES + i]
+    for lane in range(LANES):
+        w[lane] = lanes[lane].t
+    call(project, w)
+    for lane in range(LANES):
+        mine, moved = lanes[lane], LOST
+        if mine.case >= 0 and mine.since >= PROJECT_EVERY:
+            mine.since = 0
+            moved = 0.0
+            for i in range(n):
+                moved += abs(w[(2 + i) * LANES + lane] - saved[i * LANES + lane])
+            if moved < LOST:
+                mine.lost, mine.held_at = 0, mine.sample
+            else:  # also a correction that is no number
+                mine.lost += 1
+        if not (moved < LOST):
+            for i in range(2 * n):
+                w[(2 + i) * LANES + lane] = saved[i * LANES + lane]
+    return True
+
+
+@compiled
+def integrate(
+    kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, precision: float,
+    queue: Queue, records: Records, state: Lanes,
+) -> None:  # fmt: skip
+    """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
+
+    Parameters
+    ----------
+    kernel : tuple of int
+        Addresses of ``prepare``, ``held``, ``dopri`` and ``project`` (0 for none).
+    w : (total,) array
+        Work array.
+    n, contacts : int
+        Coordinates, clearance joints.
+    rows : Rows
+    precision : float
+        Penetration within which the instant of a switch must be met, m.
+    queue : Queue
+    records : Records
+    state : Lanes
+        Of the call before, or idle ones; its ended cases must have been taken, and their slots freed.
+    """
+    prepare, held, dopri, project = kernel
+    jam = rows.jam
+    # Taken out of their tuples once: compiled code counts references whenever an array is.
+    cases, starts, parameters = queue.cases, queue.starts, queue.parameters
+    lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
+    free, ended, remembering = state.free, state.ended, state.remembering
+    channels, velocities = records.channels, records.velocities
+    coordinates, accelerations, memories = records.coordinates, records.accelerations, records.memories
+    interval = records.interval
+    loading = True
+    while True:
+        if loading:
+            if _load(w, n, contacts, rows, cases, starts, parameters, lanes, remembering, free, cursor) > 0:
+                call(prepare, w)
+                for lane in range(LANES):
+                    w[lane] = lanes[lane].t
+                call(held, w)
+                # Whether a contact pushes at the start follows from the switch, which knows nothing of the assumption.
+                for lane in range(LANES):
+                    mine = lanes[lane]
+                    if mine.case >= 0 and mine.fresh == 1:
+                        mine.fresh = 0
+                        mine.end = mine.begin + (cases[mine.case].samples - 1) * interval
+                        for j in range(contacts):
+                            pushes = w[(rows.switch + j) * LANES + lane] > 0.0
+                            w[(rows.touching + j) * LANES + lane] = 1.0 if pushes else 0.0
+                        _remember_impacts(w, rows, remembering, lane)  # a contact at the start begins there
+                cursor[STALE] = 1
+            loading = False
+            if cursor[BUSY] < LANES and cursor[NEXT] < cases.size:
+                return
+        if cursor[BUSY] == 0:
+            return
+        if cursor[STALE] == 1:
+            for lane in range(LANES):
+                w[lane] = lanes[lane].t
+            call(held, w)
+            for i in range(n * LANES):
+                w[rows.slopes * LANES + i] = w[(2 + 2 * n) * LANES + i]
+            for lane in range(LANES):
+                _remember_contacts(w, contacts, rows, lane, old)
+            cursor[STALE] = 0
+        for lane in range(LANES):
+            w[lane] = lanes[lane].t
+            w[LANES + lane] = lanes[lane].h if lanes[lane].case >= 0 else 0.0
+            if jam >= 0:
+                w[jam * LANES + lane] = 0.0
+        call(dopri, w)
+        for lane in range(LANES):
+            mine = lanes[lane]
+            if mine.case < 0:
+                continue
+            case = cases[mine.case]
+            mine.trials += 1
+            e, step, t = w[rows.error * LANES + lane], mine.h, mine.t
+            now = _arrival(t, step, mine.end, interval)
+            shortest = SHORTEST * (abs(t) + interval)
+            jammed = jam >= 0 and w[jam * LANES + lane] > 0.5
+            accept, noise = _accepted(
+                e, jammed, step, case.first_step, case.tolerance, mine.over == 1, mine.forced
+            )  # fmt: skip
+            mine.forced += noise
+            mine.over = 0
+            event = -1
+            if accept:
+                event, part = _first_switch(w, contacts, rows, lane, step, old)
+                if event >= 0:
+                    at = event * LANES + lane
+                    pushing = w[rows.touching * LANES + at] > 0.5
+                    switch, approach = w[rows.switch * LANES + at], w[rows.approach * LANES + at]
+                    shorter = _shortened(step, part, pushing, switch, approach, precision, shortest)
+                    if shorter > 0.0:
+                        accept = False
+                        mine.natural, mine.h = max(mine.natural, step), shorter
+            else:
+                smooth = project != 0 and not _any_contact(w, contacts, rows, lane)
+                mine.h, mine.uncut, mine.uncut_error, over = _refused(
+                    step, e, jammed, w[rows.growth * LANES + lane], case.tolerance, mine.forced, smooth, mine.uncut,
+                    mine.uncut_error,
+                )  # fmt: skip
+                mine.over = over
+                mine.forced += over
+                mine.natural = mine.h
+                # Near a loss of rank it is the drift of the closures that spoils the accelerations.
+                mine.since = PROJECT_EVERY
+            tired = mine.trials > case.most_trials
+            if not accept:
+                for i in range(2 * n):
+                    w[(2 + i) * LANES + lane] = w[(rows.kept + i) * LANES + lane]
+                if mine.h < shortest or tired:
+                    outcome = JAMMED if jammed else STALLED
+                    _end(w, n, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor, rows.memory)
+                    loading = loading or cursor[NEXT] < cases.size
+                continue
+            case.accepted += 1
+            size = w[rows.size * LANES + lane]
+            lost = mine.lost >= PATIENCE
+            mine.t = now
+            if not (size < DIVERGED) or lost or tired:
+                reached = mine.held_at if lost else mine.sample
+                outcome = STALLED if tired else DIVERGING
+                _end(w, n, lane, outcome, reached, cases, starts, lanes, ended, cursor, rows.memory)
+                loading = loading or cursor[NEXT] < cases.size
+                continue
+            last = samples_until(now, mine.begin, interval, mine.sample, case.samples)
+            if last > mine.sample:
+                record(
+                    w, rows.kept, rows.dense, n, lane, mine.begin, t, step, mine.sample, last, mine.slot, channels,
+                    interval, records.oversampling, records.head, velocities, coordinates, accelerations, rows.memory,
+                    memories,
+                )  # fmt: skip
+                mine.sample = last
+                if last == case.samples:
+                    _end(w, n, lane, OK, last, cases, starts, lanes, ended, cursor, rows.memory)
+                    loading = loading or cursor[NEXT] < cases.size
+                    continue
+            for i in range(n):
+                w[(rows.slopes + i) * LANES + lane] = w[(rows.last_slopes + i) * LANES + lane]
+            _remember_contacts(w, contacts, rows, lane, old)
+            if event >= 0:
+                pushes = w[(rows.touching + event) * LANES + lane]
+                w[(rows.touching + event) * LANES + lane] = 1.0 - pushes
+                cursor[STALE] = 1
+            _remember_impacts(w, rows, remembering, lane)
+            if step >= mine.uncut:
+                mine.uncut = 0.0
+            natural = mine.natural if event >= 0 else 0.0
+            mine.natural = 0.0
+            growth = w[rows.growth * LANES + lane]
+            mine.h = _next_step(step, case.first_step, growth, natural, case.longest_step, now, mine.end)
+            mine.since += 1
+        if project != 0 and _restore_closures(project, w, n, lanes, saved):
+            cursor[STALE] = 1

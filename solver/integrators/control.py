@@ -1,0 +1,208 @@
+"""Step control that every driver of error-controlled steps follows: when a step is accepted, and what comes next."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.equations.contact_laws import SLOWEST_APPROACH
+
+#: Outcome of a case; `RUNNING` before it has one.
+OK, DIVERGING, STALLED, JAMMED, RUNNING = 0, 1, 2, 3, -1
+
+#: A step aims at this part of the tolerance, and is the last one times a number between these two.
+SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0
+#: A run begins with this part of its first step: what settles in the beginning would pass between the stages of a long
+#: one without any sign in the error estimate.
+CAUTION = 0.01
+#: A step shorter than this part of the time of the case stalls.
+SHORTEST = 1e-14
+#: Part of the first step below which an error estimate is taken for noise, and how often in one case.
+FLOOR = 1e-4
+MOST_FORCED = 10_000
+#: Largest scaled error of a step that is accepted as noise, or this many times the tolerance where that is more.
+BEARABLE, BEARABLE_PART = 1e-5, 10.0
+#: Refusals say noise where a step cut to this part has a larger error than before: an integrator's own falls with the
+#: fifth power of the step, and that of a kink with the step, but rounding grows close to where closures lose rank.
+NOISY_CUT = 0.1
+#: Accepted steps between corrections of the closures.
+PROJECT_EVERY = 32
+#: A shortened step aims past the switch by this part of the precision, so that it ends on its other side.
+PAST = 0.3
+
+
+def arrival(t: float, step: float, end: float, interval: float) -> float:
+    """Time at the end of a step from `t`: to the last digit `end`, or the last sample would need another step.
+
+    `interval`, the time between samples, gives a size where all times are about zero; all in s.
+    """
+    now = t + step
+    return end if abs(now - end) <= SHORTEST * (abs(end) + interval) else now
+
+
+def accepted(
+    e: float, jammed: bool, step: float, first: float, tolerance: float, over: bool, forced: int
+) -> tuple[bool, bool]:
+    """Whether the error allows a step, and whether only because it is taken for noise.
+
+    Where closures lose their rank for an instant the estimate is rounding noise that no step removes.
+
+    Parameters
+    ----------
+    e : float
+        Largest scaled error of the step, in parts of the tolerance; may be no number.
+    jammed : bool
+        Whether a joint jammed within the step.
+    step, first : float
+        The step, and the first one of the case, s.
+    tolerance : float
+    over : bool
+        Whether the step is one again that shorter ones only made worse (:func:`refused`).
+    forced : int
+        Steps of the case that were taken for noise before.
+    """
+    if e <= 1.0 and not jammed:  # false for a number that is none
+        return True, False
+    bearable = max(BEARABLE_PART, BEARABLE / tolerance)
+    patient = e < math.inf and not jammed and forced < MOST_FORCED
+    noise = patient and e <= bearable and (step <= FLOOR * first or over)
+    return noise, noise
+
+
+def switch_part(
+    pushing: bool, s0: float, s1: float, p0: float, p1: float, r0: float, r1: float, step: float
+) -> float:  # fmt: skip
+    """Part of a step at which a contact begins or ceases to push; 2 where it does not.
+
+    Parameters
+    ----------
+    pushing : bool
+        Whether it pushes over the step.
+    s0, s1, p0, p1, r0, r1 : float
+        Switch function and penetration, m, and the penetration's rate, m/s, at both ends of the step.
+    step : float
+        s.
+    """
+    if pushing:
+        if s1 < 0.0:
+            return s0 / (s0 - s1) if s0 > 0.0 else 0.5
+        return 2.0
+    # Also where both ends are open but the pair came near and went: it may have touched in between.
+    if not (s1 > 0.0 or r0 > 0.0 > r1):
+        return 2.0
+    if p0 >= 0.0:
+        if s1 > 0.0:  # still inside after its force had gone: pressed in again
+            return s0 / (s0 - s1) if s0 < 0.0 else 0.5
+        return 2.0
+    # The cubic through penetrations and rates at both ends: where it first becomes positive.
+    d0, d1 = step * r0, step * r1
+    a = 2 * p0 - 2 * p1 + d0 + d1
+    b = -3 * p0 + 3 * p1 - 2 * d0 - d1
+    low, high = 0.0, 2.0
+    for i in range(1, 9):
+        x = i / 8
+        if p0 + x * (d0 + x * (b + x * a)) > 0.0:
+            low, high = (i - 1) / 8, x
+            break
+    if high > 1.0:
+        return high
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if p0 + middle * (d0 + middle * (b + middle * a)) > 0.0:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def shortened(
+    step: float, part: float, pushing: bool, s1: float, approach: float, precision: float, shortest: float
+) -> float:
+    """Step that ends a little past a switch; 0 where this one does, or comes as near as it can.
+
+    Parameters
+    ----------
+    step, part : float
+        The step, s, and the part of it at which the switch is expected.
+    pushing : bool
+        Whether the contact pushes over the step.
+    s1, approach : float
+        Switch function, m, and rate of penetration, m/s, at the end of the step.
+    precision : float
+        Penetration within which the switch must be met, m.
+    shortest : float
+        Step below which a case stalls, s.
+    """
+    met = (s1 > 0.0) != pushing and abs(s1) <= precision
+    if met or step <= 1e3 * shortest or abs(part - 1.0) <= 1e-9:
+        return 0.0
+    speed = abs(approach) + 1e-12
+    return max(min(0.999 * step, part * step + PAST * precision / speed), 0.001 * step)
+
+
+def refused(
+    step: float, e: float, jammed: bool, growth: float, tolerance: float, forced: int, smooth: bool, uncut: float,
+    uncut_error: float,
+) -> tuple[float, float, float, bool]:  # fmt: skip
+    """What follows a step that its error forbids: next step, the two numbers kept, whether it steps over noise.
+
+    Parameters
+    ----------
+    step, e, jammed, tolerance, forced
+        As in :func:`accepted`.
+    growth : float
+        Next step in parts of this one, as the error wants it.
+    smooth : bool
+        Whether there are closures that can lose their rank, and no contact pushes.
+    uncut, uncut_error : float
+        Kept from refusal to refusal: step at which they began, s (0 for none), and its error.
+    """
+    shorter = step * max(SHRINK, growth) if e < math.inf and not jammed else 0.1 * step
+    if uncut == 0.0 or e * uncut * uncut < uncut_error * step * step:
+        return shorter, step, e, False
+    bearable = max(BEARABLE_PART, BEARABLE / tolerance)
+    patient = e < math.inf and not jammed and forced < MOST_FORCED
+    if smooth and patient and step <= NOISY_CUT * uncut and uncut_error < min(e, bearable):
+        return uncut, 0.0, uncut_error, True  # step over what shorter steps make worse
+    return shorter, uncut, uncut_error, False
+
+
+def next_step(
+    step: float, first: float, growth: float, natural: float, longest: float, now: float, end: float
+) -> float:  # fmt: skip
+    """Step after an accepted one.
+
+    Parameters
+    ----------
+    step, first, growth
+        As in :func:`refused`; after a step short enough for its error to be noise the growth is not asked.
+    natural : float
+        Step that error control asked for before a contact shortened it, s; 0 where none did.
+    longest : float
+        s.
+    now, end : float
+        Time reached, and time of the last sample, where a step must end; s.
+    """
+    grown = step * (GROW if step <= FLOOR * first else min(GROW, growth))
+    wanted = min(max(grown, natural), longest)
+    return end - now if now + 1.01 * wanted > end else wanted
+
+
+def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: int) -> None:
+    """What one contact remembers (:mod:`solver.equations.contact_laws`), brought up to date with an accepted state.
+
+    Nothing where the surfaces are apart; the velocity of approach where they have just met.
+
+    Parameters
+    ----------
+    w : array
+        Work array.
+    memory, penetration, approach : int
+        Places of these numbers of one contact in one lane.
+    """
+    if w[penetration] <= 0.0:
+        w[memory] = 0.0
+    elif w[memory] == 0.0:
+        w[memory] = max(abs(w[approach]), SLOWEST_APPROACH)

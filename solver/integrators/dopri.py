@@ -1,0 +1,215 @@
+"""One error-controlled step as straight-line code: Dormand and Prince's pair of orders 5 and 4, with dense output.
+
+Coefficients: J. R. Dormand, P. J. Prince, J. Comp. Appl. Math. 6 (1980) 19-26; dense output of order 4 after E. Hairer,
+S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II.6.
+
+Every lane has its own time and step. A step starts from rows that the last accepted step left and writes to others, so
+that nothing of a rejected step survives. Which contacts push is held over the step: the right-hand side stays smooth,
+and the driver (:mod:`solver.integrators.adaptive`) looks for the switch afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from solver.compiler.ir import Block
+from solver.compiler.layout import Layout
+from solver.integrators.control import SAFETY
+
+_NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
+_STAGES = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+_ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+_DENSE = (
+    -12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
+    701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
+)  # fmt: skip
+_COUNT = len(_STAGES)
+#: Least error that step sizes are taken from.
+_LEAST_ERROR = 1e-10
+#: Coefficients of the dense output of one quantity, beside its value at the start.
+DENSE_ROWS = 4
+
+
+@dataclass(frozen=True)
+class StepRows:
+    """Rows that the error-controlled step needs beside those of :class:`~solver.compiler.layout.Layout`, in its extra.
+
+    Attributes
+    ----------
+    layout : Layout
+    contacts : int
+        Clearance joints.
+    recorded : tuple of int
+        Coordinates with dense output.
+    """
+
+    layout: Layout
+    contacts: int
+    recorded: tuple[int, ...]
+
+    @staticmethod
+    def count(size: int, contacts: int, recorded: int) -> int:
+        """Rows needed."""
+        return 4 * contacts + 5 + _COUNT * size + (_COUNT - 2) * size + 2 * DENSE_ROWS * recorded
+
+    @property
+    def touching(self) -> int:
+        """1 where a contact pushes over this step, else 0."""
+        return self.layout.extra_at
+
+    @property
+    def switch(self) -> int:
+        """Switch function of every contact at the end of the step, m."""
+        return self.touching + self.layout.stride * self.contacts
+
+    @property
+    def penetration(self) -> int:
+        """Penetration at the end of the step, m."""
+        return self.switch + self.layout.stride * self.contacts
+
+    @property
+    def approach(self) -> int:
+        """Its rate, m/s."""
+        return self.penetration + self.layout.stride * self.contacts
+
+    @property
+    def error(self) -> int:
+        """Largest scaled error of the step in parts of what is allowed."""
+        return self.approach + self.layout.stride * self.contacts
+
+    @property
+    def growth(self) -> int:
+        """Next step in parts of this one, as the error wants it."""
+        return self.error + self.layout.stride
+
+    @property
+    def size(self) -> int:
+        """Sum of the sizes of coordinates and velocities at the end of the step."""
+        return self.growth + self.layout.stride
+
+    @property
+    def pace(self) -> int:
+        """Given: time in which the machine moves by its own size, s; errors of velocities count times this."""
+        return self.size + self.layout.stride
+
+    @property
+    def strictness(self) -> int:
+        """Given: 1 / the scaled error that is allowed."""
+        return self.pace + self.layout.stride
+
+    @property
+    def slopes(self) -> int:
+        """Accelerations of the seven stages, n rows each; the first holds those at the start of the step."""
+        return self.strictness + self.layout.stride
+
+    @property
+    def stage_velocities(self) -> int:
+        """Velocities of stages 2 to 6, n rows each."""
+        return self.slopes + self.layout.stride * _COUNT * self.layout.size
+
+    @property
+    def dense(self) -> int:
+        """Dense output: four rows for each recorded coordinate, then for its velocity."""
+        return self.stage_velocities + self.layout.stride * (_COUNT - 2) * self.layout.size
+
+    @property
+    def jam(self) -> int:
+        """1 once a sliding joint has jammed within the step; only where sliding joints rub."""
+        return self.dense + self.layout.stride * 2 * DENSE_ROWS * len(self.recorded)
+
+    @property
+    def last_slopes(self) -> int:
+        """Accelerations at the end of the step."""
+        return self.slopes + self.layout.stride * (_COUNT - 1) * self.layout.size
+
+
+def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) -> str:
+    total = ""
+    for weight, value in zip(weights, values, strict=True):
+        if weight:
+            w = block.constant(weight)
+            total = block.fma(w, value, total) if total else block.mul(w, value)
+    return total
+
+
+def _growth(block: Block, error: str) -> str:
+    """SAFETY error^(-3/16): roots are single instructions, and 3/16 is near enough to the 1/5 of the theory."""
+    root = block.call("maxnum", error, block.constant(_LEAST_ERROR))
+    for _ in range(4):
+        root = block.call("sqrt", root)
+    return block.div(block.constant(SAFETY), block.mul(block.mul(root, root), root))
+
+
+def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = None) -> str:
+    """``dopri``: a trial step from (z, v, first slopes) with the step and time rows.
+
+    Parameters
+    ----------
+    rows : StepRows
+    scales : sequence of float
+        Sizes of the coordinates that errors are compared with; n numbers.
+    block : Block, optional
+        Empty function to print into; of rows of lanes by default.
+    """
+    layout = rows.layout
+    n = layout.size
+    block = block or Block()
+    h, t = block.load(layout.step), block.load(layout.time)
+    z, v, a = (layout.rows(start, n) for start in (layout.z, layout.v, layout.a))
+    kept = layout.rows(layout.scratch, 2 * n)
+    slopes = [layout.rows(rows.slopes + layout.stride * n * i, n) for i in range(_COUNT)]
+    speeds = [kept[n:], *(layout.rows(rows.stage_velocities + layout.stride * n * i, n) for i in range(_COUNT - 2)), v]
+    for i in range(n):
+        block.store(kept[i], block.load(z[i]))
+        block.store(kept[n + i], block.load(v[i]))
+    for stage in range(1, _COUNT):
+        weights = _STAGES[stage]
+        for i in range(n):
+            rate = _combination(block, weights, [block.load(slopes[j][i]) for j in range(stage)])
+            travel = _combination(block, weights, [block.load(speeds[j][i]) for j in range(stage)])
+            speed = block.fma(h, rate, block.load(kept[n + i]))
+            block.store(z[i], block.fma(h, travel, block.load(kept[i])))
+            block.store(v[i], speed)
+            if stage < _COUNT - 1:
+                block.store(speeds[stage][i], speed)
+        block.store(layout.time, block.fma(block.constant(_NODES[stage]), h, t))
+        block.invoke("held")
+        for i in range(n):
+            block.store(slopes[stage][i], block.load(a[i]))
+    largest = []
+    for stages in (speeds, slopes):
+        found = block.constant(0.0)
+        for i in range(n):
+            error = _combination(block, _ERROR, [block.load(stages[j][i]) for j in range(_COUNT)])
+            scaled = block.mul(block.call("fabs", error), block.constant(1 / scales[i]))
+            found = block.call("maxnum", found, scaled)
+        largest.append(found)
+    error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace)))
+    error = block.mul(block.mul(error, h), block.load(rows.strictness))
+    block.store(rows.error, error)
+    block.store(rows.growth, _growth(block, error))
+    size = block.constant(0.0)
+    for row in (*z, *v):
+        size = block.add(size, block.call("fabs", block.load(row)))
+    block.store(rows.size, size)
+    at = rows.dense
+    for k, (stages, ends) in enumerate(((speeds, z), (slopes, v))):
+        for i in rows.recorded:
+            values = [block.load(stages[j][i]) for j in range(_COUNT)]
+            change = block.sub(block.load(ends[i]), block.load(kept[k * n + i]))
+            bend = block.sub(block.mul(h, values[0]), change)
+            last = block.sub(block.sub(change, block.mul(h, values[-1])), bend)
+            quartic = block.mul(h, _combination(block, _DENSE, values))
+            for coefficient in (change, bend, last, quartic):
+                block.store(at, coefficient)
+                at += layout.stride
+    return block.function("dopri")

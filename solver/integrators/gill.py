@@ -1,0 +1,227 @@
+"""Runge-Kutta-Gill with fixed steps: the paper's integrator.
+
+Fourth order, with Gill's running correction q of the rounding error (S. Gill, Proc. Camb. Phil. Soc. 47, 1951). Each of
+the four stages is
+
+    d = a (h f(y) - b q);  y <- y + d;  q <- q + 3 d - c h f(y_old)
+
+with a = 1/2, 1 - sqrt(1/2), 1 + sqrt(1/2), 1/6; b = 2, 1, 1, 2; c = a, but 1/2 in the last stage.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from solver.compiler.compiled import compiled
+from solver.compiler.ir import LANES, Block
+from solver.compiler.layout import Layout
+from solver.integrators.control import remember
+
+#: Sum of coordinates and velocities (absolute, SI) beyond which a case counts as diverged: no machine is that fast.
+DIVERGED = 1e8
+#: Correction of a coordinate (m, rad) that is not believed: where closures lose their rank for an instant it is noise.
+LOST = 1e-3
+#: Unbelieved corrections one after the other with which the closures count as lost.
+PATIENCE = 20
+#: How a lane stands.
+RUNNING, ENDED, JAMMED = 0, 1, 2
+
+_remember_one = compiled(remember)
+_ROOT = math.sqrt(0.5)
+#: (a, b, c, time of the stage's result in steps)
+_STAGES = (
+    (0.5, 2.0, 0.5, 0.5),
+    (1.0 - _ROOT, 1.0, 1.0 - _ROOT, None),
+    (1.0 + _ROOT, 1.0, 1.0 + _ROOT, 1.0),
+    (1.0 / 6.0, 2.0, 0.5, None),
+)
+
+
+def gill_step(layout: Layout) -> str:
+    """One step as vector code: ``void gill(double* work)``, with the first right-hand side evaluated already."""
+    block = Block()
+    n = layout.size
+    rows = [layout.rows(start, n) for start in (layout.z, layout.v, layout.a)]
+    scratch = layout.rows(layout.scratch, 2 * n)
+    h, t = block.load(layout.step), block.load(layout.time)
+    for stage, (a, b, c, time) in enumerate(_STAGES):
+        # Coordinates first: their rate is the velocity that the second pass overwrites.
+        for y, f, q in ((rows[0], rows[1], scratch[:n]), (rows[1], rows[2], scratch[n:])):
+            for i in range(n):
+                k = block.mul(h, block.load(f[i]))
+                kept = block.load(q[i])
+                d = block.mul(block.constant(a), block.fma(block.constant(-b), kept, k))
+                block.store(y[i], block.add(block.load(y[i]), d))
+                kept = block.fma(block.constant(3.0), d, kept)
+                block.store(q[i], block.fma(block.constant(-c), k, kept))
+        if time is not None:
+            block.store(layout.time, block.fma(block.constant(time), h, t))
+        if stage < 3:
+            block.invoke("rhs")
+    return block.function("gill")
+
+
+def _call(typing_context: Any, address: Any, work: Any) -> Any:
+    """Call ``void f(double*)`` at an address with the data of the work array."""
+    signature = types.void(types.int64, work)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[1])(context, builder, arguments[1])
+        kind = ir.FunctionType(ir.VoidType(), [array.data.type])
+        builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), [array.data])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+#: ``call(address, work)`` inside compiled code.
+call: Any = intrinsic(_call)
+
+
+@compiled
+def _remember(w: NDArray[np.float64], n: int, memory: int, memories: int) -> None:
+    """Memories of all lanes after the right-hand side of an accepted state.
+
+    It need not be evaluated again: with nothing remembered it took the same velocity that is remembered now.
+    """
+    apart = LANES * memories
+    for i in range(apart):
+        penetration = LANES * (2 + 5 * n) + i
+        _remember_one(w, memory + i, penetration, penetration + apart)
+
+
+@compiled
+def _note(w: NDArray[np.float64], n: int, lane: int, how: int, finals: NDArray[np.float64]) -> None:
+    """Keep how a lane has ended, its time and its state."""
+    finals[lane, 0] = how
+    finals[lane, 1] = w[lane]
+    for i in range(2 * n):
+        finals[lane, 2 + i] = w[(2 + i) * LANES + lane]
+
+
+@compiled
+def _note_jams(w: NDArray[np.float64], n: int, jam: int, finals: NDArray[np.float64]) -> None:
+    """Keep time and state of lanes that have just jammed."""
+    if jam < 0:
+        return
+    for lane in range(LANES):
+        if finals[lane, 0] == RUNNING and w[jam * LANES + lane] > 0.5:
+            _note(w, n, lane, JAMMED, finals)
+
+
+@compiled
+def integrate(
+    kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, begins: NDArray[np.float64], h: float,
+    substeps: int, record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64], jam: int,
+    counts: NDArray[np.int64], finals: NDArray[np.float64], memory: int = 0, memories: int = 0,
+) -> None:  # fmt: skip
+    """Integrate one group of lanes with a fixed step and record samples.
+
+    Parameters
+    ----------
+    kernel : tuple of int
+        Addresses of the kernel's ``prepare``, ``rhs``, ``gill`` and ``project``; the last 0 for none.
+    w : (total,) array
+        Work array with parameters, coordinates and velocities at the start.
+    n : int
+        Number of coordinates.
+    begins : (LANES,) array
+        Time of the first sample, s.
+    h : float
+        Step, s.
+    substeps : int
+        Steps from sample to sample; closures are restored at every sample.
+    record : (r,) array of int
+        Offsets of the rows to record.
+    out : (LANES, r, samples) array
+        Filled in.
+    broken : (LANES,) array of int
+        First sample at which a lane had jammed or was no longer finite, else -1; filled in.
+    jam : int
+        Row that says whether sliding joints have jammed, -1 where none rubs.
+    counts : (LANES,) array of int
+        Samples wanted of every lane.
+    finals : (LANES, 2 + 2 n) array
+        :data:`JAMMED`, :data:`ENDED` or :data:`RUNNING`; time, coordinates and velocities there or at the last sample;
+        filled in.
+    memory, memories : int
+        Offset of what contacts remember, and how many do.
+
+    Notes
+    -----
+    Compiled without the fast-math flags of the right-hand side: this is where non-finite numbers are looked for.
+    """
+    prepare, rhs, gill, project = kernel
+    samples = out.shape[2]
+    call(prepare, w)
+    before = np.zeros(2 * n * LANES)
+    lost = np.zeros(LANES, dtype=np.int64)
+    for lane in range(LANES):
+        broken[lane] = -1
+        w[LANES + lane] = h
+    for i in range(LANES * (2 + 3 * n), LANES * (2 + 5 * n)):
+        w[i] = 0.0  # nothing to correct yet
+    finals[:] = RUNNING
+    if jam >= 0:
+        w[LANES * jam : LANES * (jam + 1)] = 0.0
+    for s in range(samples):
+        for lane in range(LANES):
+            w[lane] = begins[lane] + s * substeps * h
+        call(rhs, w)
+        _remember(w, n, memory, memories)
+        alive = 0
+        _note_jams(w, n, jam, finals)
+        for lane in range(LANES):
+            if s + 1 == counts[lane] and finals[lane, 0] == RUNNING:
+                _note(w, n, lane, ENDED, finals)
+            size = 0.0
+            for i in range(2, 2 + 2 * n):
+                size += abs(w[i * LANES + lane])
+            for i in range(2 + 2 * n, 2 + 3 * n):
+                size += 0.0 * w[i * LANES + lane]  # nothing, or no number
+            if broken[lane] < 0:
+                if size < DIVERGED and lost[lane] < PATIENCE and finals[lane, 0] != JAMMED:
+                    alive += 1
+                else:
+                    broken[lane] = max(0, s - lost[lane])
+        for r in range(record.size):
+            for lane in range(LANES):
+                out[lane, r, s] = w[record[r] + lane]
+        if alive == 0 or s + 1 == samples:
+            return
+        for k in range(substeps):
+            if k > 0:
+                for lane in range(LANES):
+                    w[lane] = begins[lane] + (s * substeps + k) * h
+                call(rhs, w)
+                _remember(w, n, memory, memories)
+            call(gill, w)
+            _note_jams(w, n, jam, finals)
+        if project != 0:
+            before[:] = w[2 * LANES : (2 + 2 * n) * LANES]
+            call(project, w)
+            for lane in range(LANES):
+                moved = 0.0
+                for i in range(n):
+                    moved += abs(w[(2 + i) * LANES + lane] - before[i * LANES + lane])
+                if moved < LOST:  # false for a correction that is no number
+                    lost[lane] = 0
+                else:
+                    lost[lane] += 1
+                    for i in range(2 * n):
+                        w[(2 + i) * LANES + lane] = before[i * LANES + lane]
+
+
+@compiled
+def repeat(kernel: tuple[int, int, int, int], w: NDArray[np.float64], count: int) -> None:
+    """The right-hand side alone, `count` times; for benchmarks."""
+    call(kernel[0], w)
+    for _ in range(count):
+        call(kernel[1], w)

@@ -1,0 +1,1 @@
+"""What a machine is: file, units, rules, mechanism matrix, faults, drawings; ``shipped/`` comes with the program."""

@@ -1,0 +1,127 @@
+"""A fault state: which turning joints have clearance, and how much."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from solver.errors import MachineError
+from solver.machines import units
+from solver.machines.fields import nearest
+from solver.machines.machine import Machine
+
+
+class FaultState(Mapping[str, float]):
+    """Radial clearance (m) of each worn joint; joints not named are ideal. Immutable, ordered by name.
+
+    Parameters
+    ----------
+    clearances : mapping of str to float
+        Half the diametral play of each joint, m; a joint with clearance 0 is ideal and left out.
+
+    Raises
+    ------
+    MachineError
+        A negative or non-finite clearance.
+    """
+
+    __slots__ = ("_clearances",)
+
+    def __init__(self, clearances: Mapping[str, float] | None = None) -> None:
+        kept: dict[str, float] = {}
+        for joint, value in sorted((clearances or {}).items()):
+            if not 0.0 <= value < float("inf"):
+                raise MachineError("fault", joint, value, "a radial clearance is a finite number of metres, 0 or more")
+            if value:
+                kept[joint] = float(value)
+        self._clearances = kept
+
+    def __getitem__(self, joint: str) -> float:
+        return self._clearances[joint]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._clearances)
+
+    def __len__(self) -> int:
+        return len(self._clearances)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self._clearances.items()))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, FaultState) and self._clearances == other._clearances
+
+    def __repr__(self) -> str:
+        return f"FaultState({self._clearances!r})"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Worn joints, sorted by name."""
+        return tuple(self._clearances)
+
+    @property
+    def label(self) -> str:
+        """``A=0.2mm,F=0.05mm``, as :func:`parse_fault` reads it; ``healthy`` for none."""
+        return ",".join(f"{joint}={value * 1e3:.9g}mm" for joint, value in self._clearances.items()) or "healthy"
+
+
+HEALTHY = FaultState()
+
+#: A bare number is metres; one larger than this (m) is taken for forgotten millimetres.
+_LARGEST_BARE = 0.02
+
+
+def check_fault(fault: FaultState, machine: Machine) -> None:
+    """Refuse a fault that names what cannot wear.
+
+    Raises
+    ------
+    MachineError
+        A joint that the machine does not have, or a sliding joint.
+    """
+    for joint, clearance in fault.items():
+        if joint in machine.turning_joints:
+            continue
+        shown = f"{clearance * 1e3:g} mm"
+        turning = ", ".join(machine.turning_joints) or "none"
+        if joint in machine.joints:
+            rule = f"a sliding joint has no clearance; only turning joints do: {turning}"
+        else:
+            rule = f"no such joint{nearest(joint, machine.turning_joints)}"
+        raise MachineError(machine.name, f"fault.{joint}", shown, rule)
+
+
+def parse_fault(text: str, machine: Machine) -> FaultState:
+    """Read ``A=0.2mm,F=50um``.
+
+    Parameters
+    ----------
+    text : str
+        Joints and radial clearances; empty or ``healthy`` for none. A bare number is metres.
+    machine : Machine
+
+    Raises
+    ------
+    MachineError
+        What is wrong with it, in one line.
+    """
+    clearances: dict[str, float] = {}
+    stripped = text.strip()
+    for part in stripped.split(",") if stripped not in ("", "healthy") else ():
+        joint, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals or not joint or not value:
+            raise MachineError(machine.name, "fault", part.strip() or text, "write JOINT=CLEARANCE, as in A=0.2mm")
+        if joint in clearances:
+            raise MachineError(machine.name, f"fault.{joint}", value, "this joint is named twice")
+        try:
+            clearances[joint] = units.to_si(value, units.LENGTH)
+        except units.UnitError as error:
+            raise MachineError(machine.name, f"fault.{joint}", value, str(error)) from error
+        if clearances[joint] > _LARGEST_BARE and value.replace(".", "").isdigit():
+            rule = f"is {clearances[joint] * 1e3:g} mm without a unit; write {value}mm if that is meant, or the unit"
+            raise MachineError(machine.name, f"fault.{joint}", value, rule)
+        if clearances[joint] < 0:
+            raise MachineError(machine.name, f"fault.{joint}", value, "a clearance is 0 or more")
+    fault = FaultState(clearances)
+    for joint in clearances:
+        check_fault(FaultState({joint: clearances[joint] or 1.0}), machine)
+    return fault

@@ -1,0 +1,268 @@
+"""A machine: links, joints, drive, supports, loads and sensors, read from one file and checked.
+
+Everything is in SI and in the global coordinates of one drawing; see ``docs/machine-file.md``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError, ValidationInfo, model_validator
+
+from solver.errors import MachineError
+from solver.machines import contact_rules, rules, units
+from solver.machines.fields import Name, Quantity, Title, nearest, no_default
+from solver.machines.matrix import read_matrix_form
+from solver.machines.parts import (
+    Contact,
+    Damper,
+    Defaults,
+    Drive,
+    ForceDrive,
+    Harmonic,
+    Initial,
+    InitialVelocity,
+    Joint,
+    Link,
+    Load,
+    Mount,
+    Part,
+    Ripple,
+    RotationDrive,
+    Sensor,
+    SlidingJoint,
+    Spring,
+    Support,
+    TorqueDrive,
+    TranslationDrive,
+    TurningJoint,
+)
+from solver.machines.refusals import first_error
+from solver.machines.yamlfile import read_tree
+
+__all__ = [
+    "Contact",
+    "Damper",
+    "Defaults",
+    "Drive",
+    "ForceDrive",
+    "Harmonic",
+    "Initial",
+    "InitialVelocity",
+    "Joint",
+    "Link",
+    "Load",
+    "Machine",
+    "MachineError",
+    "Mount",
+    "Part",
+    "Ripple",
+    "RotationDrive",
+    "Sensor",
+    "SlidingJoint",
+    "Spring",
+    "Support",
+    "TorqueDrive",
+    "TranslationDrive",
+    "TurningJoint",
+    "load_machine",
+    "machine_json_schema",
+    "parse_machine",
+    "resolve_machine",
+    "shipped_machine",
+    "shipped_machine_names",
+    "shipped_machine_text",
+]
+
+
+class Machine(Part):
+    """A planar machine in its drawn pose, all clearances closed.
+
+    ``gravity`` [m/s2] acts in -y. ``frame`` names the link that carries the sensors; the first link unless said.
+    What may be left out of a file is filled in here: the frame, each joint's pin and contact, free lengths.
+    """
+
+    name: Title
+    gravity: Annotated[float, Quantity(units.ACCELERATION)] = 9.81
+    frame: Name = Field(default="", json_schema_extra=no_default)
+    links: Mapping[Name, Link]
+    defaults: Defaults = Defaults()
+    joints: Mapping[Name, Joint] = Field(default_factory=dict)
+    drive: Drive | None = None
+    initial: Initial = Initial()
+    supports: tuple[Support, ...] = ()
+    loads: tuple[Load, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_units_of_another_law(cls, data: Any) -> Any:
+        contact_rules.refuse_units_of_another_law(data)
+        return data
+
+    @model_validator(mode="after")
+    def _complete(self, info: ValidationInfo) -> Machine:
+        fill = self.__dict__.update  # the model is frozen for everybody else
+        fill(frame=self.frame or next(iter(self.links), ""))
+        fill(joints={name: self._completed_joint(joint) for name, joint in self.joints.items()})
+        rules.check(self, (info.context or {}).get("source", "machine"))
+        fill(supports=tuple(map(_completed_support, self.supports)))
+        return self
+
+    def _completed_joint(self, joint: TurningJoint | SlidingJoint) -> TurningJoint | SlidingJoint:
+        if isinstance(joint, SlidingJoint):
+            return joint
+        contact = joint.contact.over(self.defaults.contact)
+        return joint.model_copy(update={"pin": joint.pin or joint.links[0], "contact": contact})
+
+    @property
+    def turning_joints(self) -> tuple[str, ...]:
+        """Names of the turning joints, in the order of the file."""
+        return tuple(name for name, joint in self.joints.items() if isinstance(joint, TurningJoint))
+
+    @property
+    def sliding_joints(self) -> tuple[str, ...]:
+        """Names of the sliding joints, in the order of the file."""
+        return tuple(name for name, joint in self.joints.items() if isinstance(joint, SlidingJoint))
+
+    def canonical_json(self) -> str:
+        """Return the whole machine as JSON, the same text for the same content: sorted keys, shortest exact numbers."""
+        return json.dumps(self.model_dump(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+    @cached_property
+    def content_key(self) -> str:
+        """SHA-256 of :meth:`canonical_json`, in hexadecimal."""
+        return hashlib.sha256(self.canonical_json().encode()).hexdigest()
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Machine:
+        """A copy with some fields changed, and a content key of its own."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy.__dict__.pop("content_key", None)
+        return copy
+
+    def __hash__(self) -> int:
+        return hash(self.content_key)
+
+
+def _completed_support(support: Spring | Damper | Mount) -> Spring | Damper | Mount:
+    if not isinstance(support, Spring) or support.free_length is not None:
+        return support
+    free_length = math.dist(support.at, support.anchor) + (support.static_deflection or 0.0)
+    return support.model_copy(update={"free_length": free_length, "static_deflection": None})
+
+
+def parse_machine(content: str | Mapping[str, object], source: str = "machine") -> Machine:
+    """Read a machine from text or from a tree that was read already.
+
+    Parameters
+    ----------
+    content : str or mapping
+        YAML 1.2 or JSON, or the mapping it stands for; a mechanism matrix with its data is a machine too.
+    source : str
+        What messages call it: a file's name.
+
+    Returns
+    -------
+    Machine
+        Complete and checked. Whether it can be assembled and driven is for :mod:`solver.cases.pose` to say.
+
+    Raises
+    ------
+    MachineError
+        For the first thing that is wrong: file, dotted path, value, rule in one line.
+    """
+    tree = read_tree(content, source) if isinstance(content, str) else dict(content)
+    form = read_matrix_form(tree, source) if "matrix" in tree else None
+    if form is not None:
+        tree = form.tree
+    try:
+        machine = Machine.model_validate(tree, context={"source": source})
+    except ValidationError as error:
+        raise first_error(error, tree, source) from None
+    if form is not None:
+        form.check_supports(machine, source)
+    return machine
+
+
+def load_machine(path: str | Path) -> Machine:
+    """Read a machine file (YAML or JSON).
+
+    Raises
+    ------
+    MachineError
+        When the file cannot be read, or as :func:`parse_machine`.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise MachineError(str(path), "", None, f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise MachineError(str(path), "", None, "is not a text file in UTF-8") from None
+    return parse_machine(text, str(path))
+
+
+def _shipped() -> dict[str, Any]:
+    folder = resources.files("solver.machines") / "shipped"
+    return {file.name.removesuffix(".yaml"): file for file in folder.iterdir() if file.name.endswith(".yaml")}
+
+
+def shipped_machine_names() -> tuple[str, ...]:
+    """Names of the machines that come with the program, sorted."""
+    return tuple(sorted(_shipped()))
+
+
+def shipped_machine_text(name: str) -> str:
+    """Return a shipped machine as the text of its file.
+
+    Raises
+    ------
+    MachineError
+        When there is none of that name.
+    """
+    files = _shipped()
+    if name not in files:
+        raise MachineError("", "", name, f"is not a shipped machine{nearest(name, sorted(files))}")
+    return str(files[name].read_text(encoding="utf-8"))
+
+
+def shipped_machine(name: str) -> Machine:
+    """Read a shipped machine.
+
+    Raises
+    ------
+    MachineError
+        When there is none of that name.
+    """
+    return parse_machine(shipped_machine_text(name), f"{name}.yaml")
+
+
+def resolve_machine(name_or_path: str | Path) -> Machine:
+    """Read a shipped machine by its name, or a machine file by its path; an existing file wins.
+
+    Raises
+    ------
+    MachineError
+        When it is neither, or as :func:`parse_machine`.
+    """
+    names = shipped_machine_names()
+    text = str(name_or_path)
+    if text in names and not Path(text).is_file():
+        return shipped_machine(text)
+    if not Path(text).exists():
+        rule = f"is neither a file nor a shipped machine{nearest(text, names)}"
+        raise MachineError("", "", text, rule)
+    return load_machine(text)
+
+
+def machine_json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a machine file."""
+    schema = Machine.model_json_schema(mode="validation")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "jointplay machine file"}

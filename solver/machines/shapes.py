@@ -1,0 +1,201 @@
+"""Outlines of a machine in its drawn pose: what is to be drawn where, in metres, without a word about how."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from solver.machines.machine import Load, Machine, Mount, SlidingJoint, Spring, Support
+
+__all__ = ["Arrow", "JointMark", "LinkShape", "MachineShapes", "SupportMark", "machine_shapes"]
+
+Point: TypeAlias = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LinkShape:
+    """One link: a point, a line or a convex polygon around its joints, supports and loads.
+
+    Attributes
+    ----------
+    name : str
+    outline : tuple of points
+        In order; one point for a link with everything in one place.
+    cg : point
+    is_frame : bool
+        The frame's outline also goes around the sensors.
+    """
+
+    name: str
+    outline: tuple[Point, ...]
+    cg: Point
+    is_frame: bool
+
+    @property
+    def closed(self) -> bool:
+        """Whether the outline is a polygon."""
+        return len(self.outline) > 2
+
+
+@dataclass(frozen=True)
+class JointMark:
+    """One joint: a circle, or for a sliding joint a rectangle along ``direction``."""
+
+    name: str
+    kind: Literal["turning", "sliding"]
+    at: Point
+    direction: Point
+    links: tuple[str, str]
+    grounded: bool  # on a frame that does not move at all
+    driven: bool
+
+
+@dataclass(frozen=True)
+class SupportMark:
+    """One support.
+
+    Attributes
+    ----------
+    link : str
+    start : point
+        On the link.
+    end : point or None
+        Where it is anchored; None for a mount, which has no length of its own.
+    upward : bool
+        A mount is above the link's centre of gravity, so that there is room over it rather than below.
+    spring, damper, on_ground : bool
+        What is in it, and whether its other end stands on the ground.
+    """
+
+    link: str
+    start: Point
+    end: Point | None
+    upward: bool
+    spring: bool
+    damper: bool
+    on_ground: bool
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """A sensor or a load: a point and a direction of length 1."""
+
+    name: str
+    at: Point
+    direction: Point
+
+
+@dataclass(frozen=True)
+class MachineShapes:
+    """Everything to be drawn, in the order from back to front."""
+
+    name: str
+    links: tuple[LinkShape, ...]
+    supports: tuple[SupportMark, ...]
+    joints: tuple[JointMark, ...]
+    sensors: tuple[Arrow, ...]
+    loads: tuple[Arrow, ...]
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least and greatest x and y, m: (x0, y0, x1, y1)."""
+        points = [point for link in self.links for point in (*link.outline, link.cg)]
+        points += [point for support in self.supports for point in (support.start, support.end or support.start)]
+        points += [joint.at for joint in self.joints] + [arrow.at for arrow in (*self.sensors, *self.loads)]
+        xs, ys = zip(*points, strict=True)
+        return min(xs), min(ys), max(xs), max(ys)
+
+
+def machine_shapes(machine: Machine) -> MachineShapes:
+    """Lay out a machine as it is drawn in its file.
+
+    Parameters
+    ----------
+    machine : Machine
+
+    Returns
+    -------
+    MachineShapes
+        The frame comes first among the links.
+    """
+    frame = machine.frame
+    links = sorted(machine.links, key=lambda name: name != frame)
+    return MachineShapes(
+        name=machine.name,
+        links=tuple(_link_shape(machine, name) for name in links),
+        supports=tuple(_support_mark(machine, support) for support in machine.supports),
+        joints=tuple(_joint_mark(machine, name) for name in machine.joints),
+        sensors=tuple(Arrow(sensor.name, sensor.at, sensor.direction) for sensor in machine.sensors),
+        loads=tuple(Arrow(load.link, load.at, direction) for load in machine.loads if (direction := _pull(load))),
+    )
+
+
+def _link_shape(machine: Machine, name: str) -> LinkShape:
+    points = [joint.at for joint in machine.joints.values() if name in joint.links]
+    is_frame = name == machine.frame
+    points += [load.at for load in machine.loads if load.link == name]
+    for support in machine.supports:
+        if support.link == name:
+            points.append(support.at)
+        elif support.to_link == name:
+            points.append(support.at if isinstance(support, Mount) else support.anchor)
+    if is_frame:
+        points += [sensor.at for sensor in machine.sensors]
+    cg = machine.links[name].cg
+    outline = convex_outline(points) if len(set(points)) > 1 else tuple(dict.fromkeys([*points, cg]))
+    return LinkShape(name, outline, cg, is_frame)
+
+
+def convex_outline(points: Iterable[Point]) -> tuple[Point, ...]:
+    """Return the convex hull of points, counter-clockwise; two points if they lie on one line, one if they coincide.
+
+    Notes
+    -----
+    Andrew's monotone chain (Information Processing Letters 9, 1979).
+    """
+    ordered = sorted(set(points))
+    if len(ordered) < 3:
+        return tuple(ordered)
+    size = math.dist(ordered[0], ordered[-1])
+    halves = []
+    for run in (ordered, ordered[::-1]):
+        half: list[Point] = []
+        for point in run:
+            # Corners flatter than a thousandth of the size are taken for straight: a rocker stays a bar.
+            while len(half) > 1 and _turn(half[-2], half[-1], point) <= 1e-3 * size**2:
+                half.pop()
+            half.append(point)
+        halves.append(half[:-1])
+    return tuple(halves[0] + halves[1])
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _joint_mark(machine: Machine, name: str) -> JointMark:
+    joint = machine.joints[name]
+    direction = joint.direction if isinstance(joint, SlidingJoint) else (1.0, 0.0)
+    grounded = machine.frame in joint.links and machine.links[machine.frame].fixed
+    driven = machine.drive is not None and machine.drive.joint == name
+    return JointMark(name, joint.kind, joint.at, direction, joint.links, grounded, driven)
+
+
+def _support_mark(machine: Machine, support: Support) -> SupportMark:
+    on_ground = support.to_link is None
+    if isinstance(support, Mount):
+        upward = support.at[1] > machine.links[support.link].cg[1]
+        spring, damper = any(support.stiffness), any(support.damping)
+        return SupportMark(support.link, support.at, None, upward, spring, damper, on_ground)
+    is_spring = isinstance(support, Spring)
+    return SupportMark(support.link, support.at, support.anchor, False, is_spring, not is_spring, on_ground)
+
+
+def _pull(load: Load) -> Point | None:
+    rows = load.over_time or load.over_angle
+    forces = [(row[1], row[2]) for row in rows] if rows else [load.force]
+    x, y = max(forces, key=lambda force: math.hypot(*force))
+    size = math.hypot(x, y)
+    return (x / size, y / size) if size > 0 else None

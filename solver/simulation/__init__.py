@@ -1,0 +1,1 @@
+"""Cases to results: histories, ensembles and their spectra, what accuracy costs."""

@@ -1,0 +1,169 @@
+"""What a compiled model holds, and what it left out and why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from solver.equations.drive import prescribes_motion
+from solver.equations.model import Model, build_model
+from solver.integrators.kernel import kernel_code
+from solver.machines.fault import FaultState, check_fault
+from solver.machines.machine import Machine, SlidingJoint, TranslationDrive, TurningJoint
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Something a model does without.
+
+    Attributes
+    ----------
+    what, why : str
+        What the scene does not have or the coordinates fulfil by themselves, and why it costs nothing.
+    unknowns : int
+        Unknowns of the paper's system that it takes along; 0 for a term of the forces.
+    """
+
+    what: str
+    why: str
+    unknowns: int = 0
+
+
+@dataclass(frozen=True)
+class Account:
+    """The size of a scene, before and after everything it does not have was removed.
+
+    The 3N + 2J unknowns and those of `added` are the coordinates, the closures and the unknowns left out.
+
+    Attributes
+    ----------
+    links, joints : int
+        N and J.
+    full_unknowns : int
+        3N + 2J of the paper's system: three per link, two per joint.
+    freedoms : int
+        F, degrees of freedom when the input motion is unknown.
+    integrated : int
+        Degrees of freedom to integrate: one less where the drive prescribes its motion.
+    coordinates : tuple of str
+        Coordinates of the model.
+    closures : tuple of str
+        Closure equations left to solve.
+    clearance_joints : tuple of str
+    operations : int
+        Vector operations of one right-hand side.
+    added : tuple of str
+        Closures that the paper's system does not have: of links locked to the ground, of a drive that moves a closed
+        loop by its sliding joint.
+    left_out : tuple of LeftOut
+    """
+
+    links: int
+    joints: int
+    full_unknowns: int
+    freedoms: int
+    integrated: int
+    coordinates: tuple[str, ...]
+    closures: tuple[str, ...]
+    clearance_joints: tuple[str, ...]
+    operations: int
+    added: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def account(machine: Machine, fault: FaultState) -> Account:
+    """Take stock of a machine in a fault state.
+
+    Parameters
+    ----------
+    machine : Machine
+    fault : FaultState
+
+    Raises
+    ------
+    MachineError
+        As :func:`solver.equations.model.build_model`.
+    """
+    check_fault(fault, machine)
+    model = build_model(machine, fault.joints)
+    links, joints = len(machine.links), len(machine.joints)
+    driven = 1 if prescribes_motion(machine) else 0
+    closures = tuple(closure.name for closure in model.kinematics.closures)
+    return Account(
+        links, joints, 3 * links + 2 * joints, model.degrees_of_freedom + driven, model.degrees_of_freedom,
+        model.kinematics.names, closures, model.clearance_joints, kernel_code(model).operations,
+        tuple(name for name in closures if name.split(".")[1] in ("locked", "drive")),
+        (*_unknowns_left_out(machine, model), *_terms_left_out(machine, model)),
+    )  # fmt: skip
+
+
+def _unknowns_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
+    """Accelerations and reactions that are no unknowns of this model."""
+    name, frame = machine.frame, machine.links[machine.frame]
+    if frame.fixed:
+        yield LeftOut(f"motion of {name}", "the frame is fixed", 3)
+    else:
+        for motion in dict.fromkeys(frame.locked):
+            yield LeftOut(f"{motion}({name})", "this motion of the frame is locked", 1)
+    share = {link: link for link in machine.links}  # links whose angles are tied together so far, by one of them
+
+    def tie(links: tuple[str, str]) -> bool:
+        """Tie two links' angles; false where others have tied them already."""
+        first, second = (share[link] for link in links)
+        share.update({link: first for link, of in share.items() if of == second})
+        return first != second
+
+    for joint_name, joint in machine.joints.items():
+        eliminated = joint_name in model.kinematics.eliminated
+        driven = machine.drive is not None and machine.drive.joint == joint_name and prescribes_motion(machine)
+        if isinstance(joint, SlidingJoint):
+            tied = 1 if tie(joint.links) else 0
+            if eliminated:
+                why = "sliding joint fulfilled by the choice of coordinates"
+                yield LeftOut(f"{1 + tied} equations and 2 reactions of {joint_name}", why, 3 + tied)
+            elif tied:
+                yield LeftOut(f"angle and couple of {joint_name}", "both links of a sliding joint share one angle", 2)
+            else:
+                yield LeftOut(f"couple of {joint_name}", "other sliding joints hold these links parallel already", 1)
+        elif eliminated:
+            why = "turning joint fulfilled by the choice of coordinates"
+            yield LeftOut(f"2 equations and 2 reactions of {joint_name}", why, 4)
+        elif joint_name in model.clearance_joints:
+            yield LeftOut(f"2 reactions of {joint_name}", "clearance: its force follows from the motion", 2)
+        # The drive of a slide that closes a loop stays, as a closure.
+        if driven and (eliminated or not isinstance(machine.drive, TranslationDrive)):
+            if isinstance(joint, TurningJoint):
+                tie(joint.links)
+            yield LeftOut(f"motion of the drive joint {joint_name}", "prescribed: known at every instant", 1)
+
+
+def _terms_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
+    """Forces that this scene does not have."""
+    for name, joint in machine.joints.items():
+        if isinstance(joint, SlidingJoint):
+            if not joint.friction:
+                yield LeftOut(f"friction of {name}", "friction is 0")
+            if not joint.viscous:
+                yield LeftOut(f"viscous resistance of {name}", "viscous is 0")
+        elif name in model.clearance_joints:
+            if joint.viscous:
+                yield LeftOut(f"viscous torque of {name}", "only while the joint has no clearance")
+        else:
+            yield LeftOut(f"contact of {name}", "no clearance in this fault state")
+            if not joint.viscous:
+                yield LeftOut(f"viscous torque of {name}", "viscous is 0")
+    standing = {name for name, link in machine.links.items() if link.fixed}
+    for i, support in enumerate(machine.supports):
+        if support.link in standing and (support.to_link is None or support.to_link in standing):
+            yield LeftOut(f"supports.{i}", "both its ends are fixed")
+    for i, load in enumerate(machine.loads):
+        if load.link in standing:
+            yield LeftOut(f"loads.{i}", f"{load.link} is fixed")
+    if machine.drive is None:
+        yield LeftOut("drive", "none given")
+    if machine.gravity == 0:
+        yield LeftOut("gravity", "0 m/s2")
+    if not machine.loads:
+        yield LeftOut("external loads", "none given")
+    if not machine.supports:
+        yield LeftOut("supports", "none given")

@@ -1,0 +1,184 @@
+"""Ensembles: one case from several starts side by side, until the average of its spectra is known well enough.
+
+Impacts can make a response chaotic. Then no single spectrum is right; the average is, and it comes with its spread.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from solver.cases.contact_rates import extent_of
+from solver.cases.groups import groups
+from solver.cases.history import Case, Settings, Status
+from solver.cases.pose import Start
+from solver.cases.steps import SETTLING_REVOLUTIONS
+from solver.equations.drive import repeating_frequency
+from solver.errors import SettingsError
+from solver.machines.machine import Machine
+from solver.simulation.averages import Average, spread_db, standard_error_db
+from solver.simulation.blocks import BLOCK, SEEN, Members, check_memory
+from solver.simulation.ensemble_result import FEWEST, Ensemble, EnsembleResult, Kind, Member
+from solver.simulation.steady import PHASES, healthy_revolution, starts_at
+
+__all__ = ["Ensemble", "EnsembleResult", "Kind", "Member", "simulate_ensemble"]
+
+#: Frames start this part of the machine's extent apart.
+PERTURBATION = 1e-6
+#: Successive blocks that differ by no more than this, dB, are settled where no other number was asked for.
+_SETTLED_DB = 0.2
+
+
+def simulate_ensemble(
+    machine: Machine, case: Case | None = None, ensemble: Ensemble | None = None, settings: Settings | None = None,
+    progress: Callable[[float, float], None] | None = None,
+) -> EnsembleResult:  # fmt: skip
+    """Simulate a case from several starts and average its spectra.
+
+    Parameters
+    ----------
+    machine : Machine
+    case : Case, optional
+    ensemble : Ensemble, optional
+    settings : Settings, optional
+        Accuracy, method, sample rate; `duration` (or `revolutions`) only where the ensemble asks for no convergence.
+    progress : callable, optional
+        Called with the revolutions done and those it may take yet.
+
+    Returns
+    -------
+    EnsembleResult
+
+    Raises
+    ------
+    SettingsError
+        A drive without a constant speed or a load that does not repeat, so that there is no steady state; a frame that
+        cannot move; fewer revolutions allowed than the transient takes; spectra that no memory would hold.
+    AssemblyError, MachineError
+        As :func:`solver.simulation.simulate.start_of`.
+    """
+    case, ensemble, settings = case or Case(), ensemble or Ensemble(), settings or Settings()
+    if settings.device != "cpu":
+        raise SettingsError(f"device: {settings.device}: ensembles run on the processor only")
+    group = next(groups(machine, [case], settings))
+    for _, error in group.failed:
+        raise error
+    prepared = group.ready[0]
+    frequency = repeating_frequency(machine, prepared.speed)
+    if all(index is None for index in group.model.frame_indices):
+        raise SettingsError(f"{machine.name}: its frame is fixed: it has no spectrum")
+    check_memory(machine, ensemble.starts, settings.sample_rate, prepared.speed)
+    starts, angles, remark = _starts(machine, case, ensemble, settings)
+    from_healthy = ensemble.healthy_start and not remark
+    skipped = float(SETTLING_REVOLUTIONS) if from_healthy else float(round(prepared.transient * frequency))
+    fixed = None
+    if ensemble.converged_db is None:
+        span = settings.revolutions if settings.duration is None else settings.duration * frequency - skipped
+        # Less a hair: a span of whole blocks may come out of its units a rounding longer.
+        fixed = max(FEWEST, math.ceil(span / BLOCK - 1e-6))
+    elif ensemble.most_revolutions < skipped + SEEN:
+        least = f"must be at least {skipped + SEEN:g} here, {skipped:g} of them the transient"
+        raise SettingsError(f"most revolutions: {ensemble.most_revolutions:g}: {least}")
+    members = Members(machine, case, settings, starts, prepared.speed)
+    average = Average(ensemble.converged_db or _SETTLED_DB)
+    left_out = skipped
+    while True:
+        count, reason = _next(average, members, ensemble, fixed, left_out)
+        if not count:
+            break
+        for block in members.blocks(left_out, count):
+            average.take(block)
+        left_out = 0.0
+        if progress is not None:
+            progress(members.revolutions, ensemble.most_revolutions)
+    if average.seen and not average.finish():
+        reason = reason or "one block did not resemble the one before: the transient may not be over"
+    ran = ""
+    if fixed is not None and settings.duration is not None:
+        seconds = members.revolutions / frequency
+        ran = f"ran {seconds:.3g} s for the {settings.duration:g} s asked for: blocks of {BLOCK} revolutions are whole"
+    message = "; ".join(filter(None, (remark, reason, ran)))
+    return _result(case, ensemble, members, average, angles, message, skipped, settings, from_healthy)
+
+
+def _next(average: Average, members: Members, ensemble: Ensemble, fixed: int | None, skipped: float) -> tuple[int, str]:
+    """How many blocks to run next, or 0 and the reason if it is not that all is done.
+
+    The standard error falls with the square root of the blocks, which says how many are missing; of these no more are
+    run than there are already before looking again.
+    """
+    if len(members.alive) < 2:
+        return 0, f"{len(members.alive)} of {ensemble.starts} members did not fail"
+    if fixed is not None:
+        return min(fixed - average.seen, members.at_once(skipped)), ""
+    assert ensemble.converged_db is not None
+    error = average.error()
+    if error <= ensemble.converged_db:
+        return 0, ""
+    room = math.floor((ensemble.most_revolutions - members.revolutions - skipped - SEEN) / BLOCK) + 1
+    if room < 1:
+        known = "" if error == math.inf else f": the mean levels are known to {error:.2g} dB"
+        return 0, (
+            f"not converged to {ensemble.converged_db:g} dB within the {ensemble.most_revolutions:g} revolutions that "
+            f"were allowed{known}"
+        )
+    if average.blocks < FEWEST:
+        missing = FEWEST if not average.seen else 1
+    else:
+        missing = math.ceil(average.blocks * ((error / ensemble.converged_db) ** 2 - 1))
+        missing = max(1, min(missing, average.blocks))
+    return min(missing, room, members.at_once(skipped)), ""
+
+
+def _starts(
+    machine: Machine, case: Case, ensemble: Ensemble, settings: Settings
+) -> tuple[list[Start], list[float], str]:
+    """Where the members start, the drive angles (rad) there, and why it is not the healthy machine's steady state."""
+    generator = np.random.default_rng(ensemble.seed)
+    count = ensemble.starts
+    displacement, velocity = np.zeros((count, 3)), np.zeros((count, 3))
+    phases = [0] * count
+    if ensemble.kind == "phase":
+        first = int(generator.integers(PHASES))
+        phases = [(first + i * PHASES // count) % PHASES for i in range(count)]
+    else:
+        extent = extent_of(machine)
+        displacement += generator.normal(size=(count, 3)) * PERTURBATION * np.array([extent, extent, 1.0])
+    remark = ""
+    if ensemble.healthy_start:
+        healthy = healthy_revolution(machine, case, settings)
+        if healthy.status is Status.OK:
+            displacement += healthy.displacement[phases]
+            velocity += healthy.velocity[phases]
+        else:
+            remark = f"started as drawn: the healthy machine has no steady state ({healthy.status}: {healthy.message})"
+    angles = [2 * math.pi * phase / PHASES for phase in phases]
+    return starts_at(machine, case, settings, phases, displacement, velocity), angles, remark
+
+
+def _result(
+    case: Case, ensemble: Ensemble, members: Members, average: Average, angles: list[float], message: str,
+    transient: float, settings: Settings, from_healthy: bool,
+) -> EnsembleResult:  # fmt: skip
+    ended = []
+    for i, angle in enumerate(angles):
+        failed = members.failures.get(i)
+        ended.append(Member(angle, failed.status, failed.message) if failed else Member(angle, Status.OK, ""))
+    width = len(members.channels)
+    psd = level = spread = error = psd_spread = np.zeros((0, width))
+    enough = len(members.alive) >= 2 and average.blocks > 0
+    if enough:
+        bands, densities = average.bands, average.psd
+        psd, psd_spread = densities.mean(axis=0), spread_db(densities)
+        level, spread = np.sqrt(bands.mean(axis=(0, 1))), spread_db(bands.mean(axis=1))
+        error = standard_error_db(bands) if average.blocks > 1 else np.full_like(level, math.inf)
+    status = Status.OK if enough else next(member.status for member in ended if member.status is not Status.OK)
+    known = average.error() if enough else math.inf
+    return EnsembleResult(
+        case, ensemble, tuple(ended), status, message, members.channels, members.units,
+        members.frequency if enough else np.zeros(0), psd, psd_spread, members.orders if enough else np.zeros(0), level,
+        spread, error, known, known <= (ensemble.converged_db or 0.0), average.blocks * BLOCK,
+        transient + average.dropped * BLOCK, members.speed, settings.sample_rate, from_healthy, members.seconds,
+    )  # fmt: skip

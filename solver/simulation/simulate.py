@@ -1,0 +1,185 @@
+"""A table of cases to histories of the frame: grouped by model, eight lanes at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.cases.groups import groups
+from solver.cases.history import Case, History, Settings, Status
+from solver.cases.pose import Start
+from solver.cases.positions import mobility_of
+from solver.cases.preparation import Prepared
+from solver.equations.links import link_motion
+from solver.equations.model import Model
+from solver.errors import SettingsError
+from solver.machines.machine import Machine
+from solver.simulation.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
+from solver.spectra import sampling
+
+Array = NDArray[np.float64]
+
+__all__ = ["Case", "History", "Settings", "Start", "Status", "check_assembly", "simulate", "simulate_batch", "start_of"]
+
+
+def check_assembly(machine: Machine) -> None:
+    """Refuse a machine that cannot be assembled at some angle of its drive.
+
+    Raises
+    ------
+    AssemblyError
+        Names the angle and the joint that stays open.
+    """
+    mobility_of(machine, (), {})
+
+
+def _runs(settings: Settings) -> Callable[..., Iterator[Run]]:
+    """What integrates groups of cases; Numba's CUDA is imported only where it is asked for."""
+    if settings.device == "cpu":
+        return gill_runs if settings.integrator == "gill" else adaptive_runs
+    try:
+        from solver.integrators.device import check_device
+        from solver.simulation.device_runs import device_runs
+    except ImportError as error:
+        raise SettingsError("device: cuda: Numba has no CUDA here; install the extra jointplay[cuda]") from error
+    check_device()
+    return device_runs
+
+
+def simulate(machine: Machine, case: Case | None = None, settings: Settings | None = None) -> History:
+    """Simulate one case; see :func:`simulate_batch`."""
+    return simulate_batch(machine, [case or Case()], settings)[0]
+
+
+def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> Start:
+    """Where a case starts: coordinates and velocities at t = 0, in the order of its model's coordinates.
+
+    Raises
+    ------
+    AssemblyError
+        No start pose, contradicting velocities, or a machine that cannot be assembled at some drive angle.
+    MachineError, SettingsError
+        As for :func:`simulate_batch`.
+    """
+    group = next(groups(machine, [case], settings or Settings()))
+    for _, error in group.failed:
+        raise error
+    return Start(group.ready[0].z, group.ready[0].v)
+
+
+def simulate_batch(
+    machine: Machine, cases: Sequence[Case], settings: Settings | None = None,
+    progress: Callable[[int], None] | None = None, *, starts: Sequence[Start | None] | None = None,
+) -> list[History]:  # fmt: skip
+    """Simulate a table of cases.
+
+    Parameters
+    ----------
+    machine : Machine
+    cases : sequence of Case
+        Any mixture of fault states and parameters; grouped by clearance joints and by step inside.
+    settings : Settings, optional
+    progress : callable, optional
+        Called with the number of cases done after each of them.
+    starts : sequence of Start or None, optional
+        Where and when each case starts instead of as :func:`start_of`; its coordinates must fulfil the closures. With
+        :attr:`History.end` a run goes on; durations count from the start.
+
+    Returns
+    -------
+    list of History
+        In the order of the cases. What fails numerically has a status, not an exception.
+
+    Raises
+    ------
+    MachineError
+        A fault or a parameter that the machine does not have, or something the solver does not model.
+    SettingsError
+        Settings that cannot be met.
+    """
+    settings = settings or Settings()
+    runs = _runs(settings)
+    results: dict[int, History] = {}
+    for group in groups(machine, cases, settings):
+        model = group.model
+        for index, error in group.failed:
+            results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+        ready = group.ready
+        if not ready:
+            continue
+        if starts is not None:
+            given = [(case, starts[case.index]) for case in ready]
+            ready = [case if start is None else _started(case, start) for case, start in given]
+        recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
+        for run in runs(machine, model, group.varying, ready, recorded, settings):
+            index = run.case.index
+            results[index] = _history(cases[index], model, run, recorded, settings)
+            if progress is not None:
+                progress(len(results))
+    return [results[index] for index in range(len(cases))]
+
+
+def _failed(case: Case, status: Status, message: str, settings: Settings) -> History:
+    empty = np.zeros((0, 3))
+    return History(
+        case, status, message, np.zeros(0), empty, empty, empty, empty, settings.sample_rate, 0.0, 0.0, 0.0, 0.0
+    )
+
+
+def _started(case: Prepared, start: Start) -> Prepared:
+    memory = start.memory if start.memory.size else case.memory
+    return replace(case, z=start.z, v=start.v, memory=memory, begin=start.t)
+
+
+def _end(run: Run) -> Start:
+    n = run.case.z.size
+    z, v, memory = np.split(run.final[1:], [n, 2 * n])
+    return Start(z, v, float(run.final[0]), memory)
+
+
+def _held(run: Run, count: int) -> Array:
+    """Velocities of a case that failed, its last ones held for as long as the filter needs."""
+    flat = run.v[:, :, sampling.head(OVERSAMPLING) :].swapaxes(1, 2).reshape(len(run.v), -1)[:, : run.samples]
+    missing = (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1 - run.samples
+    return sampling.phases(np.pad(flat, ((0, 0), (0, missing)), mode="edge"), OVERSAMPLING)
+
+
+def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: Settings) -> History:
+    """Frame motion at the sample rate from what was recorded above it."""
+    wanted = round(run.case.duration * settings.sample_rate) + 1
+    head, count = sampling.head(OVERSAMPLING), min(wanted, -(-run.samples // OVERSAMPLING))
+    rows = {column: recorded.index(i) for column, i in enumerate(model.frame_indices) if i is not None}
+
+    def frame(motion: Array | None) -> Array:
+        if motion is None:
+            return np.zeros((0, 3))
+        columns = np.zeros((3, count))
+        for column, row in rows.items():
+            columns[column] = motion[row, :count]
+        return columns.T
+
+    smooth = np.zeros((3, count))
+    if count and rows:
+        velocity, rate = run.v, settings.sample_rate * OVERSAMPLING
+        if run.samples < (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1:
+            velocity = _held(run, count)
+        if list(rows.items()) == [(0, 0), (1, 1), (2, 2)] and len(velocity) == 3:
+            sampling.band_limited_acceleration(velocity, rate, count, smooth)
+        else:
+            smooth[list(rows)] = sampling.band_limited_acceleration(velocity[list(rows.values())], rate, count)
+    t = run.case.begin + np.arange(count) / settings.sample_rate
+    rates = run.v[:, 0, head:]
+    remarks = [run.message, run.case.remark if run.status is Status.OK else ""]
+    message = "; ".join(remark for remark in remarks if remark)
+    links = None
+    if settings.links and run.z is not None and run.memory is not None:
+        z, v = run.z[:, :count].T, rates[:, :count].T
+        links = link_motion(model, run.case.vector, t, z, v, run.memory[:, :count].T)
+    return History(
+        case, run.status, message, t, frame(run.z),
+        frame(None if run.z is None else rates), frame(run.a), smooth.T,
+        settings.sample_rate, run.case.transient, run.case.speed, run.step, run.seconds, links, _end(run),
+    )  # fmt: skip
