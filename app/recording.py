@@ -13,7 +13,9 @@ import numpy.typing as npt
 from solver.errors import SettingsError
 from solver.machines.machine import Machine
 from solver.simulation.simulate import Case, History, Settings
-from solver.spectra.spectrum import Spectrum, order_levels, sensor_signals, welch
+from solver.spectra.sensor import sensor_signals
+from solver.spectra.spectrum import Spectrum, order_levels
+from solver.spectra.welch import welch
 
 FloatArray = npt.NDArray[np.float64]
 Attribute = str | float | int | bool | tuple[str, ...]

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks import slider_crank
 from benchmarks.computer import processor_seconds
 from benchmarks.scenes import Scene, p1, quick_return
-from solver.cases.pose import start_velocity
+from solver.cases.start import start_velocity
 from solver.compiler import native
 from solver.compiler.ir import LANES
 from solver.equations.model import Model, build_model

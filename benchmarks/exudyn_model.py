@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import RATE
+from solver.machines.drives import RotationDrive
 from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, Mount, RotationDrive, SlidingJoint
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine
+from solver.machines.parts import Mount
 from solver.simulation.simulate import Case, Settings, simulate
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from catalogue.keys import content_digest
 from catalogue.shard import OK, Outcome
 from solver.machines.machine import Machine, parse_machine
 from solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
-from solver.spectra.bands import band_matrix
+from solver.spectra.band_power import band_matrix
 
 __all__ = ["Chunk", "Compute", "chunked", "simulate_chunk"]
 

@@ -19,7 +19,8 @@ from catalogue.learning import MatcherCache
 from catalogue.measurement import Channel, Measurement
 from catalogue.store import Catalogue
 from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, TurningJoint
+from solver.machines.joints import TurningJoint
+from solver.machines.machine import Machine
 from solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
 from solver.spectra.sensor import sensor_signals
 

@@ -31,7 +31,8 @@ from catalogue.noise import NoiseFloor, noise_floor
 from catalogue.parameters import nominal_drive_speed
 from catalogue.sensors import SensorMap, map_sensors
 from solver.machines.machine import Machine
-from solver.spectra.bands import BandMatrix, BandScheme, band_matrix
+from solver.spectra.band_power import BandMatrix, band_matrix
+from solver.spectra.bands import BandScheme
 
 __all__ = [
     "FEATURE_ORDERS",

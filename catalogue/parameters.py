@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from catalogue.draws import Distribution
 from catalogue.errors import PlanError
 from solver.cases.parameters import SHORTHANDS
+from solver.machines.drives import RotationDrive
 from solver.machines.fields import nearest
-from solver.machines.machine import Machine, RotationDrive
+from solver.machines.machine import Machine
 
 __all__ = ["MachineNumbers", "nominal_drive_speed"]
 

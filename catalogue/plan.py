@@ -18,7 +18,8 @@ from catalogue.keys import content_digest, seed_from
 from catalogue.parameters import MachineNumbers, nominal_drive_speed
 from solver.errors import MachineError
 from solver.machines.fields import Quantity, RuleError, Title, nearest
-from solver.machines.machine import Machine, Part
+from solver.machines.machine import Machine
+from solver.machines.parts import Part
 from solver.machines.refusals import first_error
 from solver.machines.units import FREQUENCY, LENGTH, RATIO, TIME
 from solver.machines.yamlfile import read_tree

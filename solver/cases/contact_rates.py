@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from solver.equations.contact_laws import SLOWEST_APPROACH
 from solver.equations.numbers import contact_path
-from solver.machines.machine import Machine, TurningJoint
+from solver.machines.joints import TurningJoint
+from solver.machines.machine import Machine
 from solver.machines.restitution import HYSTERESIS, hysteresis_factor
 
 #: Velocity (m/s) at which surfaces are taken to meet at least. The frequency follows its fifth root (n = 1.5).

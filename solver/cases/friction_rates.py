@@ -12,11 +12,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.cases.assembly import inner_coordinates
 from solver.cases.contact_rates import deepest_point
-from solver.cases.pose import inner_coordinates
 from solver.equations.model import Model
 from solver.equations.numbers import contact_path
-from solver.machines.machine import Machine, SlidingJoint, TurningJoint
+from solver.machines.joints import SlidingJoint, TurningJoint
+from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.pose import Start
+from solver.cases.start import Start
 from solver.cases.steps import STEP_RULES, Accuracy
 from solver.equations.links import LinkMotion
 from solver.errors import SettingsError

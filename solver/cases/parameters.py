@@ -8,8 +8,8 @@ from solver.cases.history import Case
 from solver.equations.numbers import CONTACT_NUMBERS, contact_path
 from solver.errors import MachineError
 from solver.machines.fields import nearest
-from solver.machines.machine import Machine, TurningJoint
-from solver.machines.parts import LEAST_RESTITUTION
+from solver.machines.joints import LEAST_RESTITUTION, TurningJoint
+from solver.machines.machine import Machine
 
 _CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
 #: Shorthand for all joints with clearance.

@@ -9,12 +9,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.cases.assembly import follow, walk
 from solver.cases.friction_rates import friction_rate
-from solver.cases.pose import follow, walk
 from solver.cases.steps import contact_mobility
 from solver.equations.drive import travel_range
 from solver.equations.model import Model, build_model
-from solver.machines.machine import Machine, RotationDrive, TranslationDrive
+from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.cases.assembly import check_closures
 from solver.cases.contact_rates import contact_rates
 from solver.cases.friction_rates import without_sliding_friction
 from solver.cases.history import Settings
-from solver.cases.pose import check_closures, start_pose, start_velocity
 from solver.cases.positions import check_travel, mobility_of, rubbing_rate
 from solver.cases.scales import pace_of
+from solver.cases.start import start_pose, start_velocity
 from solver.cases.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
@@ -28,7 +29,8 @@ from solver.equations.drive import drive_rates
 from solver.equations.model import Model, build_model
 from solver.errors import AssemblyError, MachineError, SettingsError
 from solver.machines.contact_rules import restitution_remarks
-from solver.machines.machine import Machine, RotationDrive, TranslationDrive
+from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 from solver.cases.contact_rates import extent_of
 from solver.equations.model import Model
-from solver.machines.machine import Machine, RotationDrive, TranslationDrive
+from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.machine import Machine
 
 
 def error_scales(machine: Machine, model: Model) -> list[float]:

@@ -73,7 +73,7 @@ def contact_mobility(model: Model, poses: Sequence[tuple[float, Array]], p: Sequ
     ----------
     model : Model
     poses : sequence of (float, (n,) array)
-        Times and coordinates, see :func:`solver.cases.pose.walk`.
+        Times and coordinates, see :func:`solver.cases.assembly.walk`.
     p : sequence of float
         Lane parameters.
     """

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from solver.equations.numbers import Number
-from solver.machines.machine import Machine, TurningJoint
+from solver.machines.joints import TurningJoint
+from solver.machines.machine import Machine
 from solver.machines.restitution import HYSTERESIS, hysteresis_factor
 
 #: Least velocity of approach (m/s) that counts as v0: hysteresis c/v0 would grow without bound where a contact begins

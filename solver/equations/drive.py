@@ -12,7 +12,8 @@ import numpy as np
 from solver.equations.numbers import Number, Numbers
 from solver.equations.tables import linear, linear_integral
 from solver.errors import SettingsError
-from solver.machines.machine import ForceDrive, Machine, RotationDrive, TorqueDrive, TranslationDrive
+from solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive, TranslationDrive
+from solver.machines.machine import Machine
 
 #: Orders that are this far from a whole number count as one.
 _WHOLE = 1e-6

@@ -13,11 +13,13 @@ import casadi as ca
 from solver.equations import contact_laws
 from solver.equations.contact import ContactForce, ContactNumbers, NormalLaw, impact_pair
 from solver.equations.drive import known_effort
-from solver.equations.kinematics import Kinematics
 from solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
+from solver.equations.poses import Kinematics
 from solver.equations.tables import linear, periodic
 from solver.equations.vectors import Complex, Vector, constant
-from solver.machines.machine import Contact, Machine, Mount, SlidingJoint, Spring, TurningJoint
+from solver.machines.joints import Contact, SlidingJoint, TurningJoint
+from solver.machines.machine import Machine
+from solver.machines.parts import Mount, Spring
 
 #: Length (m) below which a spring has no direction; it pulls with its force along nothing.
 SHORTEST = 1e-9

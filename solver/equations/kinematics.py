@@ -8,341 +8,55 @@ turning joint. A joint with clearance is in neither; its pin floats.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import casadi as ca
 
 from solver.equations.drive import PrescribedMotion
 from solver.equations.numbers import Number
-from solver.equations.vectors import FRAME, GROUND, ONE, ZERO, Complex, I, Term, Terms, Vector, constant
-from solver.errors import AssemblyError
-from solver.machines.machine import Machine, SlidingJoint, TurningJoint
-
-#: Joints from the frame after which a link gets coordinates of its own: the mass matrix stays sparse in long chains.
-MAX_DEPTH = 6
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Pose of one link.
-
-    Attributes
-    ----------
-    centre : Vector
-        Centre of gravity.
-    turn : str
-        Term that is the unit vector turning with the link.
-    theta, omega : casadi.SX
-        Angle since the drawn pose (rad) and its rate (rad/s).
-    angle_index : int or None
-        Coordinate that the angle follows; ``None`` for a link that cannot turn.
-    cg : tuple of float
-        Where the centre of gravity was drawn, m.
-    """
-
-    centre: Vector
-    turn: str
-    theta: ca.SX
-    omega: ca.SX
-    angle_index: int | None
-    cg: tuple[float, float]
-
-    def fixed(self, vector: tuple[float, float]) -> Vector:
-        """A vector drawn on the link, as it has turned."""
-        return Vector({self.turn: complex(*vector)})
-
-    def arm(self, point: tuple[float, float]) -> Vector:
-        """From the centre of gravity to a point of the link, given where it was drawn."""
-        return self.fixed((point[0] - self.cg[0], point[1] - self.cg[1]))
-
-    def point(self, point: tuple[float, float]) -> Vector:
-        """A point of the link, given where it was drawn."""
-        return self.centre + self.arm(point)
+from solver.equations.poses import Closure, Kinematics, slide
+from solver.equations.tree import Tree
+from solver.equations.vectors import constant
+from solver.machines.joints import SlidingJoint, TurningJoint
+from solver.machines.machine import Machine
 
 
-@dataclass(frozen=True)
-class Closure:
-    """One scalar closure equation phi = 0: what it is, and its expression (m or rad)."""
-
-    name: str
-    phi: ca.SX
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """Coordinates, poses and closures of a machine with a set of clearance joints.
-
-    Attributes
-    ----------
-    names : tuple of str
-        What each coordinate is, ``theta(rod)``, ``slide(G)``, ``x(frame)``.
-    z, v : casadi.SX
-        (n, 1) coordinates, all zero in the drawn pose, and their rates.
-    terms : Terms
-    axes : casadi.SX
-        (n, n) rotation T of accelerations: z'' = T a, where a has the origins' accelerations in the axes of the frame.
-    poses : dict of str to Pose
-    closures : tuple of Closure
-    eliminated : tuple of str
-        Joints solved by the choice of coordinates: they need no equation.
-    """
-
-    names: tuple[str, ...]
-    z: ca.SX
-    v: ca.SX
-    terms: Terms
-    axes: ca.SX
-    poses: dict[str, Pose]
-    closures: tuple[Closure, ...]
-    eliminated: tuple[str, ...]
-
-    def indices_of(self, link: str) -> tuple[int | None, int | None, int | None]:
-        """Where x, y, theta of a link are among the coordinates; ``None`` for a motion that is none of them."""
-        wanted = [f"{motion}({link})" for motion in ("x", "y", "theta")]
-        x, y, theta = (self.names.index(name) if name in self.names else None for name in wanted)
-        return x, y, theta
-
-    def slide(self, joint: SlidingJoint) -> tuple[ca.SX, ca.SX]:
-        """Sliding (along) and normal distance (across the line fixed in links[1]) of links[0] since drawn, m."""
-        return _slide(joint, self.poses, self.terms)
-
-
-def _slide(joint: SlidingJoint, poses: dict[str, Pose], terms: Terms) -> tuple[ca.SX, ca.SX]:
-    slider, guide = (poses[name] for name in joint.links)
-    gap = terms.value(slider.point(joint.at) - guide.point(joint.at))
-    along = terms.value(guide.fixed(joint.direction))
-    return along.dot(gap), along.cross(gap)
-
-
-@dataclass(frozen=True)
-class _Angle:
-    """Angle shared by a set of links: base coordinate plus k times the drive."""
-
-    turn: str
-    theta: ca.SX
-    omega: ca.SX
-    index: int | None
-
-
-class _Builder:
-    def __init__(
-        self,
-        machine: Machine,
-        open_joints: frozenset[str],
-        rubbing: frozenset[str],
-        motion: PrescribedMotion | None,
-        gravity: Number,
-        expanded: bool,
-    ) -> None:
-        self.machine = machine
-        self.open = open_joints
-        self.rubbing = rubbing
-        self.motion = motion
-        self.gravity = gravity
-        self.expanded = expanded
-        self.names: list[str] = []
-        self.z: list[ca.SX] = []
-        self.v: list[ca.SX] = []
-        self.terms = Terms()
-        self.origin_pairs: list[tuple[int, int]] = []
-        self.poses: dict[str, Pose] = {}
-        self.closures: list[Closure] = []
-        self.eliminated: list[str] = []
-        self.angles: dict[str, _Angle] = {}
-
-    def coordinate(self, name: str) -> int:
-        self.names.append(name)
-        self.z.append(ca.SX.sym(name))
-        self.v.append(ca.SX.sym(f"{name}'"))
-        return len(self.names) - 1
-
-    def drives(self, joint: str, *, rotation: bool) -> PrescribedMotion | None:
-        """The prescribed motion, where it is this joint's and of this kind."""
-        motion = self.motion
-        return motion if motion is not None and motion.joint == joint and motion.rotation == rotation else None
-
-    def frame_moves(self, motion: str) -> bool:
-        frame = self.machine.links[self.machine.frame]
-        return not frame.fixed and motion not in frame.locked
-
-    def assign_angles(self) -> None:
-        """One angle for each set of links whose orientations are tied together."""
-        ties: list[tuple[str, str, str, int]] = []  # theta(first) = theta(second) + k * drive
-        for name, joint in self.machine.joints.items():
-            first, second = joint.links
-            if isinstance(joint, SlidingJoint):
-                ties.append((name, first, second, 0))
-            elif self.drives(name, rotation=True):
-                ties.append((name, first, second, 1))
-        if self.expanded:
-            ties.clear()
-        turns: dict[str, int] = {}
-        for root in (self.machine.frame, *self.machine.links):
-            if root in turns:
-                continue
-            turns[root] = 0
-            members = [root]
-            for here in members:  # grows while it is walked
-                for name, first, second, k in ties:
-                    if here not in (first, second):
-                        continue
-                    far, step = (first, k) if here == second else (second, -k)
-                    if far not in turns:
-                        turns[far] = turns[here] + step
-                        members.append(far)
-                    elif turns[far] != turns[here] + step:
-                        rule = f"the angle between {first!r} and {second!r} is fixed by sliding joints already"
-                        raise AssemblyError(self.machine.name, f"joints.{name}", None, rule)
-            self.share_angle(root, {link: turns[link] for link in members})
-
-    def share_angle(self, root: str, members: dict[str, int]) -> None:
-        """Give links the angle of `root` plus a multiple of the drive, and their unit vectors."""
-        frame = root == self.machine.frame
-        index = None if frame and not self.frame_moves("theta") else self.coordinate(f"theta({root})")
-        base, rate = (self.z[index], self.v[index]) if index is not None else (ca.SX(0.0), ca.SX(0.0))
-        if frame:
-            self.frame_theta = base
-            self.terms.frame_rotation = Complex(ca.cos(base), ca.sin(base))
-            self.terms.rotation[GROUND] = self.terms.frame_rotation.conjugate
-            self.terms.terms[GROUND] = Term(GROUND, ONE, ZERO, GROUND, {}, ZERO)
-        for link, k in members.items():
-            turn = FRAME if frame and not k else f"turn({root},{k})"
-            driven = [ca.SX(0.0)] * 3
-            if k and self.motion is not None:
-                driven = [k * part for part in (self.motion.value, self.motion.rate, self.motion.acceleration)]
-            omega = rate + driven[1]
-            self.angles[link] = _Angle(turn, base + driven[0], omega, index)
-            if turn not in self.terms.terms:
-                relative = driven[0] if frame else base + driven[0] - self.frame_theta
-                self.terms.rotation[turn] = ONE if turn == FRAME else Complex(ca.cos(relative), ca.sin(relative))
-                partials = {} if index is None else {index: I}
-                bias = Complex(-omega * omega, driven[2])
-                self.terms.terms[turn] = Term(turn, ONE, Complex(0.0, omega), turn, partials, bias)
-
-    def place(self, link: str, centre: Vector) -> None:
-        angle = self.angles[link]
-        cg = self.machine.links[link].cg
-        self.poses[link] = Pose(centre, angle.turn, angle.theta, angle.omega, angle.index, cg)
-
-    def place_at(self, link: str, drawn: tuple[float, float], now: Vector) -> None:
-        """Place a link so that its point `drawn` is at `now`."""
-        cg = self.machine.links[link].cg
-        self.place(link, now - Vector({self.angles[link].turn: complex(drawn[0] - cg[0], drawn[1] - cg[1])}))
-
-    def place_root(self, link: str) -> None:
-        """Place a link that no ideal joint holds: its centre of gravity gets coordinates of its own."""
-        frame = link == self.machine.frame
-        indices = [self.coordinate(f"{axis}({link})") if not frame or self.frame_moves(axis) else None for axis in "xy"]
-        place = [self.z[i] if i is not None else 0.0 for i in indices]
-        rate = [self.v[i] if i is not None else 0.0 for i in indices]
-        upward = Complex(0.0, self.gravity)
-        x, y = indices
-        if x is not None and y is not None:
-            # Both free: their accelerations are solved for in the axes of the frame.
-            self.origin_pairs.append((x, y))
-            moving, partials, bias = FRAME, {x: ONE, y: I}, self.terms.to_frame(upward)
+def _closures(tree: Tree) -> Iterator[Closure]:
+    """Closure equations of the ideal joints that the tree did not use, of a locked link and of a driven slide."""
+    for name, joint in tree.machine.joints.items():
+        if name in tree.eliminated or name in tree.open:
+            continue
+        if isinstance(joint, TurningJoint):
+            first, second = (tree.poses[link].point(joint.at) for link in joint.links)
+            gap = tree.terms.value(first - second).column
+            yield Closure(f"{name}.x", gap[0])
+            yield Closure(f"{name}.y", gap[1])
         else:
-            moving, bias = GROUND, upward
-            partials = {i: unit for i, unit in ((x, ONE), (y, I)) if i is not None}
-        key = f"origin({link})"
-        self.terms.terms[key] = Term(GROUND, Complex(*place), Complex(*rate), moving, partials, bias)
-        self.place(link, constant(self.machine.links[link].cg) + Vector({key: 1.0}))
+            along, across = slide(joint, tree.poses, tree.terms)
+            yield Closure(f"{name}.normal", across)
+            driven = tree.drives(name, rotation=False)
+            if driven:
+                yield Closure(f"{name}.drive", along - driven.value)
+    if tree.expanded:
+        yield from _angle_closures(tree)
+    for name, link in tree.machine.links.items():
+        if name == tree.machine.frame:
+            continue
+        offset = tree.terms.value(tree.poses[name].centre - constant(link.cg), ground=True).column
+        motions = {"x": offset[0], "y": offset[1], "theta": tree.poses[name].theta}
+        for motion in motions if link.fixed else link.locked:
+            yield Closure(f"{name}.locked.{motion}", motions[motion])
 
-    def grow(self, root: str) -> None:
-        """Place every link that ideal joints reach from `root`, turning joints before sliding ones."""
-        depth = {root: 0}
-        queue = [] if self.expanded else [root]
-        while queue:
-            here = queue.pop(0)
-            for name, joint in self.machine.joints.items():
-                if not isinstance(joint, TurningJoint) or name in self.open or here not in joint.links:
-                    continue
-                far = joint.links[1] if here == joint.links[0] else joint.links[0]
-                if far in self.poses or depth[here] >= MAX_DEPTH:
-                    continue
-                self.place_at(far, joint.at, self.poses[here].point(joint.at))
-                self.eliminated.append(name)
-                depth[far] = depth[here] + 1
-                queue.append(far)
-            if not queue:
-                queue.extend(self.grow_slide(depth))
 
-    def grow_slide(self, depth: dict[str, int]) -> list[str]:
-        """Place one more link through a sliding joint, if any reaches out of what is placed."""
-        for name, joint in self.machine.joints.items():
-            if not isinstance(joint, SlidingJoint) or name in self.rubbing:
-                continue  # friction needs the normal force, hence the closure equation
-            near = [link for link in joint.links if link in depth and depth[link] < MAX_DEPTH]
-            far = [link for link in joint.links if link not in self.poses]
-            if not near or not far:
-                continue
-            self.add_slide(name, joint)
-            along = complex(*joint.direction) * (1 if far[0] == joint.links[0] else -1)
-            point = self.poses[near[0]].point(joint.at)
-            self.place_at(far[0], joint.at, point + Vector({f"slide({name})": along}))
-            self.eliminated.append(name)
-            depth[far[0]] = depth[near[0]] + 1
-            return far
-        return []
-
-    def add_slide(self, name: str, joint: SlidingJoint) -> None:
-        """The term of a sliding distance, free or prescribed, in the axes of the guide."""
-        motion, angle = self.drives(name, rotation=False), self.angles[joint.links[1]]
-        turning = self.terms.terms[angle.turn]
-        if motion is not None:
-            s, rate, drift, partials = motion.value, motion.rate, motion.acceleration, {}
-        else:
-            index = self.coordinate(f"slide({name})")
-            s, rate, drift, partials = self.z[index], self.v[index], ca.SX(0.0), {index: ONE}
-        if angle.index is not None:
-            partials[angle.index] = Complex(0.0, s)
-        bias = Complex(drift + s * turning.bias.re, 2 * rate * angle.omega + s * turning.bias.im)
-        self.terms.terms[f"slide({name})"] = Term(
-            angle.turn, Complex(s, 0.0), Complex(rate, s * angle.omega), angle.turn, partials, bias
-        )
-
-    def close(self) -> None:
-        """Closure equations of the ideal joints that the tree did not use, of a locked link and of a driven slide."""
-        for name, joint in self.machine.joints.items():
-            if name in self.eliminated or name in self.open:
-                continue
-            if isinstance(joint, TurningJoint):
-                first, second = (self.poses[link].point(joint.at) for link in joint.links)
-                gap = self.terms.value(first - second).column
-                self.closures += [Closure(f"{name}.x", gap[0]), Closure(f"{name}.y", gap[1])]
-            else:
-                along, across = _slide(joint, self.poses, self.terms)
-                self.closures.append(Closure(f"{name}.normal", across))
-                driven = self.drives(name, rotation=False)
-                if driven:
-                    self.closures.append(Closure(f"{name}.drive", along - driven.value))
-        if self.expanded:
-            self.close_angles()
-        for name, link in self.machine.links.items():
-            if name == self.machine.frame:
-                continue
-            offset = self.terms.value(self.poses[name].centre - constant(link.cg), ground=True).column
-            motions = {"x": offset[0], "y": offset[1], "theta": self.poses[name].theta}
-            for motion in motions if link.fixed else link.locked:
-                self.closures.append(Closure(f"{name}.locked.{motion}", motions[motion]))
-
-    def close_angles(self) -> None:
-        """Closure equations of the angles that links share, and of the drive, where they were not built in."""
-        for name, joint in self.machine.joints.items():
-            first, second = (self.angles[link].theta for link in joint.links)
-            driven = self.drives(name, rotation=True)
-            if isinstance(joint, SlidingJoint):
-                self.closures.append(Closure(f"{name}.couple", first - second))
-            elif driven:
-                self.closures.append(Closure(f"{name}.drive", first - second - driven.value))
-
-    def axes(self) -> ca.SX:
-        turned = ca.SX.eye(len(self.z))
-        rotation = self.terms.frame_rotation
-        for x, y in self.origin_pairs:
-            turned[x, x] = turned[y, y] = rotation.re
-            turned[x, y], turned[y, x] = -rotation.im, rotation.im
-        return turned
+def _angle_closures(tree: Tree) -> Iterator[Closure]:
+    """Closure equations of the angles that links share, and of the drive, where they were not built in."""
+    for name, joint in tree.machine.joints.items():
+        first, second = (tree.angles[link].theta for link in joint.links)
+        driven = tree.drives(name, rotation=True)
+        if isinstance(joint, SlidingJoint):
+            yield Closure(f"{name}.couple", first - second)
+        elif driven:
+            yield Closure(f"{name}.drive", first - second - driven.value)
 
 
 def kinematics(
@@ -376,14 +90,13 @@ def kinematics(
     AssemblyError
         The drive contradicts a sliding joint.
     """
-    builder = _Builder(machine, open_joints, rubbing, motion, gravity, expanded)
-    builder.assign_angles()
+    tree = Tree(machine, open_joints, rubbing, motion, gravity, expanded)
+    tree.assign_angles()
     for link in (machine.frame, *machine.links):
-        if link not in builder.poses:
-            builder.place_root(link)
-            builder.grow(link)
-    builder.close()
+        if link not in tree.poses:
+            tree.place_root(link)
+            tree.grow(link)
     return Kinematics(
-        tuple(builder.names), ca.vertcat(*builder.z), ca.vertcat(*builder.v), builder.terms, builder.axes(),
-        builder.poses, tuple(builder.closures), tuple(builder.eliminated),
+        tuple(tree.names), ca.vertcat(*tree.z), ca.vertcat(*tree.v), tree.terms, tree.axes(),
+        tree.poses, tuple(_closures(tree)), tuple(tree.eliminated),
     )  # fmt: skip

@@ -17,11 +17,13 @@ from solver.equations import drive, forces
 from solver.equations.contact import ContactForce
 from solver.equations.contact_laws import remembers
 from solver.equations.dynamics import Solver, constrained_solver, inertia
-from solver.equations.kinematics import Kinematics, kinematics
+from solver.equations.kinematics import kinematics
 from solver.equations.numbers import Numbers, contact_paths
+from solver.equations.poses import Kinematics
 from solver.equations.rubbing import Rubbing, rubbing_joints, solve_with_friction
 from solver.errors import MachineError
-from solver.machines.machine import Machine, SlidingJoint
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 import casadi as ca
 
-from solver.machines.machine import Machine, TurningJoint
+from solver.machines.joints import TurningJoint
+from solver.machines.machine import Machine
 
 Number = ca.SX | float
 

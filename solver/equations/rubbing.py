@@ -23,7 +23,8 @@ from solver.equations.dynamics import Solver
 from solver.equations.forces import Scene
 from solver.equations.numbers import Numbers
 from solver.errors import MachineError
-from solver.machines.machine import Machine, SlidingJoint
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine
 
 #: Sliding joints with friction that a machine may have: the choices of signs double with each.
 MOST = 6

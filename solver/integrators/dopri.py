@@ -41,7 +41,7 @@ DENSE_ROWS = 4
 
 @dataclass(frozen=True)
 class StepRows:
-    """Rows that the error-controlled step needs beside those of :class:`~solver.compiler.layout.Layout`, in its extra.
+    """Rows that the error-controlled step needs in the extra space of a :class:`~solver.compiler.layout.Layout`.
 
     Attributes
     ----------

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from solver.machines.fields import RuleError
-from solver.machines.parts import LAW_NUMBERS, NORMAL_NUMBERS, Contact
+from solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact
 from solver.machines.restitution import remark
 
 if TYPE_CHECKING:

@@ -18,68 +18,13 @@ from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from solver.errors import MachineError
 from solver.machines import contact_rules, rules, units
+from solver.machines.drives import Drive
 from solver.machines.fields import Name, Quantity, Title, nearest, no_default
+from solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
 from solver.machines.matrix import read_matrix_form
-from solver.machines.parts import (
-    Contact,
-    Damper,
-    Defaults,
-    Drive,
-    ForceDrive,
-    Harmonic,
-    Initial,
-    InitialVelocity,
-    Joint,
-    Link,
-    Load,
-    Mount,
-    Part,
-    Ripple,
-    RotationDrive,
-    Sensor,
-    SlidingJoint,
-    Spring,
-    Support,
-    TorqueDrive,
-    TranslationDrive,
-    TurningJoint,
-)
+from solver.machines.parts import Damper, Initial, Link, Load, Mount, Part, Sensor, Spring, Support
 from solver.machines.refusals import first_error
 from solver.machines.yamlfile import read_tree
-
-__all__ = [
-    "Contact",
-    "Damper",
-    "Defaults",
-    "Drive",
-    "ForceDrive",
-    "Harmonic",
-    "Initial",
-    "InitialVelocity",
-    "Joint",
-    "Link",
-    "Load",
-    "Machine",
-    "MachineError",
-    "Mount",
-    "Part",
-    "Ripple",
-    "RotationDrive",
-    "Sensor",
-    "SlidingJoint",
-    "Spring",
-    "Support",
-    "TorqueDrive",
-    "TranslationDrive",
-    "TurningJoint",
-    "load_machine",
-    "machine_json_schema",
-    "parse_machine",
-    "resolve_machine",
-    "shipped_machine",
-    "shipped_machine_names",
-    "shipped_machine_text",
-]
 
 
 class Machine(Part):
@@ -171,7 +116,7 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine") 
     Returns
     -------
     Machine
-        Complete and checked. Whether it can be assembled and driven is for :mod:`solver.cases.pose` to say.
+        Complete and checked. Whether it can be assembled and driven is for :mod:`solver.cases.assembly` to say.
 
     Raises
     ------

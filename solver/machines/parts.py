@@ -1,4 +1,4 @@
-"""What a machine is made of: links, joints, drives, supports, loads, sensors, as they stand in a machine file."""
+"""Links, supports, loads, sensors and the start of the motion, as they stand in a machine file."""
 
 from __future__ import annotations
 
@@ -9,48 +9,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
 
 from solver.machines import units
-from solver.machines.fields import (
-    Direction,
-    Name,
-    NumberOrTable,
-    Point,
-    Quantity,
-    RuleError,
-    Table,
-    Vector,
-    nearest,
-    no_default,
-)
-from solver.machines.restitution import HYSTERESIS, ContactLaw
+from solver.machines.fields import Direction, Name, Point, Quantity, RuleError, Table, Vector, nearest
 
-__all__ = [
-    "Contact",
-    "Damper",
-    "Defaults",
-    "Drive",
-    "ForceDrive",
-    "Harmonic",
-    "Initial",
-    "InitialVelocity",
-    "Joint",
-    "Link",
-    "Load",
-    "Mount",
-    "Part",
-    "Ripple",
-    "RotationDrive",
-    "Sensor",
-    "SlidingJoint",
-    "Spring",
-    "Support",
-    "TorqueDrive",
-    "TranslationDrive",
-    "TurningJoint",
-]
-
-Ratio = Annotated[float, Quantity(units.RATIO)]
-FrictionCoefficient = Annotated[float, Quantity(units.RATIO, at_least=0)]
-FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]
 Stiffness = Annotated[float, Quantity(units.STIFFNESS, at_least=0)]
 Damping = Annotated[float, Quantity(units.DAMPING, at_least=0)]
 Angle = Annotated[float, Quantity(units.ANGLE)]
@@ -60,7 +20,6 @@ AngularSpeed = Annotated[float, Quantity(units.ANGULAR_SPEED)]
 Force = Annotated[tuple[float, float], Vector((Quantity(units.FORCE),) * 2)]
 Torque = Annotated[float, Quantity(units.TORQUE)]
 Motion: TypeAlias = Literal["x", "y", "theta"]
-Curve: TypeAlias = tuple[tuple[float, float], ...]
 LoadTable: TypeAlias = tuple[tuple[float, float, float, float], ...]
 
 _LOAD_COLUMNS = (units.FORCE, units.FORCE, units.TORQUE)
@@ -81,69 +40,6 @@ class Part(BaseModel):
         return data
 
 
-#: Exponent of a Hertzian contact of curved surfaces.
-HERTZ_EXPONENT = 1.5
-#: Least restitution to ask for: below, the hysteresis of some laws exceeds a hundred and grows without bound.
-LEAST_RESTITUTION = 0.01
-#: Numbers of the normal force, and those that each law has.
-NORMAL_NUMBERS = ("stiffness", "damping", "exponent", "restitution", "hysteresis")
-LAW_NUMBERS = {
-    "linear": ("stiffness", "damping"),
-    "hertz": ("stiffness", "exponent", "hysteresis"),
-    **dict.fromkeys(HYSTERESIS, ("stiffness", "exponent", "restitution")),
-}
-
-
-class Contact(Part):
-    """Contact of pin and socket in a turning joint that has clearance.
-
-    ``law`` of the normal force, with d the penetration: ``linear`` is K d + C d', with ``stiffness`` K [N/m] and
-    ``damping`` C [N s/m]; ``hertz`` is K d^n (1 + a d') with ``stiffness`` [N/m^n], ``exponent`` n and ``hysteresis``
-    a [s/m]; the others are K d^n (1 + c d'/v0) with c from ``restitution`` and v0 the velocity of approach when the
-    contact begins. ``friction`` (coefficient), ``viscous`` [N s/m] along the surface, ``friction_velocity`` [m/s]: the
-    friction is ``mu Fn tanh(v / friction_velocity)``.
-    """
-
-    law: ContactLaw = "linear"
-    stiffness: Annotated[float, Quantity(units.STIFFNESS, above=0)] = 1.0e7
-    damping: Damping = 300.0
-    exponent: Annotated[float, Quantity(units.RATIO, at_least=1, at_most=3)] | None = None
-    restitution: Annotated[float, Quantity(units.RATIO, at_least=LEAST_RESTITUTION, at_most=1)] | None = None
-    hysteresis: Annotated[float, Quantity(units.HYSTERESIS, at_least=0)] | None = None
-    friction: FrictionCoefficient = 0.05
-    viscous: Damping = 0.0
-    friction_velocity: FrictionVelocity = 0.01
-
-    @model_validator(mode="after")
-    def _complete(self) -> Contact:
-        if self.law != "linear":  # the model is frozen for everybody else
-            given = self.model_fields_set
-            damping = self.damping if "damping" in given else 0.0
-            self.__dict__.update(damping=damping, exponent=self.exponent or HERTZ_EXPONENT)
-        return self
-
-    def over(self, defaults: Contact) -> Contact:
-        """What this contact says, and `defaults` where it says nothing; numbers of a law do not pass to another law."""
-        own = {name: getattr(self, name) for name in self.model_fields_set}
-        same_law = own.get("law", defaults.law) == defaults.law
-        inherited = {
-            name: getattr(defaults, name)
-            for name in defaults.model_fields_set
-            if same_law or name not in ("law", *NORMAL_NUMBERS)
-        }
-        return Contact(**{**inherited, **own})
-
-    def has(self, number: str) -> bool:
-        """Whether the law of this contact knows a number of its normal force; True for all other numbers."""
-        return number in LAW_NUMBERS[self.law] or number not in NORMAL_NUMBERS
-
-
-class Defaults(Part):
-    """What joints get that say nothing themselves."""
-
-    contact: Contact = Contact()
-
-
 class Link(Part):
     """A rigid link.
 
@@ -156,91 +52,6 @@ class Link(Part):
     cg: Point = (0.0, 0.0)
     fixed: StrictBool = False
     locked: tuple[Motion, ...] = ()
-
-
-class TurningJoint(Part):
-    """A pin in a socket. ``links`` [0] carries the pin unless ``pin`` says otherwise.
-
-    ``at`` [m]; ``pin_radius`` [m], 0 neglects the moment of friction; ``viscous`` [N m s/rad] resists relative
-    rotation while the joint has no clearance; ``contact`` counts once it has.
-    """
-
-    kind: Literal["turning"] = "turning"
-    links: tuple[Name, Name]
-    at: Point
-    pin: Name = Field(default="", json_schema_extra=no_default)
-    pin_radius: Annotated[float, Quantity(units.LENGTH, at_least=0)] = 0.0
-    viscous: Annotated[float, Quantity(units.ROTARY_DAMPING, at_least=0)] = 0.0
-    contact: Contact = Contact()
-
-
-class SlidingJoint(Part):
-    """``links`` [0] slides along a line through ``at`` along ``direction`` (unit length), fixed in ``links`` [1].
-
-    ``friction`` (coefficient), ``viscous`` [N s/m], ``friction_velocity`` [m/s].
-    """
-
-    kind: Literal["sliding"] = "sliding"
-    links: tuple[Name, Name]
-    at: Point
-    direction: Direction
-    friction: FrictionCoefficient = 0.0
-    viscous: Damping = 0.0
-    friction_velocity: FrictionVelocity = 0.01
-
-
-class Ripple(Part):
-    """One term of a drive's angular ripple: ``amplitude`` [rad] at ``order`` times the speed, ``phase`` [rad]."""
-
-    order: Annotated[float, Quantity(units.RATIO, above=0)]
-    amplitude: Angle
-    phase: Angle = 0.0
-
-
-class Harmonic(Part):
-    """One term of a sliding drive: ``amplitude`` [m] at ``frequency`` [Hz], ``phase`` [rad]."""
-
-    frequency: Annotated[float, Quantity(units.FREQUENCY, above=0)]
-    amplitude: Length
-    phase: Angle = 0.0
-
-
-class RotationDrive(Part):
-    """Prescribed rotation of a turning joint: ``speed`` [rad/s] of links[0] relative to links[1], or a run-up table."""
-
-    kind: Literal["rotation"] = "rotation"
-    joint: Name
-    speed: Annotated[
-        float | Curve, NumberOrTable(Quantity(units.ANGULAR_SPEED), Table((units.TIME, units.ANGULAR_SPEED)))
-    ]
-    ripple: tuple[Ripple, ...] = ()
-
-
-class TranslationDrive(Part):
-    """Prescribed sliding of a sliding joint: ``speed`` [m/s] of links[0] along ``direction``, and harmonics."""
-
-    kind: Literal["translation"] = "translation"
-    joint: Name
-    speed: Annotated[float | Curve, NumberOrTable(Quantity(units.SPEED), Table((units.TIME, units.SPEED)))] = 0.0
-    harmonics: tuple[Harmonic, ...] = ()
-
-
-class TorqueDrive(Part):
-    """Known torque [N m] on links[0] of a turning joint: constant, or a curve over its speed [rad/s]."""
-
-    kind: Literal["torque"] = "torque"
-    joint: Name
-    torque: Torque | None = None
-    curve: Annotated[Curve, Table((units.ANGULAR_SPEED, units.TORQUE))] | None = None
-
-
-class ForceDrive(Part):
-    """Known force [N] on links[0] along a sliding joint: constant, or a curve over its speed [m/s]."""
-
-    kind: Literal["force"] = "force"
-    joint: Name
-    force: Annotated[float, Quantity(units.FORCE)] | None = None
-    curve: Annotated[Curve, Table((units.SPEED, units.FORCE))] | None = None
 
 
 class InitialVelocity(Part):
@@ -315,6 +126,4 @@ class Sensor(Part):
     direction: Direction
 
 
-Joint: TypeAlias = Annotated[TurningJoint | SlidingJoint, Field(discriminator="kind")]
-Drive: TypeAlias = Annotated[RotationDrive | TranslationDrive | TorqueDrive | ForceDrive, Field(discriminator="kind")]
 Support: TypeAlias = Annotated[Spring | Damper | Mount, Field(discriminator="kind")]

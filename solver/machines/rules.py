@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 from solver.errors import MachineError
 from solver.machines.contact_rules import contact_breaches
+from solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive
 from solver.machines.fields import nearest
-from solver.machines.parts import Damper, ForceDrive, RotationDrive, Spring, TorqueDrive, TurningJoint
+from solver.machines.joints import TurningJoint
+from solver.machines.parts import Damper, Spring
 from solver.machines.refusals import shown
 
 if TYPE_CHECKING:

@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from solver.machines.machine import Load, Machine, Mount, SlidingJoint, Spring, Support
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine
+from solver.machines.parts import Load, Mount, Spring, Support
 
 __all__ = ["Arrow", "JointMark", "LinkShape", "MachineShapes", "SupportMark", "machine_shapes"]
 

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from solver.equations.drive import prescribes_motion
 from solver.equations.model import Model, build_model
 from solver.integrators.kernel import kernel_code
+from solver.machines.drives import TranslationDrive
 from solver.machines.fault import FaultState, check_fault
-from solver.machines.machine import Machine, SlidingJoint, TranslationDrive, TurningJoint
+from solver.machines.joints import SlidingJoint, TurningJoint
+from solver.machines.machine import Machine
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,17 @@ from typing import NamedTuple
 import numpy as np
 
 from solver.cases.history import Case, History, Settings, Status
-from solver.cases.pose import Start
+from solver.cases.start import Start
 from solver.compiler.ir import LANES
 from solver.errors import SettingsError
 from solver.machines.machine import Machine
 from solver.simulation.simulate import simulate_batch
-from solver.spectra.bands import BandScheme, band_matrix
+from solver.spectra.band_power import band_matrix
+from solver.spectra.bands import BandScheme
 from solver.spectra.sampling import PASS
 from solver.spectra.segments import FloatArray, revolution_segments
-from solver.spectra.spectrum import frame_units, sensor_signals
+from solver.spectra.sensor import sensor_signals
+from solver.spectra.spectrum import frame_units
 
 MOTIONS = ("x", "y", "theta")
 #: Highest order with a band of its own, if the sample rate allows.

@@ -13,7 +13,7 @@ import numpy as np
 from solver.cases.contact_rates import extent_of
 from solver.cases.groups import groups
 from solver.cases.history import Case, Settings, Status
-from solver.cases.pose import Start
+from solver.cases.start import Start
 from solver.cases.steps import SETTLING_REVOLUTIONS
 from solver.equations.drive import repeating_frequency
 from solver.errors import SettingsError

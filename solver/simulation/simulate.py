@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from solver.cases.groups import groups
 from solver.cases.history import Case, History, Settings, Status
-from solver.cases.pose import Start
 from solver.cases.positions import mobility_of
 from solver.cases.preparation import Prepared
+from solver.cases.start import Start
 from solver.equations.links import link_motion
 from solver.equations.model import Model
 from solver.errors import SettingsError

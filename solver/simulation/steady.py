@@ -12,9 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from solver.cases.assembly import CLOSED, close, inner_coordinates, walk
 from solver.cases.groups import groups
 from solver.cases.history import Case, History, Settings, Status
-from solver.cases.pose import CLOSED, Start, close, inner_coordinates, least_velocity, walk
+from solver.cases.start import Start, least_velocity
 from solver.equations.drive import repeating_frequency
 from solver.equations.model import Model
 from solver.errors import AssemblyError

@@ -11,8 +11,8 @@ import numpy as np
 
 from solver.cases.contact_rates import extent_of
 from solver.cases.history import Case, History, Settings, Status
-from solver.cases.pose import Start
 from solver.cases.preparation import model_of
+from solver.cases.start import Start
 from solver.compiler.ir import LANES
 from solver.equations.drive import repeating_frequency
 from solver.errors import SettingsError

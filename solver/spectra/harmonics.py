@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from solver.errors import SettingsError
-from solver.spectra.bands import BandScheme, band_matrix
+from solver.spectra.band_power import band_matrix
+from solver.spectra.bands import BandScheme
 from solver.spectra.segments import FloatArray
 
 #: Multiples of the drive's frequency that are compared, and the highest frequency among them, Hz.

@@ -1,7 +1,4 @@
-"""Spectra that carry what they are: quantity, unit, scaling, window, resolution, averages, drive speed, point.
-
-Bands of orders live in :mod:`solver.spectra.bands`, sensors in :mod:`solver.spectra.sensor`.
-"""
+"""Spectra that carry what they are: quantity, unit, scaling, window, resolution, averages, drive speed, point."""
 
 from __future__ import annotations
 
@@ -13,34 +10,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.signal
 
 from solver.errors import SettingsError
-from solver.spectra.bands import BandMatrix, BandScheme, band_matrices, band_matrix, transform_power
-from solver.spectra.segments import ComplexArray, FloatArray, fast_length
-from solver.spectra.sensor import RigidBody, rigid_body, sensor_signals, sensor_transform
-
-__all__ = [
-    "BandMatrix",
-    "BandScheme",
-    "CrossSpectrum",
-    "Quantity",
-    "RigidBody",
-    "Scaling",
-    "Spectrum",
-    "band_matrices",
-    "band_matrix",
-    "convert",
-    "cross_spectra",
-    "order_levels",
-    "rescale",
-    "rigid_body",
-    "sensor_signals",
-    "sensor_transform",
-    "transform_power",
-    "undo_sample_mean",
-    "welch",
-]
+from solver.spectra.segments import ComplexArray, FloatArray
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
 Scaling = Literal["psd", "rms", "peak"]
@@ -48,9 +20,6 @@ Scaling = Literal["psd", "rms", "peak"]
 #: How many time derivatives each quantity is from displacement, and the unit's ending that goes with it.
 DERIVATIVES: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 _PER_TIME = ("", "/s", "/s2")
-
-#: Equivalent noise bandwidth of a Hann window, in spectral lines.
-HANN_NOISE_LINES = 1.5
 
 
 @dataclass(frozen=True)
@@ -144,138 +113,6 @@ def frame_units(channels: Sequence[str], quantity: Quantity) -> tuple[str, ...]:
     return tuple(("rad" if name == "theta" else "m") + _PER_TIME[DERIVATIVES[quantity]] for name in channels)
 
 
-def welch(
-    signal: npt.ArrayLike,
-    sample_rate: float,
-    *,
-    drive_speed: float | None,
-    channels: Sequence[str],
-    quantity: Quantity = "acceleration",
-    units: Sequence[str] | None = None,
-    revolutions_per_window: float = 4.0,
-    window_length: int | None = None,
-    transient: float = 0.0,
-    point: str = "",
-) -> Spectrum:
-    """Power spectral density by Welch's method: Hann windows that overlap by half, mean taken off each.
-
-    Parameters
-    ----------
-    signal : (n, c) array
-        Without the transient.
-    sample_rate : float
-        Hz.
-    drive_speed : float or None
-        rad/s.
-    channels, units : sequences of str, (c,)
-        Units default to m and rad ("theta") with the quantity's time.
-    quantity : {"displacement", "velocity", "acceleration"}
-    revolutions_per_window : float
-        Window in drive revolutions.
-    window_length : int, optional
-        Window in samples instead; the default without a drive is an eighth of the signal.
-    transient : float
-        What was dropped before, for the record [s].
-    point : str
-        For the record.
-
-    Returns
-    -------
-    Spectrum
-
-    Raises
-    ------
-    SettingsError
-        When the signal is not finite, not (n, c), or shorter than a window.
-    """
-    return cross_spectra(
-        signal,
-        sample_rate,
-        drive_speed=drive_speed,
-        channels=channels,
-        quantity=quantity,
-        units=units,
-        revolutions_per_window=revolutions_per_window,
-        window_length=window_length,
-        transient=transient,
-        point=point,
-        diagonal_only=True,
-    ).auto
-
-
-def cross_spectra(
-    signal: npt.ArrayLike,
-    sample_rate: float,
-    *,
-    drive_speed: float | None,
-    channels: Sequence[str],
-    quantity: Quantity = "acceleration",
-    units: Sequence[str] | None = None,
-    revolutions_per_window: float = 4.0,
-    window_length: int | None = None,
-    transient: float = 0.0,
-    point: str = "",
-    diagonal_only: bool = False,
-) -> CrossSpectrum:
-    """Cross-spectral densities of all pairs of channels; parameters as for :func:`welch`.
-
-    Parameters
-    ----------
-    diagonal_only : bool
-        Leave the pairs out (their density is zero then) and only estimate each channel by itself.
-
-    Returns
-    -------
-    CrossSpectrum
-
-    Raises
-    ------
-    SettingsError
-        As :func:`welch`.
-    """
-    values = np.asarray(signal, dtype=np.float64)
-    width = len(channels)
-    if values.ndim != 2 or values.shape[1] != width:
-        raise SettingsError(f"signal: shape {values.shape}: need samples x {width} channels")
-    if not np.all(np.isfinite(values)):
-        raise SettingsError("signal: holds a number that is not finite")
-    length = window_length
-    if length is None:
-        if drive_speed:
-            length = fast_length(revolutions_per_window * 2.0 * math.pi / abs(drive_speed) * sample_rate)
-        else:
-            length = len(values) // 8
-    if not 8 <= length <= len(values):
-        raise SettingsError(f"signal: {len(values)} samples: a window of {length} samples does not fit")
-    hop = length - length // 2
-    density = np.zeros((length // 2 + 1, width, width), dtype=np.complex128)
-    for i in range(width):
-        for j in range(i, i + 1 if diagonal_only else width):
-            # scipy conjugates the first argument.
-            _, pair = scipy.signal.csd(
-                values[:, j], values[:, i], fs=sample_rate, window="hann", nperseg=length,
-                noverlap=length - hop, detrend="constant",
-            )  # fmt: skip
-            density[:, i, j] = pair
-            density[:, j, i] = np.conj(pair)
-    auto = Spectrum(
-        frequency=np.arange(length // 2 + 1, dtype=np.float64) * (sample_rate / length),
-        values=np.ascontiguousarray(np.diagonal(density, axis1=1, axis2=2).real),
-        channels=tuple(channels),
-        quantity=quantity,
-        units=tuple(units) if units is not None else frame_units(channels, quantity),
-        scaling="psd",
-        window="hann",
-        resolution=sample_rate / length,
-        noise_bandwidth=HANN_NOISE_LINES * sample_rate / length,
-        averages=1 + (len(values) - length) // hop,
-        drive_speed=None if not drive_speed else abs(drive_speed),
-        transient=transient,
-        point=point,
-    )
-    return CrossSpectrum(density, auto)
-
-
 def convert(spectrum: Spectrum, quantity: Quantity) -> Spectrum:
     """The same motion as another quantity, by (2 pi f)^k (squared for a density).
 
@@ -361,26 +198,6 @@ def order_levels(spectrum: Spectrum, orders: Sequence[float] | npt.NDArray[np.fl
         [np.interp(high, borders, column) - np.interp(np.maximum(low, 0.0), borders, column) for column in running.T]
     )
     return np.asarray(np.sqrt(np.maximum(power, 0.0)), dtype=np.float64)
-
-
-def undo_sample_mean(frequency: npt.ArrayLike, sample_rate: float) -> FloatArray:
-    """Factor on a density that undoes the loss of taking the mean over every sample interval.
-
-    A mean over 1 / fs multiplies amplitudes by sin(pi f / fs) / (pi f / fs).
-
-    Parameters
-    ----------
-    frequency : (n,) array
-        Hz, below the sample rate.
-    sample_rate : float
-        Hz.
-
-    Returns
-    -------
-    (n,) array
-        1 at zero frequency, (pi / 2)^2 at half the sample rate.
-    """
-    return np.asarray(np.sinc(np.asarray(frequency, dtype=np.float64) / sample_rate) ** -2, dtype=np.float64)
 
 
 def _speed_of(spectrum: Spectrum) -> float:

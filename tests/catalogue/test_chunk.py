@@ -14,7 +14,7 @@ from catalogue.store import Catalogue
 from solver.errors import AssemblyError
 from solver.machines.machine import parse_machine, shipped_machine
 from solver.simulation.simulate import Case, Settings, simulate_batch
-from solver.spectra.bands import band_matrix
+from solver.spectra.band_power import band_matrix
 
 MACHINE = shipped_machine("slider-crank")
 PLAN = parse_plan(

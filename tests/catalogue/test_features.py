@@ -19,7 +19,8 @@ from catalogue.sensors import map_sensors
 from solver.machines.fault import parse_fault
 from solver.machines.machine import Machine, parse_machine, shipped_machine
 from solver.simulation.simulate import Case, Settings, simulate
-from solver.spectra.bands import BandScheme, band_matrix
+from solver.spectra.band_power import band_matrix
+from solver.spectra.bands import BandScheme
 from solver.spectra.sensor import sensor_transform
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"

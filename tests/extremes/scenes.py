@@ -11,7 +11,8 @@ from laws import Array, Tree, drawn, run, states, tree_of
 
 from solver.cases.history import History
 from solver.equations.links import LinkMotion
-from solver.machines.machine import Machine, TorqueDrive, parse_machine
+from solver.machines.drives import TorqueDrive
+from solver.machines.machine import Machine, parse_machine
 
 RPM = 2 * math.pi / 60
 TORQUE: Tree = {"kind": "torque", "joint": "O", "torque": 2.0}

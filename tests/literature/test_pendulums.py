@@ -12,7 +12,7 @@ from oracle.state import State
 from trajectory import trajectory
 
 from solver.cases.history import History
-from solver.cases.pose import start_velocity
+from solver.cases.start import start_velocity
 from solver.equations.model import build_model
 from solver.machines.machine import Machine, parse_machine
 from solver.simulation.simulate import Case, Settings, Status, simulate

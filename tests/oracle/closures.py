@@ -8,7 +8,9 @@ import numpy as np
 from oracle.state import Array, State
 from oracle.tables import prescribed
 
-from solver.machines.machine import Machine, RotationDrive, SlidingJoint, TranslationDrive
+from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine
 
 
 def lacking(machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array) -> float:

@@ -22,17 +22,10 @@ from oracle.closures import blocked_motions
 from oracle.state import Array, ContactState, Slide, State, across, cross
 from oracle.tables import periodic_row, prescribed, table, time_row
 
-from solver.machines.machine import (
-    ForceDrive,
-    Machine,
-    Mount,
-    RotationDrive,
-    SlidingJoint,
-    Spring,
-    TorqueDrive,
-    TranslationDrive,
-    TurningJoint,
-)
+from solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive, TranslationDrive
+from solver.machines.joints import SlidingJoint, TurningJoint
+from solver.machines.machine import Machine
+from solver.machines.parts import Mount, Spring
 
 
 class JammedError(Exception):

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.machines.machine import Contact, Machine, SlidingJoint, TurningJoint
+from solver.machines.joints import Contact, SlidingJoint, TurningJoint
+from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,9 @@ from oracle.state import ContactState, State
 from solver.equations.links import LinkMotion, link_motion
 from solver.equations.model import build_model
 from solver.errors import AssemblyError
-from solver.machines.machine import Machine, RotationDrive, SlidingJoint, TranslationDrive
+from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine
 
 #: Largest difference, as part of the largest term of the equations. What is not the solver's fault sets it: a pin
 #: pressed 1e-6 m into a socket of 1e8 N/m loses six digits of sixteen before any equation is written.

@@ -8,7 +8,8 @@ import pytest
 
 from solver.errors import MachineError
 from solver.machines.fault import FaultState
-from solver.machines.machine import Contact, Machine, TurningJoint, parse_machine, shipped_machine
+from solver.machines.joints import Contact, TurningJoint
+from solver.machines.machine import Machine, parse_machine, shipped_machine
 from solver.simulation.simulate import Case, Settings, simulate
 
 Tree = dict[str, Any]

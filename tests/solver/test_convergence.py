@@ -10,7 +10,8 @@ import pytest
 from laws import Array, impacts, run, states, tree_of
 
 from solver.equations.links import LinkMotion
-from solver.machines.machine import Machine, SlidingJoint, parse_machine, shipped_machine
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine, parse_machine, shipped_machine
 
 
 def test_gill_is_of_fourth_order() -> None:

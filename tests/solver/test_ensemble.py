@@ -20,7 +20,8 @@ from solver.simulation.blocks import BLOCK, Members
 from solver.simulation.ensemble import Ensemble, EnsembleResult, simulate_ensemble
 from solver.simulation.simulate import simulate, start_of
 from solver.spectra.harmonics import compared
-from solver.spectra.spectrum import order_levels, welch
+from solver.spectra.spectrum import order_levels
+from solver.spectra.welch import welch
 
 FAULT = FaultState({"B": 2e-4})
 PERIODIC = Case(FAULT)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, SlidingJoint, shipped_machine
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine, shipped_machine
 from solver.simulation.simulate import Case, History, Settings, simulate
 
 

@@ -12,13 +12,10 @@ from hypothesis import strategies as st
 from machine_trees import MISSING, SLIDER_CRANK, SPRING, changed
 
 from solver.errors import MachineError
+from solver.machines.drives import RotationDrive
+from solver.machines.joints import Contact, TurningJoint
 from solver.machines.machine import (
-    Contact,
     Machine,
-    Mount,
-    RotationDrive,
-    Spring,
-    TurningJoint,
     load_machine,
     machine_json_schema,
     parse_machine,
@@ -27,6 +24,7 @@ from solver.machines.machine import (
     shipped_machine_names,
     shipped_machine_text,
 )
+from solver.machines.parts import Mount, Spring
 from solver.machines.yamlfile import read_tree
 
 SHAPER = Path(__file__).parents[1] / "data" / "machines" / "quick-return-shaper.yaml"

@@ -13,7 +13,8 @@ import pytest
 from laws import Array, Tree, drawn, impacts, run, states, tree_of
 from scipy.integrate import cumulative_simpson
 
-from solver.machines.machine import Machine, SlidingJoint, parse_machine, shipped_machine
+from solver.machines.joints import SlidingJoint
+from solver.machines.machine import Machine, parse_machine, shipped_machine
 
 METHODS = pytest.mark.parametrize("method", ["gill", "adaptive"])
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver.cases.pose import start_pose, start_velocity, walk
+from solver.cases.assembly import walk
+from solver.cases.start import start_pose, start_velocity
 from solver.equations.model import build_model
 from solver.errors import AssemblyError
 from solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names

@@ -13,10 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solver.errors import SettingsError
-from solver.spectra.bands import BandScheme, band_matrices, band_matrix, transform_power
+from solver.spectra.band_power import band_matrices, band_matrix, transform_power
+from solver.spectra.bands import BandScheme
 from solver.spectra.segments import fast_length, revolution_segments
 from solver.spectra.sensor import rigid_body, sensor_signals, sensor_transform
-from solver.spectra.spectrum import convert, cross_spectra, order_levels, rescale, undo_sample_mean, welch
+from solver.spectra.spectrum import convert, order_levels, rescale
+from solver.spectra.welch import cross_spectra, undo_sample_mean, welch
 
 FS = 10_000.0
 DRIVE = 2.0 * math.pi * 2.0  # two revolutions a second

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from solver.cases.pose import start_pose, start_velocity
+from solver.cases.start import start_pose, start_velocity
 from solver.compiler.scalar import SCALAR
 from solver.equations.model import build_model
 from solver.integrators import stepper

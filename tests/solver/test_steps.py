@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from test_simulate import crank_at
 
+from solver.cases.assembly import walk
 from solver.cases.contact_rates import ContactRates, contact_rates
 from solver.cases.friction_rates import friction_rate
 from solver.cases.groups import groups
-from solver.cases.pose import walk
 from solver.cases.steps import (
     LEAST_RESPONSE,
     RESIDUE,

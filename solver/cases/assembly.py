@@ -1,10 +1,9 @@
-"""Where a run starts: assembled poses, static equilibrium, velocities that fulfil constraints and drive."""
+"""Assembled poses: closures met by Newton's method, followed over the positions of the drive, or refused by name."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 
 from solver.equations.model import Model
 from solver.errors import AssemblyError
-from solver.machines.machine import RotationDrive, TranslationDrive, TurningJoint
+from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.joints import TurningJoint
 
 Array = NDArray[np.float64]
 
@@ -20,24 +20,13 @@ Array = NDArray[np.float64]
 CLOSED = 1e-11
 #: A closure of which less than this part is not in those before it repeats them.
 _INDEPENDENT = 1e-9
-_NEWTON_STEPS = 30
+#: Newton's method gives up after so many steps.
+NEWTON_STEPS = 30
 _WALK_STEPS = 120
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where a run starts or ended: coordinates, velocities, (n,) each, the time, s, and what contacts remember, (m,).
-
-    Without the last, a contact at the start begins there.
-    """
-
-    z: Array
-    v: Array
-    t: float = 0.0
-    memory: Array = field(default_factory=lambda: np.zeros(0))
-
-
-def _dense(value: ca.DM) -> Array:
+def array_of(value: ca.DM) -> Array:
+    """A matrix of CasADi as an array of NumPy."""
     return np.asarray(value.full(), dtype=np.float64)
 
 
@@ -50,12 +39,12 @@ def close(model: Model, t: float, z: Array, p: Sequence[float], free: Sequence[i
     names = [c.name for c in model.kinematics.closures] + [j for j in model.clearance_joints for _ in range(2)]
     zero = np.zeros(model.size)
     gap = np.zeros(0)
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(NEWTON_STEPS):
         residual, jacobian, _ = model.constraint(t, z, zero, p)
-        gap = _dense(residual)[:, 0]
+        gap = array_of(residual)[:, 0]
         if gap.size == 0 or np.abs(gap).max() < CLOSED:
             break
-        step = np.linalg.lstsq(_dense(jacobian)[:, free], gap, rcond=1e-12)[0]
+        step = np.linalg.lstsq(array_of(jacobian)[:, free], gap, rcond=1e-12)[0]
         # A full step from a dead centre may leave for infinity; half a radian or half a metre is far enough.
         z[free] -= step * min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
     if gap.size == 0:
@@ -131,7 +120,7 @@ def check_closures(model: Model, p: Sequence[float]) -> None:
         Names the first closure, as drawn, that follows from those before it.
     """
     closures = model.kinematics.closures
-    rows = _dense(model.constraint(0.0, np.zeros(model.size), np.zeros(model.size), p)[1])[: len(closures)]
+    rows = array_of(model.constraint(0.0, np.zeros(model.size), np.zeros(model.size), p)[1])[: len(closures)]
     scale = float(np.abs(rows).max(initial=0.0))
     basis: list[Array] = []
     for closure, row in zip(closures, rows, strict=True):
@@ -188,118 +177,3 @@ def _cannot_assemble(model: Model, p: Sequence[float], t: float, z: Array, gap: 
     what = f"link {owner}, locked," if kind.startswith("locked") else f"joint {owner}"
     rule = f"cannot be assembled {where}: a little further {what} stays {gap * 1e3:.3g} mm open"
     return AssemblyError(machine.name, _place(name), None, rule)
-
-
-def start_pose(model: Model, p: Sequence[float]) -> Array:
-    """Coordinates at t = 0: as drawn, or in static equilibrium with the drive standing and pins concentric.
-
-    Parameters
-    ----------
-    model : Model
-        For an equilibrium, of the machine with its drive standing.
-    p : sequence of float
-
-    Raises
-    ------
-    AssemblyError
-        Nothing holds some motion, or no equilibrium is near the drawn pose.
-    """
-    z = np.zeros(model.size)
-    if model.machine.initial.pose == "drawn" or model.size == 0:
-        return z
-    stacked = ca.vertcat(model.phi, model.eccentricity)
-    multipliers = ca.SX.sym("l", stacked.shape[0])
-    gradient = ca.jacobian(stacked, model.z)
-    force = ca.mtimes(model.kinematics.axes, model.unremembered(model.force)) + ca.mtimes(gradient.T, multipliers)
-    unknowns = ca.vertcat(model.z, multipliers)
-    equations = ca.vertcat(force, stacked)
-    newton = ca.Function(
-        "equilibrium", [unknowns, model.t, model.v, model.p], [equations, ca.jacobian(equations, unknowns)]
-    )
-    x = np.zeros(int(unknowns.shape[0]))
-    rest = np.zeros(model.size)
-    for _ in range(_NEWTON_STEPS):
-        residual, jacobian = (_dense(part) for part in newton(x, 0.0, rest, p))
-        scale = np.maximum(np.abs(jacobian).max(axis=1), 1e-300)
-        step, _, rank, _ = np.linalg.lstsq(jacobian / scale[:, None], residual[:, 0] / scale, rcond=1e-13)
-        if rank < x.size:
-            rule = "no static equilibrium: some motion is held by nothing; use `pose: drawn`"
-            raise AssemblyError(model.machine.name, "initial.pose", "equilibrium", rule)
-        x -= step
-        if np.abs(step[: model.size]).max() < 1e-13:
-            return np.asarray(x[: model.size])
-    rule = "no static equilibrium near the drawn pose; use `pose: drawn`"
-    raise AssemblyError(model.machine.name, "initial.pose", "equilibrium", rule)
-
-
-def start_velocity(model: Model, p: Sequence[float], z: Array) -> Array:
-    """Velocities of the ideal machine: constraints and drive fulfilled, what was given kept, the frame at rest.
-
-    What is left open is the least mass-weighted motion.
-
-    Raises
-    ------
-    AssemblyError
-        Given velocities contradict each other, the joints or the drive.
-    """
-    rest = np.zeros(model.size)
-    rows, right = [], []
-    given = model.machine.initial.velocities
-    names = list(model.machine.links)
-    link_jacobian, link_drift = (_dense(part) for part in model.link_rates(0.0, z, rest, p))
-    for name, velocity in given.items():
-        first = 3 * names.index(name)
-        for k, value in enumerate((*(velocity.velocity or (None, None)), velocity.omega)):
-            if value is not None:
-                rows.append(link_jacobian[first + k])
-                right.append(value - link_drift[first + k, 0])
-    if model.machine.frame not in given:
-        for index in model.frame_indices:
-            if index is not None:
-                rows.append(np.eye(model.size)[index])
-                right.append(0.0)
-    field = "initial" if given else "drive"
-    return least_velocity(model, 0.0, p, z, np.array(rows).reshape(len(rows), model.size), np.array(right), field)
-
-
-def least_velocity(
-    model: Model, t: float, p: Sequence[float], z: Array, rows: Array, right: Array, field: str = "drive"
-) -> Array:
-    """The least mass-weighted velocities that fulfil closures, concentric pins and drive, and `rows` v = `right`.
-
-    Parameters
-    ----------
-    model : Model
-    t : float
-        s.
-    p : sequence of float
-    z : (n,) array
-        Coordinates that fulfil the closures.
-    rows, right : (k, n) and (k,) arrays
-    field : str
-        Path in the machine file of what is to blame where these demands contradict each other.
-
-    Returns
-    -------
-    (n,) array
-
-    Raises
-    ------
-    AssemblyError
-        They contradict each other.
-    """
-    rest = np.zeros(model.size)
-    _, jacobian, drift = (_dense(part) for part in model.constraint(t, z, rest, p))
-    matrix, target = np.vstack([jacobian, rows]), np.concatenate([-drift[:, 0], right])
-    if model.size == 0 or target.size == 0:
-        return rest
-    mass = _dense(model.inertia(t, z, rest, p)[0])
-    root = np.linalg.cholesky(mass)
-    # Least v'Mv: in w = L'v it is the least norm.
-    weighted = np.linalg.solve(root, matrix.T).T
-    v = np.linalg.solve(root.T, np.linalg.lstsq(weighted, target, rcond=1e-11)[0])
-    left = float(np.abs(matrix @ v - target).max())
-    if left > 1e-8 * max(1.0, float(np.abs(target).max())):
-        rule = f"velocities contradict the joints and the drive by {left:.3g} (m/s or rad/s)"
-        raise AssemblyError(model.machine.name, field, None, rule)
-    return np.asarray(v)

@@ -1,0 +1,269 @@
+"""Power of a signal in bands of orders: what a catalogue stores and what a diagnosis compares.
+
+A band's power is the integral of the (cross-)spectral density over it. Spectral lines that straddle an edge are split
+in proportion, so that bands side by side add up to the power of the range they cover (Parseval).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from solver.errors import SettingsError
+from solver.spectra.bands import BandScheme
+from solver.spectra.segments import ComplexArray, FloatArray, Segmentation, revolution_segments
+
+_Number = TypeVar("_Number", np.float64, np.complex128)
+
+#: Window of the band estimator in drive revolutions, and the step from one window to the next.
+WINDOW_REVOLUTIONS = 3.0
+HOP_REVOLUTIONS = 1.0
+
+
+@dataclass(frozen=True)
+class BandMatrix:
+    """Cross-power of channels in bands, averaged over windows of one signal.
+
+    Parameters
+    ----------
+    power : (B, c, c) complex array
+        Hermitian; [unit of channel i x unit of channel j], integrated over the band. The diagonal is real.
+    spread_db : (B, c) array
+        Standard deviation over the windows of the band's level [dB]; 0 when there is one window only.
+    segments : int
+        Windows averaged; they overlap by two thirds.
+    degrees_of_freedom : (B,) array
+        Of the chi-square law that the power of steady broadband noise would follow.
+    covered : (B,) bool array
+        False where the band reaches beyond half the sample rate: its power is then incomplete.
+    scheme : BandScheme
+    drive_speed : float
+        rad/s.
+    sample_rate : float
+        Hz.
+    channels : tuple of str
+    """
+
+    power: ComplexArray
+    spread_db: FloatArray
+    segments: int
+    degrees_of_freedom: FloatArray
+    covered: npt.NDArray[np.bool_]
+    scheme: BandScheme
+    drive_speed: float
+    sample_rate: float
+    channels: tuple[str, ...] = field(default=())
+
+    @property
+    def auto_power(self) -> FloatArray:
+        """Power of each channel in each band, (B, c)."""
+        return np.ascontiguousarray(np.diagonal(self.power, axis1=-2, axis2=-1).real)
+
+
+def band_matrix(
+    signal: npt.ArrayLike,
+    sample_rate: float,
+    drive_speed: float,
+    scheme: BandScheme,
+    *,
+    channels: tuple[str, ...] = (),
+    derivatives: Sequence[int] | None = None,
+    combine: npt.ArrayLike | None = None,
+    sample_mean: bool = False,
+    window_revolutions: float = WINDOW_REVOLUTIONS,
+) -> BandMatrix:
+    """Band powers and cross-powers of one signal.
+
+    Parameters
+    ----------
+    signal : (n, c) array
+        Without the start-up transient.
+    sample_rate : float
+        Hz.
+    drive_speed : float
+        Drive speed of *this* signal [rad/s].
+    scheme : BandScheme
+    channels : tuple of str
+        Names, for the record.
+    derivatives : sequence of int, optional
+        How many times each channel is to be differentiated in time, by (2 pi i f)^k; negative to integrate.
+    combine : (k, c) array, optional
+        The channels of the result are these combinations of the (differentiated) channels.
+    sample_mean : bool
+        True when every sample is the mean over its sample interval (alias-free output of the simulator); the known loss
+        of such a mean is then undone, see :func:`solver.spectra.welch.undo_sample_mean`.
+    window_revolutions : float
+        Window in drive revolutions.
+
+    Returns
+    -------
+    BandMatrix
+
+    Raises
+    ------
+    SettingsError
+        When the signal is not a table of numbers, shorter than one window, or the drive stands still.
+    """
+    values = np.asarray(signal, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] < 1:
+        raise SettingsError(f"signal: shape {values.shape}: need samples x channels")
+    if not np.all(np.isfinite(values)):
+        raise SettingsError("signal: holds a number that is not finite")
+    segmentation = revolution_segments(len(values), sample_rate, drive_speed, window_revolutions, HOP_REVOLUTIONS)
+    edges = scheme.edges_hz(drive_speed)
+    lines = min(segmentation.length // 2 + 1, int(edges[-1] / segmentation.resolution + 0.5) + 2)
+    spectrum = segmentation.coefficients(values, lines)
+    factor = _line_factors(segmentation, lines, values.shape[1], derivatives, sample_mean)
+    if factor is not None:
+        spectrum *= factor
+    if combine is not None:
+        spectrum = np.einsum("kc,scf->skf", np.asarray(combine, dtype=np.float64), spectrum)
+    pieces = _Pieces.cut(edges, segmentation)
+
+    windows, width = spectrum.shape[:2]
+    auto = pieces.sum(spectrum.real**2 + spectrum.imag**2)  # (windows, c, B)
+    power = np.empty((scheme.count, width, width), dtype=np.complex128)
+    for i in range(width):
+        power[:, i, i] = auto[:, i].mean(axis=0)
+        for j in range(i + 1, width):
+            cross = np.einsum("sf,sf->f", spectrum[:, i], spectrum[:, j].conj()) / windows
+            power[:, i, j] = pieces.sum(cross)
+            power[:, j, i] = power[:, i, j].conj()
+    tiny = np.finfo(np.float64).tiny
+    if windows > 1:
+        spread = np.std(10.0 * np.log10(np.maximum(auto, tiny)), axis=0, ddof=1).T
+    else:
+        spread = np.zeros((scheme.count, width))
+    return BandMatrix(
+        power=power,
+        spread_db=np.ascontiguousarray(spread),
+        segments=windows,
+        degrees_of_freedom=_degrees_of_freedom(segmentation, edges),
+        covered=edges[1:] <= 0.5 * sample_rate * (1.0 + 1e-9),
+        scheme=scheme,
+        drive_speed=abs(drive_speed),
+        sample_rate=sample_rate,
+        channels=channels,
+    )
+
+
+def band_matrices(
+    signals: Iterable[npt.ArrayLike],
+    sample_rate: float,
+    drive_speeds: Iterable[float],
+    scheme: BandScheme,
+    *,
+    sample_mean: bool = False,
+    window_revolutions: float = WINDOW_REVOLUTIONS,
+) -> Iterator[BandMatrix]:
+    """:func:`band_matrix` of many signals, one after the other (their speeds, and so their windows, differ).
+
+    Parameters
+    ----------
+    signals : iterable of (n, c) arrays
+        A (cases, n, c) array, a list or a generator.
+    sample_rate : float
+        Hz.
+    drive_speeds : iterable of float
+        One a signal [rad/s].
+    scheme : BandScheme
+    sample_mean, window_revolutions
+        As for :func:`band_matrix`.
+
+    Yields
+    ------
+    BandMatrix
+    """
+    for signal, speed in zip(signals, drive_speeds, strict=True):
+        yield band_matrix(
+            signal, sample_rate, speed, scheme, sample_mean=sample_mean, window_revolutions=window_revolutions
+        )
+
+
+def transform_power(power: npt.ArrayLike, transform: npt.ArrayLike) -> ComplexArray:
+    """Cross-powers seen through a linear map of the channels, ``T P T^H``.
+
+    Parameters
+    ----------
+    power : (..., B, c, c) array
+    transform : (s, c) array
+        For instance of :func:`solver.spectra.sensor.sensor_transform`.
+
+    Returns
+    -------
+    (..., B, s, s) complex array
+    """
+    matrix = np.asarray(transform, dtype=np.float64)
+    return np.asarray(matrix @ np.asarray(power) @ matrix.T, dtype=np.complex128)
+
+
+def _line_factors(
+    segmentation: Segmentation, lines: int, channels: int, derivatives: Sequence[int] | None, sample_mean: bool
+) -> ComplexArray | None:
+    """Amplitude factor of every line and channel, (c, lines), or None when there is nothing to do."""
+    if derivatives is None and not sample_mean:
+        return None
+    frequency = segmentation.frequency[:lines]
+    factor = np.ones((channels, lines), dtype=np.complex128)
+    if sample_mean:
+        factor /= np.sinc(frequency / segmentation.sample_rate)
+    if derivatives is not None:
+        if len(derivatives) != channels:
+            raise SettingsError(f"derivatives: {len(derivatives)} numbers for {channels} channels")
+        for row, count in zip(factor, derivatives, strict=True):
+            row[1:] *= (2j * math.pi * frequency[1:]) ** count
+            if count != 0:
+                row[0] = 0.0  # what stands still has no derivative, and its integral is not known
+    return factor
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Stretches of frequency that lie in one band and one spectral line both."""
+
+    lines: npt.NDArray[np.intp]
+    share: FloatArray
+    starts: npt.NDArray[np.intp]
+    bands: npt.NDArray[np.intp]
+    band_count: int
+
+    @classmethod
+    def cut(cls, edges: FloatArray, segmentation: Segmentation) -> _Pieces:
+        total = segmentation.length // 2 + 1
+        # A line stands for the stretch half way to its neighbours; the first and (even length) last for half of that.
+        borders = np.concatenate([[0.0], np.arange(total) + 0.5])
+        borders[-1] = min(borders[-1], 0.5 * segmentation.length)
+        inside = np.clip(edges / segmentation.resolution, 0.0, borders[-1])
+        low, high = np.searchsorted(borders, inside[[0, -1]])
+        cuts = np.union1d(borders[low:high], inside)
+        middle = 0.5 * (cuts[1:] + cuts[:-1])
+        lines = np.searchsorted(borders, middle) - 1
+        owner = np.searchsorted(inside, middle) - 1
+        share = np.diff(cuts) / (borders[lines + 1] - borders[lines])
+        bands, starts = np.unique(owner, return_index=True)
+        return cls(lines.astype(np.intp), share, starts.astype(np.intp), bands.astype(np.intp), len(edges) - 1)
+
+    def sum(self, density: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
+        """Sum of line powers (..., lines) in each band (..., B)."""
+        result = np.zeros((*density.shape[:-1], self.band_count), dtype=density.dtype)
+        if self.starts.size:
+            weighted = density[..., self.lines] * self.share
+            result[..., self.bands] = np.add.reduceat(weighted, self.starts, axis=-1)
+        return result
+
+
+def _degrees_of_freedom(segmentation: Segmentation, edges: FloatArray) -> FloatArray:
+    """Twice the squared mean over the variance of band power of white noise.
+
+    The band's power is the mean over time of the squared envelope weighted by ``w(t)``; an envelope of bandwidth W is
+    independent after 1 / W, so mean^2 / variance = W (sum w)^2 / sum w^2 (Welch 1967, written for a wide band).
+    """
+    weight = segmentation.weight()
+    # not weight @ weight: the threads of a linear-algebra library cost more than this sum when cores are busy
+    duration = float(weight.sum() ** 2 / np.square(weight).sum()) / segmentation.sample_rate
+    return np.maximum(2.0, 2.0 * np.diff(edges) * duration)
