@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.storage import DiagnosisRow, aware
-from catalogue.diagnosis import Effort, Evidence, GoodnessOfFit, Hypothesis, Provenance, Verdict
+from catalogue.answer import Effort, Evidence, GoodnessOfFit, Hypothesis, Provenance, Verdict
 
 
 class DiagnosisOut(BaseModel):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from catalogue.diagnosis import Effort
+    from catalogue.answer import Effort
     from catalogue.measurement import Measurement
     from catalogue.store import Catalogue
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from catalogue.answer import Diagnosis, Effort
 from catalogue.calibration import calibration_error, log_loss
-from catalogue.diagnosis import Diagnosis, Effort, diagnose
+from catalogue.diagnosis import diagnose
 from catalogue.entry import AS_NEW, HEALTHY
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.learning import MatcherCache

@@ -13,7 +13,7 @@ from app.commands.parameters import Pairs, Quantity, each_once, existing_catalog
 from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from catalogue.diagnosis import Effort
+    from catalogue.answer import Effort
 
 
 @click.command("diagnose")

@@ -40,7 +40,7 @@ def command(catalogue: Path, protocol: str, count: int, seed: int, effort: str, 
     """Measure diagnoses on freshly simulated recordings that the catalogue has not seen."""
     from typing import cast
 
-    from catalogue.diagnosis import Effort
+    from catalogue.answer import Effort
     from catalogue.evaluate import evaluate
     from catalogue.store import Catalogue
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from catalogue.answer import Diagnosis
 from catalogue.build import build
-from catalogue.diagnosis import Diagnosis, diagnose, judged
+from catalogue.diagnosis import diagnose, judged
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.gaussian import GaussianAlongClearance
 from catalogue.learning import MatcherCache

@@ -1,0 +1,164 @@
+"""The answer of a diagnosis: shapes of its JSON, the same for the program and the API."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Effort = Literal["fast", "standard", "thorough"]
+Verdict = Literal["fault", "healthy", "unknown"]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class JointClearance(_Frozen):
+    """Radial clearance of one joint: median and central 90 % interval, micrometres."""
+
+    clearance_um: float
+    interval_um: tuple[float, float]
+
+
+class Hypothesis(_Frozen):
+    """One explanation.
+
+    Attributes
+    ----------
+    label : str
+        Its name in the catalogue: "F", "A+C", "healthy", "as-new".
+    joints : mapping of str to JointClearance
+        Worn joints; empty for a healthy machine.
+    probability : float
+        Among the hypotheses of the catalogue.
+    distance_db : float
+        Root mean square difference between measured and predicted levels.
+    """
+
+    label: str
+    joints: Mapping[str, JointClearance]
+    probability: Annotated[float, Field(ge=0.0, le=1.0)]
+    distance_db: Annotated[float, Field(ge=0.0)]
+
+
+class GoodnessOfFit(_Frozen):
+    """Whether the best hypothesis explains the recording: share of its own simulated recordings that fit it worse."""
+
+    p_value: Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class BandEvidence(_Frozen):
+    """One compared level.
+
+    Attributes
+    ----------
+    order, low_hz, high_hz : float
+        Middle of the band in orders of the drive; its edges.
+    channel : str
+        "x", "y", "theta" of the frame, or a sensor.
+    measured_db, predicted_db, spread_db : float
+        Level re 1 (m/s2)^2 or 1 (rad/s2)^2: measured, expected under the best hypothesis, and its standard deviation.
+    z : float
+        (measured - predicted) / spread.
+    """
+
+    order: float
+    low_hz: float
+    high_hz: float
+    channel: str
+    measured_db: float
+    predicted_db: float
+    spread_db: float
+    z: float
+
+
+class Evidence(_Frozen):
+    """Measured against predicted levels under the best hypothesis: single orders, and bands above them."""
+
+    orders: tuple[BandEvidence, ...]
+    bands: tuple[BandEvidence, ...]
+
+
+class MatcherIdentity(_Frozen):
+    """Which method matched."""
+
+    name: str
+    version: str
+
+
+class Provenance(_Frozen):
+    """Everything that determined the answer.
+
+    Attributes
+    ----------
+    measurement, measurement_sha256 : str
+        Name of the recording, and checksum of its bytes.
+    catalogue_sha256, machine_sha256 : str
+        Checksums of the catalogue's content and of the machine.
+    solver_version, catalogue_solver_version : str
+        Of this program, and of the one the catalogue was built with.
+    matcher : MatcherIdentity
+    recipes : tuple of str
+        What was done to the recording, in order.
+    """
+
+    measurement: str
+    measurement_sha256: str
+    catalogue_sha256: str
+    machine_sha256: str
+    solver_version: str
+    catalogue_solver_version: str
+    matcher: MatcherIdentity
+    recipes: tuple[str, ...]
+
+
+class Diagnosis(_Frozen):
+    """Answer to one recording; its JSON is the program's and the API's.
+
+    Attributes
+    ----------
+    id : str
+        Follows from recording, catalogue, settings and versions: the same question has the same id.
+    machine, catalogue : str
+        Name of the machine; the catalogue's folder name.
+    drive_speed_rpm : float
+        Estimated, or as given.
+    effort : {"fast", "standard", "thorough"}
+        As used, which may be less than was asked for; a warning says so then.
+    verdict : {"fault", "healthy", "unknown"}
+    hypotheses : tuple of Hypothesis
+        All of the catalogue, most probable first.
+    joint_probabilities : mapping of str to float
+        Of each joint, to be among the worn ones.
+    candidate_set : tuple of str
+        Labels of the fewest hypotheses that hold the truth with probability `coverage`, if it is in the catalogue.
+    coverage : float
+    goodness_of_fit : GoodnessOfFit
+    evidence : Evidence
+    warnings : tuple of str
+    provenance : Provenance
+    hash : str
+        SHA-256 of the canonical JSON of everything else.
+    """
+
+    id: str
+    machine: str
+    catalogue: str
+    drive_speed_rpm: float
+    effort: Effort
+    verdict: Verdict
+    hypotheses: tuple[Hypothesis, ...]
+    joint_probabilities: Mapping[str, float]
+    candidate_set: tuple[str, ...]
+    coverage: float
+    goodness_of_fit: GoodnessOfFit
+    evidence: Evidence
+    warnings: tuple[str, ...]
+    provenance: Provenance
+    hash: str
+
+    def to_json(self, indent: int | None = 2) -> str:
+        """Return the JSON text."""
+        return self.model_dump_json(indent=indent)
