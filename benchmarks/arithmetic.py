@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -11,14 +12,13 @@ import llvmlite.binding as llvm
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from benchmarks import slider_crank
 from benchmarks.computer import processor_seconds
 from benchmarks.scenes import Scene, p1, quick_return
 from solver.cases.start import start_velocity
 from solver.compiler import native
-from solver.compiler.ir import LANES
+from solver.compiler.ir import DECLARATIONS, LANES, ROW
 from solver.equations.model import Model, build_model
 from solver.integrators import gill
 from solver.integrators.kernel import Kernel, compile_model, kernel_code
@@ -27,8 +27,9 @@ from solver.machines.machine import Machine
 Array = NDArray[np.float64]
 
 _ROUNDS = 7
-#: Rows of the square matrices whose product measures the core's peak.
-_PRODUCT = 1500
+#: Independent chains of fused multiplications and additions that measure the core's peak: enough to hide their latency,
+#: few enough to stay in registers of AVX2, two a row, and turns of the loop.
+_CHAINS, _TURNS = 6, 2_000_000
 
 
 def casadi_operations(model: Model) -> int:
@@ -108,12 +109,40 @@ def _by_hand(count: int, y: Array, out: Array) -> float:
     return total
 
 
+def _fma_loop() -> str:
+    """``void peak(double* w)`` as LLVM assembly: rows w[k] = w[k] * a + b, many times over."""
+    chains = range(_CHAINS)
+    start = "\n".join(
+        f"  %p{k} = getelementptr {ROW}, ptr %w, i64 {k}\n  %s{k} = load {ROW}, ptr %p{k}, align 8" for k in chains
+    )
+    kept = "\n".join(f"  %x{k} = phi {ROW} [ %s{k}, %entry ], [ %y{k}, %loop ]" for k in chains)
+    work = "\n".join(f"  %y{k} = call {ROW} @llvm.fma.v{LANES}f64({ROW} %x{k}, {ROW} %s0, {ROW} %s1)" for k in chains)
+    end = "\n".join(f"  store {ROW} %y{k}, ptr %p{k}, align 8" for k in chains)
+    return f"""{DECLARATIONS}
+define void @peak(ptr %w) {{
+entry:
+{start}
+  br label %loop
+loop:
+  %i = phi i64 [ 0, %entry ], [ %next, %loop ]
+{kept}
+{work}
+  %next = add i64 %i, 1
+  %more = icmp ult i64 %next, {_TURNS}
+  br i1 %more, label %loop, label %done
+done:
+{end}
+  ret void
+}}
+"""
+
+
 def peak_gflops() -> float:
-    """Of one core: the product of two matrices by the linear algebra that comes with NumPy, one thread."""
-    a = np.random.default_rng(0).normal(size=(_PRODUCT, _PRODUCT))
-    with threadpool_limits(1):
-        spent = processor_seconds(lambda: a @ a, _ROUNDS)
-    return 2 * _PRODUCT**3 / spent / 1e9
+    """Of one core: independent chains of fused multiplications and additions on rows, in registers alone."""
+    peak = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(native.load(_fma_loop())("peak"))
+    rows = np.full(_CHAINS * LANES, 0.5)
+    spent = processor_seconds(lambda: peak(rows.ctypes.data), _ROUNDS)
+    return 2 * _CHAINS * LANES * _TURNS / spent / 1e9
 
 
 def _one(scene: Scene, peak: float) -> dict[str, object]:

@@ -99,7 +99,7 @@ def _arithmetic(found: dict[str, Any]) -> list[str]:
             "ns a lane", "Gflop/s", "of the peak"]  # fmt: skip
     return [
         *_table(head, rows),
-        f"The peak is the product of two matrices of 1500 rows by NumPy's linear algebra on one thread: "
+        f"The peak is that of independent fused multiplications and additions on rows in registers, measured: "
         f"{found['peak_gflops']:.0f} Gflop/s. A fused multiplication and addition counts as two flops, all else, "
         f"divisions and roots too, as one. Machine instructions are counted in the compiler's output. "
         f"P1 by hand, scalar: {found['by_hand_ns']:.0f} ns.",
