@@ -47,7 +47,7 @@ bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/benchmarks
 pins: ## make constraints.txt anew from the newest versions that fit pyproject.toml
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable '.[dev,cuda,bench]'
+	$(BIN)/python -m pip install --quiet --editable '.[dev,cluster,cuda,bench]'
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 	touch $(STAMP)
 
