@@ -1,4 +1,4 @@
-"""A chunk: cases with the same joints, simulated together by one worker with one compiled model."""
+"""A chunk: cases of one hypothesis with the same joints, simulated together by one worker with one compiled model."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Chunk:
         Canonical JSON.
     recipe : Recipe
     entries : tuple of Entry
-        At least one; all with the same joints and parameter names.
+        At least one; all of the same hypothesis, stratum and variant, with the same joints and parameter names.
     """
 
     machine: str
@@ -76,12 +76,13 @@ def chunked(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: in
     Returns
     -------
     list of Chunk
-        The first chunks of all sets of joints, then the second ones, and so on: then workers compile different models
+        The first chunks of all hypotheses, then the second ones, and so on: then workers compile different models
         in the beginning, and find them compiled later.
     """
-    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[Entry]] = defaultdict(list)
+    groups: dict[tuple[object, ...], list[Entry]] = defaultdict(list)
     for entry in entries:
-        groups[entry.joints, tuple(sorted(entry.parameters))].append(entry)
+        kind = (entry.hypothesis, entry.stratum, entry.variant, entry.joints, tuple(sorted(entry.parameters)))
+        groups[kind].append(entry)
     content = machine.canonical_json()
     cut = [
         [Chunk(content, recipe, tuple(group[start : start + size])) for start in range(0, len(group), size)]

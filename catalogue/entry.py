@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Literal, Self
@@ -11,11 +11,12 @@ from typing import Any, Literal, Self
 import solver
 from catalogue.errors import CatalogueMismatchError
 from catalogue.keys import entry_key
+from catalogue.variants import AS_FILED, Variant
 from solver.machines.fault import FaultState
 from solver.machines.machine import Machine
 from solver.spectra.bands import BandScheme
 
-__all__ = ["AS_NEW", "HEALTHY", "Entry", "Recipe", "hypothesis_label"]
+__all__ = ["AS_NEW", "HEALTHY", "Entry", "Hypothesis", "Recipe", "Stratum"]
 
 HEALTHY = "healthy"
 """Hypothesis of a machine whose joints all are ideal."""
@@ -24,9 +25,41 @@ AS_NEW = "as-new"
 """Hypothesis of a machine with the small play of new fits in every turning joint."""
 
 
-def hypothesis_label(joints: tuple[str, ...]) -> str:
-    """Name of the hypothesis that exactly `joints` are worn: ``healthy``, ``A``, ``A+F``, in alphabetical order."""
-    return "+".join(sorted(joints)) if joints else HEALTHY
+Stratum = Literal["trusted", "wide"]
+"""How much of the machine is uncertain in a case: what always is, or the machine's own data, too."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What a case is a case of.
+
+    Parameters
+    ----------
+    label : str
+        Its name: ``healthy``, ``as-new``, or the worn joints with ``+`` between them. For people; a joint's name may
+        hold a ``+`` itself, so nothing is read from it.
+    joints : tuple of str
+        The worn joints, in alphabetical order; none for the healthy and the as-new machine.
+    """
+
+    label: str
+    joints: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, joints: Iterable[str]) -> Self:
+        """The hypothesis that exactly `joints` are worn; of none, the healthy machine."""
+        joints = tuple(sorted(joints))
+        return cls("+".join(joints) if joints else HEALTHY, joints)
+
+    @classmethod
+    def as_new(cls) -> Self:
+        """The machine with new fits."""
+        return cls(AS_NEW)
+
+    @property
+    def is_faulty(self) -> bool:
+        """Whether a joint is worn."""
+        return bool(self.joints)
 
 
 @dataclass(frozen=True)
@@ -102,24 +135,30 @@ class Entry:
     ----------
     key : str
         SHA-256 of everything that determines the result.
-    hypothesis : str
-        Label of the hypothesis.
+    hypothesis : Hypothesis
+        What it is a case of.
     joints : tuple of str
-        Joints with clearance, in alphabetical order.
+        Joints with clearance, in alphabetical order: the worn ones, and those that only have the play of new fits.
     clearances : tuple of float
         Their radial clearances [m].
     parameters : mapping of str to float
         Numbers of the machine that differ from its file, by path, SI.
     draw : int
         Number of the draw within its hypothesis, levels and speed, from 0.
+    stratum : {"trusted", "wide"}
+        How much of the machine is uncertain.
+    variant : Variant
+        How the machine differs in kind from its file.
     """
 
     key: str
-    hypothesis: str
+    hypothesis: Hypothesis
     joints: tuple[str, ...]
     clearances: tuple[float, ...]
     parameters: Mapping[str, float]
     draw: int
+    stratum: Stratum = "trusted"
+    variant: Variant = AS_FILED
 
     @classmethod
     def of(
@@ -127,16 +166,23 @@ class Entry:
         machine: Machine,
         recipe: Recipe,
         *,
-        hypothesis: str,
+        hypothesis: Hypothesis,
         joints: tuple[str, ...],
         clearances: tuple[float, ...],
         parameters: Mapping[str, float],
         draw: int,
+        stratum: Stratum = "trusted",
+        variant: Variant = AS_FILED,
     ) -> Self:
         """Make an entry with its key."""
         fault = dict(zip(joints, clearances, strict=True))
-        key = entry_key(machine.content_key, fault, parameters, recipe.content, solver.__version__)
-        return cls(key, hypothesis, joints, clearances, dict(parameters), draw)
+        key = entry_key(machine.content_key, fault, parameters, recipe.content, solver.__version__, variant.content)
+        return cls(key, hypothesis, joints, clearances, dict(parameters), draw, stratum, variant)
+
+    @property
+    def worn(self) -> tuple[str, ...]:
+        """The worn joints, in alphabetical order."""
+        return self.hypothesis.joints
 
     @property
     def fault(self) -> FaultState:

@@ -14,7 +14,7 @@ import numpy as np
 from catalogue.answer import Diagnosis, Effort
 from catalogue.calibration import calibration_error, log_loss
 from catalogue.diagnosis import diagnose
-from catalogue.entry import AS_NEW, HEALTHY
+from catalogue.entry import AS_NEW, HEALTHY, Hypothesis
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.learning import MatcherCache
 from catalogue.measurement import Channel, Measurement
@@ -200,7 +200,8 @@ def evaluate(
     if not catalogue.machine.sensors:
         raise DiagnosisError(f"machine {catalogue.machine.name}: has no sensors to record with")
     generator = np.random.default_rng(seed)
-    truths = [draw_truth(catalogue, labels[i % len(labels)], conditions, generator) for i in range(count)]
+    hypotheses = catalogue.entries.hypotheses
+    truths = [draw_truth(catalogue, hypotheses[i % len(labels)], conditions, generator) for i in range(count)]
     truths.sort(key=lambda truth: labels.index(truth.label))
     cache = MatcherCache()
     answers: list[tuple[Truth, Diagnosis, float]] = []
@@ -226,17 +227,15 @@ def evaluate(
     return _summary(catalogue, conditions, seed, answers, failed, refused)
 
 
-def draw_truth(catalogue: Catalogue, label: str, protocol: Protocol, generator: np.random.Generator) -> Truth:
-    """Draw a machine of the hypothesis `label` under the conditions of a protocol."""
+def draw_truth(
+    catalogue: Catalogue, hypothesis: Hypothesis, protocol: Protocol, generator: np.random.Generator
+) -> Truth:
+    """Draw a machine of a hypothesis under the conditions of a protocol."""
     machine = catalogue.machine
-    if label == HEALTHY:
-        joints: tuple[str, ...] = ()
-    elif label == AS_NEW:
-        joints = tuple(sorted(machine.turning_joints))
-    else:
-        joints = tuple(label.split("+"))
+    is_as_new = hypothesis == Hypothesis.as_new()
+    joints = tuple(sorted(machine.turning_joints)) if is_as_new else hypothesis.joints
     as_new = catalogue.plan.as_new
-    low, high = (as_new.low, as_new.high) if label == AS_NEW else protocol.clearance
+    low, high = (as_new.low, as_new.high) if is_as_new else protocol.clearance
     clearances = {joint: float(math.exp(generator.uniform(math.log(low), math.log(high)))) for joint in joints}
     speed = catalogue.recipe.nominal_drive_speed * (1.0 + generator.uniform(-protocol.speed, protocol.speed))
     parameters = {"drive.speed": float(speed)}
@@ -250,7 +249,7 @@ def draw_truth(catalogue: Catalogue, label: str, protocol: Protocol, generator: 
                 parameters[f"joints.{joint}.contact.{name}"] = getattr(turning.contact, name) * factor
     shortest = LEAST_REVOLUTIONS * 2.0 * math.pi / abs(speed)
     seconds = max(float(generator.uniform(*protocol.seconds)), 1.01 * shortest)
-    return Truth(label, clearances, parameters, seconds)
+    return Truth(hypothesis.label, clearances, parameters, seconds)
 
 
 def record(

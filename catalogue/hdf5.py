@@ -9,7 +9,7 @@ import json
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import h5py
 import numpy as np
@@ -17,22 +17,23 @@ from numpy.typing import NDArray
 
 from catalogue.cross_power import CHANNELS, PACKED, UNITS
 from catalogue.directory import publish
-from catalogue.entry import Recipe
+from catalogue.entry import Hypothesis, Recipe, Stratum
 from catalogue.errors import CatalogueFileError, CatalogueMismatchError
 from catalogue.keys import canonical_json
 from catalogue.shard import Shard, ShardHeader
+from catalogue.variants import Variant
 
 __all__ = ["SCHEMA_VERSION", "decode_shard", "encode_shard", "read_arrays", "write_arrays"]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Of shard files and of the catalogue folder; a change that older programs cannot read raises it."""
 
 _FORMAT = "jointplay catalogue shard"
 _TEXT = h5py.string_dtype("utf-8")
 _LOCK = threading.RLock()
 
-_TEXT_COLUMNS = ("key", "hypothesis", "status", "message")
-_NUMBER_COLUMNS = {"draw": "1", "segments": "1", "row": "1", "drive_speed": "rad/s", "transient": "s", "seconds": "s"}
+_TEXT_COLUMNS = ("key", "status", "message")
+_NUMBER_COLUMNS = {"draw": "1", "segments": "1", "row": "1", "drive_speed": "rad/s", "transient": "s", "guard_db": "dB"}
 
 
 def encode_shard(shard: Shard) -> bytes:
@@ -62,6 +63,10 @@ def encode_shard(shard: Shard) -> bytes:
         edges.attrs["unit"] = "orders"
 
         entries = file.create_group("entries")
+        entries.attrs["hypothesis"] = shard.hypothesis.label
+        entries.attrs["worn"] = np.array(shard.hypothesis.joints, dtype=_TEXT)
+        entries.attrs["stratum"] = shard.stratum
+        entries.attrs["variant"] = canonical_json(shard.variant.content)
         entries.attrs["joints"] = np.array(shard.joints, dtype=_TEXT)
         entries.attrs["parameter_names"] = np.array(shard.parameter_names, dtype=_TEXT)
         for name in _TEXT_COLUMNS:
@@ -121,6 +126,9 @@ def decode_shard(content: bytes, path: Path) -> Shard:
                     solver_version=str(file.attrs["solver_version"]),
                     versions=json.loads(file.attrs["versions"]),
                 ),
+                hypothesis=Hypothesis(str(entries.attrs["hypothesis"]), tuple(map(str, entries.attrs["worn"]))),
+                stratum=_stratum(str(entries.attrs["stratum"])),
+                variant=Variant.from_content(json.loads(entries.attrs["variant"])),
                 joints=tuple(map(str, entries.attrs["joints"])),
                 parameter_names=tuple(map(str, entries.attrs["parameter_names"])),
                 clearance=entries["clearance"][()],
@@ -132,6 +140,12 @@ def decode_shard(content: bytes, path: Path) -> Shard:
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         # What the library and NumPy raise for a file whose bytes, or whose structure, are not what a shard has.
         raise CatalogueFileError(path, f"cannot be read as a shard ({type(error).__name__}: {error})") from error
+
+
+def _stratum(text: str) -> Stratum:
+    if text not in get_args(Stratum):
+        raise ValueError(f"stratum {text!r} is not known")
+    return cast(Stratum, text)
 
 
 def write_arrays(

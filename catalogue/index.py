@@ -192,7 +192,7 @@ class Index:
                 "key": shard.key[position],
                 "shard": sha256,
                 "position": position,
-                "hypothesis": shard.hypothesis[position],
+                "hypothesis": shard.hypothesis.label,
                 "clearances": canonical_json(shard.entry(position).fault),
                 "status": shard.status[position],
                 "message": shard.message[position],

@@ -74,6 +74,7 @@ def entry_key(
     parameters: Mapping[str, float],
     settings: Mapping[str, object],
     solver_version: str,
+    variant: Mapping[str, object] | None = None,
 ) -> str:
     """Key of one simulated case.
 
@@ -89,21 +90,24 @@ def entry_key(
         Settings of the simulation and of the estimate made from it: accuracy, sample rate, revolutions, bands.
     solver_version : str
         Version of the solver.
+    variant : mapping, optional
+        How the machine differs in kind from its file; nothing by default.
 
     Returns
     -------
     str
         64 hexadecimal digits.
     """
-    return content_digest(
-        {
-            "machine": machine_key,
-            "fault": {joint: float(clearance) for joint, clearance in clearances.items()},
-            "parameters": {path: float(number) for path, number in parameters.items()},
-            "settings": settings,
-            "solver": solver_version,
-        }
-    )
+    content: dict[str, object] = {
+        "machine": machine_key,
+        "fault": {joint: float(clearance) for joint, clearance in clearances.items()},
+        "parameters": {path: float(number) for path, number in parameters.items()},
+        "settings": settings,
+        "solver": solver_version,
+    }
+    if variant:
+        content["variant"] = variant
+    return content_digest(content)
 
 
 def seed_from(*parts: object) -> int:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from catalogue.entry import AS_NEW, HEALTHY
 from catalogue.errors import DiagnosisError
 from catalogue.matching import BoolArray, Draws, FittedMatcher, IntArray, Matcher, TrainingSet
 from catalogue.observation import Discrepancy, Sensing, observe
@@ -76,7 +75,7 @@ def training_set(catalogue: Catalogue, sensing: Sensing, watched: BoolArray, lea
     sets = []
     for label in catalogue.hypotheses:
         rows = np.flatnonzero(hypothesis == label)
-        joints = () if label in (HEALTHY, AS_NEW) else entries.joints_of(int(entry[rows[0]]))
+        joints = entries.worn_of(int(entry[rows[0]]))
         columns: IntArray = np.array([entries.joints.index(joint) for joint in joints], dtype=np.int64)
         log_clearance = np.log(entries.clearance[entry[rows]][:, columns])
         sets.append(Draws(label, joints, features[rows], log_clearance, entry[rows], prior(joints)))

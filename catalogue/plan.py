@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import resources
 from itertools import product
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from catalogue.draws import Distribution, log_uniform, rounded_levels, unit_draws
-from catalogue.entry import AS_NEW, Entry, Recipe, hypothesis_label
+from catalogue.entry import Entry, Hypothesis, Recipe
 from catalogue.errors import PlanError
 from catalogue.keys import content_digest, seed_from
 from catalogue.parameters import MachineNumbers, nominal_drive_speed
@@ -216,9 +216,10 @@ class Plan(Part):
         entries: list[Entry] = []
         for family in self.hypotheses:
             for joints, levels, draws in self._cells(family, tuple(sorted(machine.turning_joints))):
-                label = AS_NEW if family == "as-new" else hypothesis_label(joints)
+                hypothesis = Hypothesis.as_new() if family == "as-new" else Hypothesis.of(joints)
                 for speed in self.speeds:
-                    entries += self._drawn(machine, recipe, numbers, label, joints, levels, speed, draws)
+                    entries += self._drawn(machine, recipe, numbers, hypothesis, joints, levels, speed, draws)
+        check_labels({entry.hypothesis for entry in entries}, machine.name)
         return tuple({entry.key: entry for entry in entries}.values())  # without scatter, draws repeat
 
     def _cells(
@@ -243,19 +244,19 @@ class Plan(Part):
         machine: Machine,
         recipe: Recipe,
         numbers: MachineNumbers,
-        label: str,
+        hypothesis: Hypothesis,
         joints: tuple[str, ...],
         levels: tuple[float, ...],
         speed: float,
         draws: int,
     ) -> Iterator[Entry]:
         paths = sorted(self.uncertain)
-        seed = seed_from(self.seed, label, levels, float(speed))
+        seed = seed_from(self.seed, hypothesis.label, levels, float(speed))
         # The first numbers of a point move the clearances, used or not: switching the jitter on changes nothing else.
         points = unit_draws(seed, max(1, len(joints) + len(paths)), draws)
         for draw, point in enumerate(points.tolist()):
             moves, rest = point[: len(joints)], point[len(joints) :]
-            if label == AS_NEW:
+            if not levels:
                 clearances = tuple(log_uniform(self.as_new.low, self.as_new.high, u) for u in moves)
             else:
                 clearances = tuple(self.clearance.moved(c, u) for c, u in zip(levels, moves, strict=True))
@@ -263,12 +264,27 @@ class Plan(Part):
             yield Entry.of(
                 machine,
                 recipe,
-                hypothesis=label,
+                hypothesis=hypothesis,
                 joints=joints,
                 clearances=clearances,
                 parameters=numbers.drawn(self.uncertain, quantiles, speed),
                 draw=draw,
             )
+
+
+def check_labels(hypotheses: Iterable[Hypothesis], machine: str) -> None:
+    """Refuse two hypotheses of one name, as of the joints A and B and of a joint whose name is A+B.
+
+    Raises
+    ------
+    PlanError
+        Names them.
+    """
+    known: dict[str, tuple[str, ...]] = {}
+    for hypothesis in hypotheses:
+        if known.setdefault(hypothesis.label, hypothesis.joints) != hypothesis.joints:
+            rule = f"names two hypotheses of machine {machine}: rename a joint"
+            raise PlanError("plan", "hypotheses", hypothesis.label, rule)
 
 
 def parse_plan(content: str | Mapping[str, object], source: str = "plan") -> Plan:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.cross_power import pack
-from catalogue.entry import Entry, Recipe
+from catalogue.entry import Entry, Hypothesis, Recipe, Stratum
+from catalogue.variants import Variant
 
 __all__ = ["OK", "Outcome", "Shard", "ShardHeader"]
 
@@ -35,11 +36,14 @@ class Outcome:
     segments : int
         Windows averaged; 0 without a spectrum.
     seconds : float
-        Processor time of the simulation [s].
+        Processor time of the simulation [s]; not stored with the case, so that equal cases give equal files.
     power : ndarray of complex, shape (B, 3, 3), optional
         Cross-power of the frame's acceleration in bands; only with status ok.
     spread_db : ndarray, shape (B, 3), optional
         Standard deviation of the band levels over the windows [dB]; only with status ok.
+    guard_db : float, optional
+        Mean difference of the band levels from those of the same case computed more finely [dB]; for the cases that
+        were computed twice.
     """
 
     status: str
@@ -50,6 +54,7 @@ class Outcome:
     seconds: float
     power: NDArray[np.complexfloating] | None = None
     spread_db: NDArray[np.floating] | None = None
+    guard_db: float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,16 +83,19 @@ class ShardHeader:
 
 @dataclass(frozen=True)
 class Shard:
-    """Cases with the same joints and the same parameter names.
+    """Cases of one hypothesis, stratum and variant, with the same joints and the same parameter names.
 
     Parameters
     ----------
     header : ShardHeader
+    hypothesis : Hypothesis
+    stratum : {"trusted", "wide"}
+    variant : Variant
     joints : tuple of str
         Joints with clearance, in alphabetical order.
     parameter_names : tuple of str
         Paths of the numbers that differ from the machine's file, in alphabetical order.
-    key, hypothesis, status, message : tuple of str
+    key, status, message : tuple of str
         One a case.
     clearance : ndarray, shape (n, len(joints))
         Radial clearances [m].
@@ -95,18 +103,20 @@ class Shard:
         SI.
     draw, segments, row : ndarray of int, shape (n,)
         Number of the draw; windows averaged; where the spectrum stands in `power`, -1 if there is none.
-    drive_speed, transient, seconds : ndarray, shape (n,)
-        rad/s; s; s.
+    drive_speed, transient, guard_db : ndarray, shape (n,)
+        rad/s; s; dB, NaN for a case that was not computed twice.
     power : ndarray of float32, shape (m, B, 9)
         Packed by :func:`catalogue.cross_power.pack`.
     spread_db : ndarray of float32, shape (m, B, 3)
     """
 
     header: ShardHeader
+    hypothesis: Hypothesis
+    stratum: Stratum
+    variant: Variant
     joints: tuple[str, ...]
     parameter_names: tuple[str, ...]
     key: tuple[str, ...]
-    hypothesis: tuple[str, ...]
     status: tuple[str, ...]
     message: tuple[str, ...]
     clearance: NDArray[np.float64]
@@ -116,13 +126,13 @@ class Shard:
     row: NDArray[np.int32]
     drive_speed: NDArray[np.float64]
     transient: NDArray[np.float64]
-    seconds: NDArray[np.float64]
+    guard_db: NDArray[np.float64]
     power: NDArray[np.float32]
     spread_db: NDArray[np.float32]
 
     @classmethod
     def of(cls, header: ShardHeader, entries: Sequence[Entry], outcomes: Sequence[Outcome]) -> Shard:
-        """Put cases and what became of them together; all entries have the same joints and parameter names."""
+        """Put cases and what became of them together; all entries have in common what a shard has."""
         joints, names = entries[0].joints, tuple(sorted(entries[0].parameters))
         good = [outcome.power is not None for outcome in outcomes]
         bands = header.recipe.scheme.count
@@ -130,10 +140,12 @@ class Shard:
         spread = [np.asarray(outcome.spread_db, np.float32) for outcome in outcomes if outcome.spread_db is not None]
         return cls(
             header=header,
+            hypothesis=entries[0].hypothesis,
+            stratum=entries[0].stratum,
+            variant=entries[0].variant,
             joints=joints,
             parameter_names=names,
             key=tuple(entry.key for entry in entries),
-            hypothesis=tuple(entry.hypothesis for entry in entries),
             status=tuple(outcome.status for outcome in outcomes),
             message=tuple(outcome.message for outcome in outcomes),
             clearance=np.array([entry.clearances for entry in entries], np.float64).reshape(len(entries), len(joints)),
@@ -145,7 +157,7 @@ class Shard:
             row=np.where(good, np.cumsum(good) - 1, -1).astype(np.int32),
             drive_speed=np.array([outcome.drive_speed for outcome in outcomes], np.float64),
             transient=np.array([outcome.transient for outcome in outcomes], np.float64),
-            seconds=np.array([outcome.seconds for outcome in outcomes], np.float64),
+            guard_db=np.array([outcome.guard_db for outcome in outcomes], np.float64),  # None becomes NaN
             power=np.array(power, np.float32).reshape(-1, bands, 9),
             spread_db=np.array(spread, np.float32).reshape(-1, bands, 3),
         )
@@ -159,9 +171,11 @@ class Shard:
         """The case at a position of the table, with the key that was stored."""
         return Entry(
             key=self.key[position],
-            hypothesis=self.hypothesis[position],
+            hypothesis=self.hypothesis,
             joints=self.joints,
             clearances=tuple(self.clearance[position].tolist()),
             parameters=dict(zip(self.parameter_names, self.parameters[position].tolist(), strict=True)),
             draw=int(self.draw[position]),
+            stratum=self.stratum,
+            variant=self.variant,
         )

@@ -43,8 +43,14 @@ class StoredEntry:
         rad/s.
     segments : int
         Windows averaged.
-    transient, seconds : float
-        Start-up time left out, and processor time of the simulation [s].
+    transient : float
+        Start-up time left out [s].
+    guard_db : float or None
+        Mean difference from the same case computed more finely [dB]; None if it was not.
+    worn : tuple of str
+        The worn joints; others with clearance have the play of new fits.
+    stratum, law : str
+        How much of the machine was uncertain ("trusted", "wide"); contact law, "own" being that of the machine file.
     scheme : BandScheme
         Bands of the spectrum, in orders of `drive_speed`.
     power : ndarray of complex64, shape (B, 3, 3), or None
@@ -64,7 +70,10 @@ class StoredEntry:
     drive_speed: float
     segments: int
     transient: float
-    seconds: float
+    guard_db: float | None
+    worn: tuple[str, ...]
+    stratum: str
+    law: str
     scheme: BandScheme
     power: NDArray[np.complex64] | None
     spread_db: NDArray[np.float32] | None
@@ -218,7 +227,10 @@ class Catalogue:
             drive_speed=float(table.drive_speed[row]),
             segments=int(table.segments[row]),
             transient=float(table.transient[row]),
-            seconds=float(table.seconds[row]),
+            guard_db=None if np.isnan(table.guard_db[row]) else float(table.guard_db[row]),
+            worn=table.worn_of(row),
+            stratum=str(table.stratum[row]),
+            law=str(table.law[row]),
             scheme=self.scheme,
             power=self.power()[row] if has_spectrum else None,
             spread_db=self.spread_db()[row] if has_spectrum else None,

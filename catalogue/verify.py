@@ -225,8 +225,8 @@ def _check_content(shard: Shard, path: Path) -> None:
     bands = shard.header.recipe.scheme.count
     if shard.power.shape != (spectra, bands, 9) or shard.spread_db.shape != (spectra, bands, 3):
         raise CatalogueFileError(path, "has spectra of another shape than its bands ask for")
-    columns = ("hypothesis", "status", "message", "clearance", "parameters", "draw", "segments", "row", "drive_speed")
-    if any(len(getattr(shard, column)) != count for column in (*columns, "transient", "seconds")):
+    columns = ("status", "message", "clearance", "parameters", "draw", "segments", "row", "drive_speed")
+    if any(len(getattr(shard, column)) != count for column in (*columns, "transient", "guard_db")):
         raise CatalogueFileError(path, "has columns of different lengths")
     if not (np.isfinite(shard.power).all() and np.isfinite(shard.spread_db).all() and (shard.spread_db >= 0).all()):
         raise CatalogueFileError(path, "holds a number that is not finite, or a negative spread")
@@ -247,7 +247,8 @@ def _check_keys(shard: Shard, path: Path) -> None:
         for position in range(shard.count):
             entry: Entry = shard.entry(position)
             content = shard.header.recipe.content
-            key = entry_key(machine.content_key, entry.fault, entry.parameters, content, shard.header.solver_version)
+            version, variant = shard.header.solver_version, entry.variant.content
+            key = entry_key(machine.content_key, entry.fault, entry.parameters, content, version, variant)
             if key != entry.key:
                 raise CatalogueFileError(path, f"entry {entry.key[:12]} does not match its key")
     except MachineError as error:

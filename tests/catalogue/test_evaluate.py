@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from catalogue.entry import Hypothesis
 from catalogue.errors import DiagnosisError
 from catalogue.evaluate import PROTOCOLS, Protocol, draw_truth, evaluate, record
 from catalogue.store import Catalogue
@@ -39,22 +40,22 @@ def test_most_held_out_faults_are_found(small_catalogue: Catalogue) -> None:
 
 def test_truth_follows_from_the_seed_and_stays_within_the_protocol(small_catalogue: Catalogue) -> None:
     protocol = PROTOCOLS["hard"]
-    first = [draw_truth(small_catalogue, "A", protocol, np.random.default_rng(5)) for _ in range(2)]
+    first = [draw_truth(small_catalogue, Hypothesis.of("A"), protocol, np.random.default_rng(5)) for _ in range(2)]
     assert first[0] == first[1]
     generator = np.random.default_rng(6)
     for _ in range(50):
-        truth = draw_truth(small_catalogue, "B", protocol, generator)
+        truth = draw_truth(small_catalogue, Hypothesis.of("B"), protocol, generator)
         assert list(truth.clearances) == ["B"]
         assert protocol.clearance[0] <= truth.clearances["B"] <= protocol.clearance[1]
         nominal = small_catalogue.recipe.nominal_drive_speed
         assert abs(truth.parameters["drive.speed"] / nominal - 1.0) <= protocol.speed
         assert protocol.friction[0] <= truth.parameters["contact.friction"] <= protocol.friction[1]
         assert truth.seconds >= 2.5
-    assert list(draw_truth(small_catalogue, "A+B", protocol, generator).clearances) == ["A", "B"]
-    new = draw_truth(small_catalogue, "as-new", protocol, generator)
+    assert list(draw_truth(small_catalogue, Hypothesis.of("AB"), protocol, generator).clearances) == ["A", "B"]
+    new = draw_truth(small_catalogue, Hypothesis.as_new(), protocol, generator)
     assert list(new.clearances) == ["A", "B", "O"]
     assert max(new.clearances.values()) <= small_catalogue.plan.as_new.high
-    assert draw_truth(small_catalogue, "healthy", protocol, generator).clearances == {}
+    assert draw_truth(small_catalogue, Hypothesis.of(""), protocol, generator).clearances == {}
 
 
 def test_recordings_carry_the_noise_and_gains_of_the_protocol(small_catalogue: Catalogue) -> None:

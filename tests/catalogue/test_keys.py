@@ -82,6 +82,7 @@ def test_key_is_pinned() -> None:
         {"parameters": {"drive.speed": math.nextafter(12.5, 0), "contact.friction": 0.05}},
         {"settings": {"accuracy": "standard", "sample_rate": 10000.0}},
         {"solver_version": "0.1.1"},
+        {"variant": {"law": "hertz"}},
     ],
 )
 def test_every_part_changes_the_key(change: dict[str, object]) -> None:
@@ -94,6 +95,10 @@ def test_kinds_of_numbers_do_not_change_the_key() -> None:
     as_int = {**BASE, "parameters": {"drive.speed": 12, "contact.friction": -0.0}}
     assert entry_key(**as_numpy) == entry_key(**BASE)  # type: ignore[arg-type]
     assert entry_key(**as_int) == entry_key(**whole)  # type: ignore[arg-type]
+
+
+def test_the_machine_as_filed_is_no_variant() -> None:
+    assert entry_key(**BASE, variant={}) == entry_key(**BASE)  # type: ignore[arg-type]
 
 
 def test_keys_and_seeds_are_the_same_in_every_process() -> None:

@@ -35,7 +35,7 @@ def test_quick_preset_holds_every_single_at_24_clearances() -> None:
     entries = preset("quick").entries(QUICK_RETURN)
     counts: dict[str, int] = {}
     for entry in entries:
-        counts[entry.hypothesis] = counts.get(entry.hypothesis, 0) + 1
+        counts[entry.hypothesis.label] = counts.get(entry.hypothesis.label, 0) + 1
     assert counts == {"healthy": 96, "as-new": 96, "A": 192, "C": 192, "E": 192, "F": 192, "O": 192}
     clearances = sorted({entry.clearances[0] for entry in entries if len(entry.joints) == 1})
     assert len(clearances) == 24
@@ -146,17 +146,17 @@ def test_jitter_fills_the_gaps_between_levels_and_nothing_else_changes() -> None
     for a, b in zip(exact, moved, strict=True):
         for level, clearance in zip(a.clearances, b.clearances, strict=True):
             assert abs(math.log(clearance / level)) <= spacing / 2
-    distinct = {e.clearances for e in moved if e.hypothesis == "A"}
+    distinct = {e.clearances for e in moved if e.hypothesis.label == "A"}
     assert len(distinct) == 3 * 16
 
 
 def test_pairs_cover_their_grid_and_as_new_stays_in_its_range() -> None:
     plan = plan_of(hypotheses=["pairs", "as-new"], pairs={"count": 3, "draws": 1}, as_new={"draws": 40})
     entries = plan.entries(QUICK_RETURN)
-    pairs = [e for e in entries if e.hypothesis != "as-new"]
-    assert {e.hypothesis for e in pairs} == {"+".join(p) for p in itertools.combinations("ACEFO", 2)}
-    assert len({e.clearances for e in pairs if e.hypothesis == "A+F"}) == 9
-    fits = np.array([e.clearances for e in entries if e.hypothesis == "as-new"])
+    pairs = [e for e in entries if e.hypothesis.label != "as-new"]
+    assert {e.hypothesis.label for e in pairs} == {"+".join(p) for p in itertools.combinations("ACEFO", 2)}
+    assert len({e.clearances for e in pairs if e.hypothesis.label == "A+F"}) == 9
+    fits = np.array([e.clearances for e in entries if e.hypothesis.label == "as-new"])
     assert fits.shape == (40, 5)
     assert fits.min() >= 3e-6
     assert fits.max() <= 2e-5
@@ -217,6 +217,12 @@ def test_paths_the_machine_does_not_have_are_refused() -> None:
     plan = parse_plan({"uncertain": {"contact.frictoin": {"uniform": [0, 1]}}})
     with pytest.raises(PlanError, match=r'^plan: uncertain\.contact\.frictoin: .*did you mean "contact\.friction"\?$'):
         plan.entries(QUICK_RETURN)
+
+
+def test_joints_whose_names_make_two_hypotheses_of_one_name_are_refused() -> None:
+    text = QUICK_RETURN.canonical_json().replace('"C"', '"E+F"')
+    with pytest.raises(PlanError, match=r"^plan: hypotheses: E\+F: names two hypotheses of machine quick-return"):
+        plan_of(hypotheses=["singles", "pairs"]).entries(parse_machine(text))
 
 
 def test_machine_without_constant_speed_is_refused() -> None:

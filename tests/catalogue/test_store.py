@@ -18,10 +18,12 @@ from catalogue import hdf5
 from catalogue.build import build
 from catalogue.cross_power import pack, unpack
 from catalogue.directory import publish, sha256_of
+from catalogue.entry import Hypothesis
 from catalogue.errors import CatalogueFileError, EntryNotFoundError
 from catalogue.plan import parse_plan
 from catalogue.shard import Outcome, Shard
 from catalogue.store import Catalogue
+from catalogue.variants import Variant
 from solver.machines.machine import parse_machine
 
 ALL = parse_plan(
@@ -62,13 +64,17 @@ def test_entries_are_those_of_the_plan_in_a_stated_order(catalogue: Catalogue) -
     assert set(table.key) == {key for key in wanted if not diverges(key)}
     for row, key in enumerate(table.key.tolist()):
         entry = wanted[key]
-        assert table.hypothesis[row] == entry.hypothesis
+        assert table.hypothesis[row] == entry.hypothesis.label
         assert table.joints_of(row) == entry.joints
+        assert table.worn_of(row) == entry.worn
+        assert (table.stratum[row], table.law[row]) == ("trusted", "own")
         assert tuple(table.clearance[row][table.clearance[row] > 0]) == entry.clearances
         assert {path: numbers[row] for path, numbers in table.parameters.items()} == dict(entry.parameters)
         assert table.draw[row] == entry.draw
     labels = list(dict.fromkeys(table.hypothesis.tolist()))
     assert tuple(labels) == catalogue.hypotheses  # each in one block
+    assert table.hypotheses[:4] == (Hypothesis.of(()), Hypothesis.as_new(), Hypothesis.of("A"), Hypothesis.of("B"))
+    assert table.hypotheses[-1].joints == ("B", "O")
     singles = table.rows(table.hypothesis == "A")
     assert (np.diff(singles.clearance[:, 0]) >= 0).all()
     assert (np.diff(singles.draw)[np.diff(singles.clearance[:, 0]) == 0] > 0).all()
@@ -181,7 +187,7 @@ def test_numbers_only_some_entries_vary_have_the_value_of_the_file(tmp_path: Pat
 
 
 def some_shard() -> Shard:
-    entries = [entry for entry in PLAN.entries(MACHINE) if entry.hypothesis == "A"]
+    entries = [entry for entry in PLAN.entries(MACHINE) if entry.hypothesis.label == "A"]
     from catalogue.chunk import Chunk
     from catalogue.manifest import Manifest
 
@@ -197,11 +203,11 @@ def test_shard_reads_back_and_says_all_about_itself() -> None:
     back = hdf5.decode_shard(content, Path("x.h5"))
     assert back.header == shard.header
     assert [back.entry(i) for i in range(back.count)] == [shard.entry(i) for i in range(shard.count)]
-    assert [back.entry(i) for i in range(back.count)] == [e for e in PLAN.entries(MACHINE) if e.hypothesis == "A"]
-    for name in ("status", "message", "hypothesis"):
+    assert [back.entry(i) for i in range(back.count)] == [e for e in PLAN.entries(MACHINE) if e.hypothesis.label == "A"]
+    for name in ("status", "message", "hypothesis", "stratum", "variant"):
         assert getattr(back, name) == getattr(shard, name)
-    for name in ("power", "spread_db", "row", "segments", "drive_speed", "transient", "seconds"):
-        assert np.array_equal(getattr(back, name), getattr(shard, name))
+    for name in ("power", "spread_db", "row", "segments", "drive_speed", "transient", "guard_db"):
+        assert np.array_equal(getattr(back, name), getattr(shard, name), equal_nan=name == "guard_db")
     assert parse_machine(back.header.machine).content_key == MACHINE.content_key
     assert parse_plan(back.header.plan) == PLAN
 
@@ -214,6 +220,26 @@ def test_other_programs_find_units_and_meaning_in_a_shard(tmp_path: Path) -> Non
         assert file["entries/clearance"].attrs["unit"] == "m"
         assert file["bands/edges"].attrs["unit"] == "orders"
         assert len(file["bands/edges"]) == file["spectra/power"].shape[1] + 1
+
+
+def test_shards_keep_what_differs_in_kind_and_no_time_of_computing() -> None:
+    first = some_shard()
+    hertz = replace(
+        first.entry(0), hypothesis=Hypothesis.of("BA"), joints=("A", "B", "O"), clearances=(1e-4, 2e-4, 1e-5)
+    )
+    hertz = replace(hertz, stratum="wide", variant=Variant("hertz"))
+    outcome = Outcome("diverged", "so", 1.0, 0.0, 0, 0.1, guard_db=0.5)
+    contents = [
+        hdf5.encode_shard(
+            Shard.of(first.header, [hertz] * 2, [replace(outcome, seconds=s), replace(outcome, guard_db=None)])
+        )
+        for s in (0.1, 0.2)
+    ]
+    assert contents[0] == contents[1]
+    back = hdf5.decode_shard(contents[0], Path("x.h5"))
+    assert back.entry(1) == hertz
+    assert back.entry(1).worn == ("A", "B")
+    assert np.array_equal(back.guard_db, [0.5, np.nan], equal_nan=True)
 
 
 def test_shard_of_failed_cases_only() -> None:

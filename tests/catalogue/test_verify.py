@@ -147,7 +147,7 @@ def test_index_that_says_something_else_is_corrected(directory: Path, statement:
     assert verify(directory).is_sound
 
 
-@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "schema_version": 1}'])
+@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "schema_version": 2}'])
 def test_manifest_is_made_again_from_a_shard(directory: Path, built: Path, content: str | None) -> None:
     before = Catalogue.open(directory)
     (directory / "manifest.json").unlink()
@@ -219,7 +219,7 @@ def test_same_entries_in_two_shards_count_once(directory: Path) -> None:
     layout = CatalogueDirectory(directory)
     name = layout.shard_names()[0]
     shard = decode_shard(layout.shard(name).read_bytes(), layout.shard(name))
-    content = encode_shard(replace(shard, seconds=shard.seconds + 1))
+    content = encode_shard(replace(shard, transient=shard.transient + 1))
     layout.shard(sha256_of(content)).write_bytes(content)
     assert verify(directory).entries == TOTAL
     assert verify(directory).is_sound
