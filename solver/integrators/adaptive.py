@@ -6,16 +6,14 @@ contact begins or ends to push. A lane whose case has ended takes the next one f
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.compiler.compiled import compiled
+from solver.compiler.compiled import compiled, inlined
 from solver.compiler.ir import LANES
 from solver.integrators.control import (
-    CAUTION,
     DIVERGING,
     JAMMED,
     OK,
@@ -31,20 +29,19 @@ from solver.integrators.control import (
     switch_part,
 )
 from solver.integrators.dense import record, samples_until
-from solver.integrators.gill import DIVERGED, LOST, PATIENCE, call
-from solver.integrators.lanes import BUSY, ENDED, FREE, NEXT, STALE, Lanes, Queue, Records, Rows
+from solver.integrators.gill import DIVERGED, PATIENCE, call
+from solver.integrators.lane_work import load, put_away, restore_closures
+from solver.integrators.lanes import BUSY, NEXT, STALE, Lanes, Queue, Records, Rows
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Structured = NDArray[Any]
 
-# What runs at every step is inlined: handing arrays over to functions cost a third of all time.
-_inlined = partial(compiled, forceinline=True)
-_accepted, _arrival, _next_step, _refused = (_inlined(rule) for rule in (accepted, arrival, next_step, refused))
-_remember, _shortened, _switch_part = (_inlined(rule) for rule in (remember, shortened, switch_part))
+_accepted, _arrival, _next_step, _refused = (inlined(rule) for rule in (accepted, arrival, next_step, refused))
+_remember, _shortened, _switch_part = (inlined(rule) for rule in (remember, shortened, switch_part))
 
 
-@_inlined
+@inlined
 def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
@@ -52,59 +49,7 @@ def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) ->
         _remember(w, (rows.memory + m) * LANES + lane, penetration * LANES + lane, approach * LANES + lane)
 
 
-@compiled
-def _load(
-    w: Array, n: int, contacts: int, rows: Rows, cases: Structured, starts: Array, parameters: Array,
-    lanes: Structured, remembering: Integers, free: Integers, cursor: Integers,
-) -> int:  # fmt: skip
-    """Give idle lanes the next cases of the queue, as long as there is room for their records; how many got one."""
-    loaded = 0
-    for lane in range(LANES):
-        c = cursor[NEXT]
-        if lanes[lane].case >= 0 or c >= cases.size or cursor[FREE] == 0:
-            continue
-        cursor[FREE] -= 1
-        mine, case = lanes[lane], cases[c]
-        mine.case, mine.slot, mine.fresh = c, free[cursor[FREE]], 1
-        mine.begin = mine.t = case.begin
-        mine.h, mine.natural = CAUTION * case.first_step, 0.0
-        mine.uncut, mine.over = 0.0, 0
-        mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
-        for i in range(2 * n):
-            w[(2 + i) * LANES + lane] = starts[c, i]
-        w[rows.pace * LANES + lane], w[rows.strictness * LANES + lane] = case.pace, 1.0 / case.tolerance
-        for i in range(parameters.shape[1]):
-            w[(rows.parameters + i) * LANES + lane] = parameters[c, i]
-        for j in range(contacts):
-            w[(rows.touching + j) * LANES + lane] = 0.0
-        for m in range(remembering.size):
-            w[(rows.memory + m) * LANES + lane] = starts[c, 2 * n + m]
-        cursor[NEXT] += 1
-        cursor[BUSY] += 1
-        loaded += 1
-    return loaded
-
-
-@_inlined
-def _end(
-    w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
-    ended: Integers, cursor: Integers, memory: int,
-) -> None:  # fmt: skip
-    """Put the lane's case away: how it ended, and where it stands."""
-    mine = lanes[lane]
-    case = cases[mine.case]
-    case.outcome, case.reached, case.begin = outcome, reached, mine.t
-    for i in range(2 * n):
-        starts[mine.case, i] = w[(2 + i) * LANES + lane]
-    for i in range(2 * n, starts.shape[1]):
-        starts[mine.case, i] = w[(memory + i - 2 * n) * LANES + lane]
-    ended[cursor[ENDED], 0], ended[cursor[ENDED], 1] = mine.case, mine.slot
-    cursor[ENDED] += 1
-    cursor[BUSY] -= 1
-    mine.case = -1
-
-
-@_inlined
+@inlined
 def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Array) -> None:
     """Penetration, its rate and the switch function now are those at the start of the next step."""
     for j in range(contacts):
@@ -113,7 +58,7 @@ def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Arra
         old[2, j, lane] = w[(rows.switch + j) * LANES + lane]
 
 
-@_inlined
+@inlined
 def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, old: Array) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step, and the part of the step at which; -1 for none."""
     event, part = -1, 1.0
@@ -129,46 +74,13 @@ def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, o
     return event, part
 
 
-@_inlined
+@inlined
 def _any_contact(w: Array, contacts: int, rows: Rows, lane: int) -> bool:
     """Whether any contact of the lane pushes over the step."""
     pushing = 0.0
     for j in range(contacts):
         pushing += w[(rows.touching + j) * LANES + lane]
     return pushing > 0.5
-
-
-@compiled
-def _restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: Array) -> bool:
-    """Restore the closures of the lanes that are due, and only of them; whether there were any.
-
-    The others are left exactly as they are, so that no result depends on which cases run beside it.
-    """
-    due = False
-    for lane in range(LANES):
-        due = due or (lanes[lane].case >= 0 and lanes[lane].since >= PROJECT_EVERY)
-    if not due:
-        return False
-    for i in range(2 * n * LANES):
-        saved[i] = w[2 * LANES + i]
-    for lane in range(LANES):
-        w[lane] = lanes[lane].t
-    call(project, w)
-    for lane in range(LANES):
-        mine, moved = lanes[lane], LOST
-        if mine.case >= 0 and mine.since >= PROJECT_EVERY:
-            mine.since = 0
-            moved = 0.0
-            for i in range(n):
-                moved += abs(w[(2 + i) * LANES + lane] - saved[i * LANES + lane])
-            if moved < LOST:
-                mine.lost, mine.held_at = 0, mine.sample
-            else:  # also a correction that is no number
-                mine.lost += 1
-        if not (moved < LOST):
-            for i in range(2 * n):
-                w[(2 + i) * LANES + lane] = saved[i * LANES + lane]
-    return True
 
 
 @compiled
@@ -206,7 +118,7 @@ def integrate(
     loading = True
     while True:
         if loading:
-            if _load(w, n, contacts, rows, cases, starts, parameters, lanes, remembering, free, cursor) > 0:
+            if load(w, n, contacts, rows, cases, starts, parameters, lanes, remembering, free, cursor) > 0:
                 call(prepare, w)
                 for lane in range(LANES):
                     w[lane] = lanes[lane].t
@@ -285,7 +197,7 @@ def integrate(
                     w[(2 + i) * LANES + lane] = w[(rows.kept + i) * LANES + lane]
                 if mine.h < shortest or tired:
                     outcome = JAMMED if jammed else STALLED
-                    _end(w, n, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor, rows.memory)
+                    put_away(w, n, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor, rows.memory)
                     loading = loading or cursor[NEXT] < cases.size
                 continue
             case.accepted += 1
@@ -295,7 +207,7 @@ def integrate(
             if not (size < DIVERGED) or lost or tired:
                 reached = mine.held_at if lost else mine.sample
                 outcome = STALLED if tired else DIVERGING
-                _end(w, n, lane, outcome, reached, cases, starts, lanes, ended, cursor, rows.memory)
+                put_away(w, n, lane, outcome, reached, cases, starts, lanes, ended, cursor, rows.memory)
                 loading = loading or cursor[NEXT] < cases.size
                 continue
             last = samples_until(now, mine.begin, interval, mine.sample, case.samples)
@@ -307,7 +219,7 @@ def integrate(
                 )  # fmt: skip
                 mine.sample = last
                 if last == case.samples:
-                    _end(w, n, lane, OK, last, cases, starts, lanes, ended, cursor, rows.memory)
+                    put_away(w, n, lane, OK, last, cases, starts, lanes, ended, cursor, rows.memory)
                     loading = loading or cursor[NEXT] < cases.size
                     continue
             for i in range(n):
@@ -325,5 +237,5 @@ def integrate(
             growth = w[rows.growth * LANES + lane]
             mine.h = _next_step(step, case.first_step, growth, natural, case.longest_step, now, mine.end)
             mine.since += 1
-        if project != 0 and _restore_closures(project, w, n, lanes, saved):
+        if project != 0 and restore_closures(project, w, n, lanes, saved):
             cursor[STALE] = 1

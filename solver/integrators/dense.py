@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from solver.compiler.compiled import compiled
+from solver.compiler.compiled import compiled, inlined
 from solver.compiler.ir import LANES
 from solver.integrators.lanes import GROUP
 
@@ -90,8 +89,7 @@ def _slope(builder: Any, x: Any, y: Any, c: list[Any]) -> Any:
 _write_values, _write_slopes = _group(_value), _group(_slope)
 
 
-# Inlined, as all that the driver calls at every step: handing arrays over cost a third of all time.
-@partial(compiled, forceinline=True)
+@inlined
 def record(
     w: Array, kept: int, dense: int, n: int, lane: int, begin: float, t: float, step: float, first: int, last: int,
     slot: int, channels: Integers, interval: float, oversampling: int, head: int, velocities: Array,

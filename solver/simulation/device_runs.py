@@ -15,7 +15,8 @@ from solver.cases.scales import error_scales
 from solver.equations.model import Model
 from solver.integrators.device import DeviceKernel, Records, compile_device, memory
 from solver.machines.machine import Machine
-from solver.simulation.runs import OVERSAMPLING, Run, how_it_ended, queue_of, samples_of, switch_precision
+from solver.simulation.adaptive_runs import how_it_ended, queue_of, switch_precision
+from solver.simulation.recorded import OVERSAMPLING, Run, samples_of
 from solver.spectra import sampling
 
 #: Cases that run side by side are bounded by the memory of their records, bytes: here and on the device.
@@ -34,7 +35,9 @@ def device_runs(
     machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
     settings: Settings,
 ) -> Iterator[Run]:  # fmt: skip
-    """Dormand-Prince steps under error control, one case a thread; see :func:`solver.simulation.runs.gill_runs`."""
+    """Dormand-Prince steps under error control, one case a thread; parameters as
+    :func:`solver.simulation.gill_runs.gill_runs`.
+    """
     kernel = _kernel(machine, model.clearance_joints, varying, tuple(recorded))
     room = min(_RECORD_BYTES, 0.5 * memory())
     queue = sorted(prepared, key=lambda case: case.duration)  # threads of a warp end together

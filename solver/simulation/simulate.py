@@ -17,7 +17,9 @@ from solver.equations.links import link_motion
 from solver.equations.model import Model
 from solver.errors import SettingsError
 from solver.machines.machine import Machine
-from solver.simulation.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
+from solver.simulation.adaptive_runs import adaptive_runs
+from solver.simulation.gill_runs import gill_runs
+from solver.simulation.recorded import OVERSAMPLING, Run
 from solver.spectra import sampling
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from solver.compiler.ir import LANES
 from solver.equations.drive import repeating_frequency
 from solver.errors import SettingsError
 from solver.machines.machine import Machine
-from solver.simulation.runs import TOLERANCES
+from solver.simulation.adaptive_runs import TOLERANCES
 from solver.simulation.simulate import simulate_batch, start_of
 from solver.spectra.harmonics import compared, harmonic_levels, mean_difference_db, order_band_levels, whole_rate
 from solver.spectra.segments import FloatArray

@@ -20,12 +20,12 @@ from solver.cases.scales import error_scales
 from solver.compiler.layout import Layout
 from solver.compiler.scalar import SCALAR
 from solver.equations.model import Model
-from solver.integrators import adaptive, dense, lanes
+from solver.integrators import adaptive, dense, lane_work, lanes
 from solver.integrators.dopri import StepRows, dopri_step
 from solver.integrators.kernel import Kernel
 from solver.integrators.lanes import GROUP, Lanes, Queue
 from solver.machines.machine import Machine
-from solver.simulation import runs
+from solver.simulation import adaptive_runs as runs
 
 Work = NDArray[np.float64]
 Values = list[float]
@@ -149,13 +149,14 @@ def uncompiled(trials: int) -> Iterator[None]:
         def put(module: Any, name: str, value: Any) -> None:
             patches.enter_context(mock.patch.object(module, name, value))
 
-        for module in (adaptive, dense):
+        for module in (adaptive, lane_work, dense):
             for name, value in list(vars(module).items()):
                 if hasattr(value, "py_func"):
                     put(module, name, value.py_func)
-        for module in (adaptive, runs, lanes, dense):
+        for module in (adaptive, lane_work, runs, lanes, dense):
             put(module, "LANES", 1)
         put(adaptive, "call", _call)
+        put(lane_work, "call", _call)
         put(dense, "_write_values", _write_values)
         put(dense, "_write_slopes", _write_slopes)
         put(runs, "_adaptive_kernel", _kernel)

@@ -18,7 +18,7 @@ from solver.integrators.kernel import kernel_code
 from solver.machines.fault import HEALTHY, FaultState
 from solver.machines.machine import Machine, parse_machine, shipped_machine
 from solver.simulation.account import account
-from solver.simulation.runs import how_it_ended
+from solver.simulation.adaptive_runs import how_it_ended
 from solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
 
 G = 9.81
