@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 from solver.equations.contact_laws import SLOWEST_APPROACH
 from solver.equations.numbers import contact_path
@@ -24,6 +25,7 @@ class ContactRates:
     decay: float
 
 
+@lru_cache(maxsize=64)
 def extent_of(machine: Machine) -> float:
     """Largest distance between joints and centres of gravity as drawn, m; 1 where all are in one place."""
     points = [joint.at for joint in machine.joints.values()] + [link.cg for link in machine.links.values()]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,16 +45,8 @@ def start_pose(model: Model, p: Sequence[float]) -> Array:
     z = np.zeros(model.size)
     if model.machine.initial.pose == "drawn" or model.size == 0:
         return z
-    stacked = ca.vertcat(model.phi, model.eccentricity)
-    multipliers = ca.SX.sym("l", stacked.shape[0])
-    gradient = ca.jacobian(stacked, model.z)
-    force = ca.mtimes(model.kinematics.axes, model.unremembered(model.force)) + ca.mtimes(gradient.T, multipliers)
-    unknowns = ca.vertcat(model.z, multipliers)
-    equations = ca.vertcat(force, stacked)
-    newton = ca.Function(
-        "equilibrium", [unknowns, model.t, model.v, model.p], [equations, ca.jacobian(equations, unknowns)]
-    )
-    x = np.zeros(int(unknowns.shape[0]))
+    newton = model.equilibrium
+    x = np.zeros(newton.size1_in(0))
     rest = np.zeros(model.size)
     for _ in range(NEWTON_STEPS):
         residual, jacobian = (array_of(part) for part in newton(x, 0.0, rest, p))
@@ -132,7 +123,7 @@ def least_velocity(
     matrix, target = np.vstack([jacobian, rows]), np.concatenate([-drift[:, 0], right])
     if model.size == 0 or target.size == 0:
         return rest
-    mass = array_of(model.inertia(t, z, rest, p)[0])
+    mass = array_of(model.mass_matrix(t, z, rest, p))
     root = np.linalg.cholesky(mass)
     # Least v'Mv: in w = L'v it is the least norm.
     weighted = np.linalg.solve(root, matrix.T).T

@@ -77,21 +77,30 @@ def contact_mobility(model: Model, poses: Sequence[tuple[float, Array]], p: Sequ
     p : sequence of float
         Lane parameters.
     """
+    if not model.clearance_joints or not poses:
+        return dict.fromkeys(model.clearance_joints, 0.0)
     closures = len(model.kinematics.closures)
-    largest = dict.fromkeys(model.clearance_joints, 0.0)
-    rest = np.zeros(model.size)
-    for t, z in poses:
-        mass = np.asarray(model.inertia(t, z, rest, p)[0].full())
-        jacobian = np.asarray(model.constraint(t, z, rest, p)[1].full())
-        mobility = np.linalg.inv(mass)
-        if closures:
-            loops = jacobian[:closures]
-            spread = mobility @ loops.T
-            mobility = mobility - spread @ np.linalg.pinv(loops @ spread) @ spread.T
-        for i, joint in enumerate(model.clearance_joints):
-            rows = jacobian[closures + 2 * i : closures + 2 * i + 2]
-            largest[joint] = max(largest[joint], float(np.linalg.eigvalsh(rows @ mobility @ rows.T)[-1]))
+    # All poses in one call each, (n, poses): a call costs more than what it computes.
+    t, z = np.array([[t for t, _ in poses]]), np.array([z for _, z in poses]).T
+    rest, shared = np.zeros_like(z), np.repeat(np.reshape(p, (-1, 1)), len(poses), axis=1)
+    mass = _stack(model.mass_matrix(t, z, rest, shared), len(poses))
+    jacobian = _stack(model.constraint(t, z, rest, shared)[1], len(poses))
+    mobility = np.linalg.inv(mass)
+    if closures:
+        loops = jacobian[:, :closures]
+        spread = mobility @ loops.swapaxes(1, 2)
+        mobility = mobility - spread @ np.linalg.pinv(loops @ spread) @ spread.swapaxes(1, 2)
+    largest = {}
+    for i, joint in enumerate(model.clearance_joints):
+        rows = jacobian[:, closures + 2 * i : closures + 2 * i + 2]
+        largest[joint] = float(np.linalg.eigvalsh(rows @ mobility @ rows.swapaxes(1, 2))[:, -1].max())
     return largest
+
+
+def _stack(columns: ca.DM, count: int) -> Array:
+    """Matrices that stand side by side as an array (count, rows, columns)."""
+    side_by_side = np.asarray(columns.full())
+    return side_by_side.reshape(len(side_by_side), count, -1).swapaxes(0, 1)
 
 
 def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
@@ -107,12 +116,8 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
     """
     if model.size == 0:
         return np.zeros(0)
-    functions = ca.Function(
-        "linearised", [model.t, model.z, model.v, model.p],
-        [ca.jacobian(model.acceleration, model.z), ca.jacobian(model.acceleration, model.v)],
-    )  # fmt: skip
     zero = np.zeros(model.size)
-    stiffness, damping = (np.asarray(part.full()) for part in functions(0.0, zero, zero, p))
+    stiffness, damping = (np.asarray(part.full()) for part in model.linearised(0.0, zero, zero, p))
     # Only motions that keep the closures exist; the rest of coordinate space would add modes of rounding.
     closures = np.asarray(model.constraint(0.0, zero, zero, p)[1].full())
     tangent = linalg.null_space(closures) if len(closures) else np.eye(model.size)
@@ -179,13 +184,9 @@ def suspension_modes(model: Model, p: Sequence[float]) -> list[complex]:
     rigid = rigid[:, free]
     if not free:
         return []
-    gradient = ca.Function(
-        "suspension", [model.t, model.z, model.v, model.p],
-        [ca.jacobian(ca.mtimes(model.kinematics.axes, model.force), x) for x in (model.z, model.v)],
-    )  # fmt: skip
     zero = np.zeros(model.size)
-    mass = rigid.T @ np.asarray(model.inertia(0.0, zero, zero, p)[0].full()) @ rigid
-    parts = [rigid.T @ np.asarray(part.full()) @ rigid for part in gradient(0.0, zero, zero, p)]
+    mass = rigid.T @ np.asarray(model.mass_matrix(0.0, zero, zero, p).full()) @ rigid
+    parts = [rigid.T @ np.asarray(part.full()) @ rigid for part in model.force_gradient(0.0, zero, zero, p)]
     n = len(free)
     system = np.block([[np.zeros((n, n)), np.eye(n)], [np.linalg.solve(mass, part) for part in parts]])
     return [complex(s) for s in np.linalg.eigvals(system) if s.imag > 1e-6 * max(1.0, abs(s))]

@@ -6,10 +6,8 @@ forces are derived from them, so there is no second copy of an equation that cou
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 
@@ -18,6 +16,7 @@ from solver.equations.contact import ContactForce
 from solver.equations.contact_laws import remembers
 from solver.equations.dynamics import Solver, constrained_solver, inertia
 from solver.equations.kinematics import kinematics
+from solver.equations.model_functions import ModelFunctions, with_contacts_decided
 from solver.equations.numbers import Numbers, contact_paths
 from solver.equations.poses import Kinematics
 from solver.equations.rubbing import Rubbing, rubbing_joints, solve_with_friction
@@ -27,7 +26,7 @@ from solver.machines.machine import Machine
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(ModelFunctions):
     """Equations of one machine with one set of clearance joints.
 
     Attributes
@@ -108,87 +107,9 @@ class Model:
         """Where x, y, theta of the frame are among the coordinates; ``None`` for a motion it does not have."""
         return self.kinematics.indices_of(self.machine.frame)
 
-    def function(self, name: str, *outputs: ca.SX) -> ca.Function:
-        """A CasADi function of (t, z, v, p): evaluated without any compilation, microseconds a call.
-
-        Contacts count as beginning now: nothing is remembered.
-        """
-        return ca.Function(name, [self.t, self.z, self.v, self.p], [self.unremembered(part) for part in outputs])
-
-    def function_of_memory(self, name: str, *outputs: ca.SX) -> ca.Function:
-        """A CasADi function of (t, z, v, p, memory)."""
-        return ca.Function(name, [self.t, self.z, self.v, self.p, self.memory], list(outputs))
-
-    def unremembered(self, expression: ca.SX) -> ca.SX:
-        """The expression with nothing remembered."""
-        if not self.remembering:
-            return expression
-        return ca.substitute(expression, self.memory, ca.SX.zeros(len(self.remembering)))
-
-    @cached_property
-    def right_hand_side(self) -> ca.Function:
-        """(t, z, v, p) -> z''; no numbers where sliding joints jam."""
-        if self.rubbing is None:
-            return self.function("right_hand_side", self.acceleration)
-        return self.function("right_hand_side", self.acceleration + ca.if_else(self.jam, math.nan, 0))
-
-    @cached_property
-    def rubbing_state(self) -> ca.Function:
-        """(t, z, v, p) -> numbers of rubbing joints as in :class:`~solver.equations.rubbing.Rubbing`, but for `jam`."""
-        rubbing = self.rubbing
-        assert rubbing is not None
-        switch = ca.vertcat(*(contact.switch for contact in self.contacts))
-        columns = [
-            rubbing.friction, rubbing.friction_velocity, rubbing.rate, rubbing.leverage, rubbing.mobility,
-            rubbing.acceleration, rubbing.normal,
-        ]  # fmt: skip
-        return self.function("rubbing_state", *_with_contacts_decided(self.touching, switch, columns))
-
-    @cached_property
-    def projection(self) -> ca.Function:
-        """(t, z, v, p) -> corrections of z and v that restore the closures, least mass-weighted."""
-        still = ca.SX.zeros(self.size)
-        corrections = (self.solution.solve(still, -residual)[0] for residual in (self.phi, self.phi_rate))
-        return self.function("projection", *(ca.mtimes(self.kinematics.axes, c) for c in corrections))
-
-    @cached_property
-    def constraint(self) -> ca.Function:
-        """(t, z, v, p) -> closures and eccentricities stacked, their Jacobian, their time derivative at v = 0."""
-        stacked = ca.vertcat(self.phi, self.eccentricity)
-        return self.function("constraint", stacked, ca.jacobian(stacked, self.z), ca.jacobian(stacked, self.t))
-
-    @cached_property
-    def constraint_bias(self) -> ca.Function:
-        """(t, z, v, p) -> second time derivative of closures and eccentricities stacked, without accelerations."""
-        bias = ca.vertcat(self.phi, self.eccentricity)
-        for _ in range(2):
-            bias = ca.jtimes(bias, self.z, self.v) + ca.jacobian(bias, self.t)
-        return self.function("constraint_bias", bias)
-
-    @cached_property
-    def inertia(self) -> ca.Function:
-        """(t, z, v, p) -> mass matrix and generalised forces of the coordinates themselves."""
-        axes = self.kinematics.axes
-        return self.function("inertia", ca.mtimes([axes, self.mass, axes.T]), ca.mtimes(axes, self.force))
-
-    @cached_property
-    def link_rates(self) -> ca.Function:
-        """(t, z, v, p) -> Jacobian (3N, n) of x, y, theta of every link in file order, and their rate at v = 0."""
-        kin = self.kinematics
-        poses = (kin.poses[name] for name in self.machine.links)
-        pose = ca.vertcat(*(ca.vertcat(kin.terms.value(k.centre, ground=True).column, k.theta) for k in poses))
-        return self.function("link_rates", ca.jacobian(pose, self.z), ca.jacobian(pose, self.t))
-
     def vector(self, values: dict[str, float]) -> list[float]:
         """Lane parameters in kernel order: `values` where given, the machine file's numbers elsewhere."""
         return [values.get(path, self.nominal[path]) for path in self.parameters]
-
-
-def _with_contacts_decided(touching: ca.SX, switch: ca.SX, expressions: list[ca.SX]) -> list[ca.SX]:
-    """The expressions with surfaces pushing where their switch function is positive."""
-    if touching.shape[0] == 0:
-        return expressions
-    return list(ca.substitute(expressions, [touching], [ca.if_else(switch > 0, 1, 0)]))
 
 
 def _border(machine: Machine, kin: Kinematics) -> list[int]:
@@ -276,7 +197,7 @@ def build_model(
         held, reactions = solution.solve(scene.total, gamma)
     held = ca.mtimes(kin.axes, held)
     switch = ca.vertcat(*(contact.switch for _, contact in contacts.values()))
-    force, acceleration, reactions, jam, *pushes = _with_contacts_decided(
+    force, acceleration, reactions, jam, *pushes = with_contacts_decided(
         touching,
         switch,
         [scene.total, held, reactions, held_jam, *(contact.on_pin.column for _, contact in contacts.values())],

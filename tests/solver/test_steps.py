@@ -108,6 +108,34 @@ def test_steps_follow_the_masses_of_a_case() -> None:
     assert step_of(filed) < 0.1 * step_of(machine)
 
 
+def test_mobility_is_the_largest_of_the_poses() -> None:
+    """All poses together give what each gives alone."""
+    model = build_model(shipped_machine("quick-return"), ("A", "F"))
+    p = model.vector({})
+    poses = walk(model, p, 12.0)[::17]
+    alone = [contact_mobility(model, [pose], p) for pose in poses]
+    together = contact_mobility(model, poses, p)
+    assert together == {joint: max(one[joint] for one in alone) for joint in ("A", "F")}
+    assert len({one["F"] for one in alone}) == len(poses)
+
+
+@pytest.mark.parametrize("name", ["quick-return", "four-bar"])
+def test_cases_share_the_functions_of_their_model(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another mass, another mount: no expression is derived again, or a case would cost several times its run."""
+    machine = shipped_machine(name)
+    link = f"links.{machine.frame}.mass"
+
+    def case(factor: float) -> Case:
+        numbers = {link: 50.0 * factor, "supports.0.stiffness.0": 1e5 * factor, "drive.speed": 10 * factor}
+        return Case(FaultState({"A": 1e-4}), numbers)
+
+    first = next(groups(machine, [case(1.0)], Settings())).ready[0]
+    for made in ("Function", "jacobian", "jtimes"):
+        monkeypatch.delattr(f"casadi.{made}")
+    second = next(groups(machine, [case(1.1)], Settings())).ready[0]
+    assert second.longest_step != first.longest_step
+
+
 def test_steps_of_a_ram_that_only_swings() -> None:
     """A travel speed of 0 is one: at 1 m/s friction would ask for steps a thousand times shorter."""
     drive = {"kind": "translation", "joint": "G", "harmonics": [{"frequency": 5, "amplitude": 0.003, "phase": 1}]}
