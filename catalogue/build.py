@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from catalogue.chunk import Chunk, Compute, chunked, simulate_chunk
-from catalogue.directory import CatalogueDirectory, publish, sha256_of
+from catalogue.directory import CatalogueDirectory, sha256_of
 from catalogue.entry import Entry
-from catalogue.errors import BuildError, CatalogueError, CatalogueFileError
+from catalogue.errors import CatalogueFileError
 from catalogue.executors import Executor, InProcess, LocalProcesses
-from catalogue.hdf5 import decode_shard, encode_shard
-from catalogue.index import ChunkRow, ChunkStatus, Index
+from catalogue.hdf5 import decode_shard
+from catalogue.index import ChunkRow, EntriesPresentError, Index
+from catalogue.location import IndexLocation
+from catalogue.locks import BuilderLock
 from catalogue.manifest import Manifest
 from catalogue.plan import Plan
-from catalogue.shard import OK, Outcome, Shard, ShardHeader
-from solver.errors import SolverError
+from catalogue.scheduling import Scheduler, Tally
+from catalogue.shard import OK
 from solver.machines.machine import Machine
 from solver.simulation.simulate import check_assembly
 
@@ -28,11 +28,8 @@ __all__ = ["BuildReport", "Progress", "build"]
 CHUNK_SIZE = 64
 """Cases of a chunk: what a killed build loses at most for each worker, and what compiling a model is spread over."""
 
-ATTEMPTS = 3
-"""How often a chunk whose worker died is begun before it is halved, or given up if it is a single case."""
-
-HOPELESS = 10
-"""Attempts that may fail before the first chunk succeeds; after them the reason lies not in single cases."""
+LEASE = 60.0
+"""How long other builders wait for a sign of life before they begin a chunk of this one again [s]."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class Progress:
     lost : int
         Entries given up in this build because their worker died again and again; not among those done.
     rate : float
-        Entries a second in this build; 0 before the first.
+        Entries a second since this build began, of all builders; 0 before the first.
     eta : float or None
         Seconds to go at this rate; None before the first entry.
     seconds : float
@@ -71,7 +68,9 @@ class BuildReport:
     Parameters
     ----------
     added : int
-        Entries computed now.
+        Entries computed now, by this builder.
+    others : int
+        Entries computed meanwhile by other builders of the same catalogue.
     present : int
         Entries of the plan that were there before.
     adopted : int
@@ -91,6 +90,7 @@ class BuildReport:
     """
 
     added: int
+    others: int
     present: int
     adopted: int
     failed: Mapping[str, int]
@@ -111,11 +111,13 @@ def build(
     executor: Executor | None = None,
     compute: Compute = simulate_chunk,
     chunk_size: int = CHUNK_SIZE,
+    index: str | None = None,
+    lease: float = LEASE,
 ) -> BuildReport:
     """Build a catalogue, or go on with one: compute every entry of the plan that is not there yet.
 
     It may be killed at any moment. What is complete stays, the same call again does the rest; at most the chunks in
-    hand are lost. Entries are never computed or stored twice.
+    hand are lost. Several builders may work on one catalogue at the same time; each entry is stored exactly once.
 
     Parameters
     ----------
@@ -133,6 +135,11 @@ def build(
         What is done with a chunk.
     chunk_size : int, optional
         Most cases of a chunk.
+    index : str, optional
+        URL of the database for the index, remembered with the catalogue; by default the one remembered, or a file of
+        SQLite in the folder.
+    lease : float, optional
+        How long a chunk stays with a builder that gives no sign of life [s].
 
     Returns
     -------
@@ -145,9 +152,11 @@ def build(
     CatalogueMismatchError
         The folder holds a catalogue of another machine, schema, solver version or other settings.
     CatalogueBusyError
-        Another process builds or verifies there.
+        Another process verifies there.
     CatalogueFileError
-        A file cannot be written.
+        A file or the index cannot be written.
+    BuildError
+        Nothing at all can be computed.
     SolverError
         The machine cannot be assembled, or the solver refuses a parameter or a setting of the plan.
     """
@@ -156,30 +165,39 @@ def build(
     check_assembly(machine)
     layout = CatalogueDirectory(Path(directory))
     layout.create()
-    with layout.locked():
-        layout.remove_temporaries()
+    with BuilderLock(layout) as lock:
+        if lock.alone:
+            layout.remove_temporaries()
         manifest, is_new = _manifest(layout, machine, plan)
-        with _open_index(layout) as index:
-            adopted = _match_files(layout, index)
-            statuses = index.statuses()
-            missing = [entry for entry in wanted if entry.key not in statuses]
-            if is_new or (missing and manifest.plan != plan):
+        location = IndexLocation.settled(layout, index, alone=lock.alone)
+        with _open_index(layout, location, alone=lock.alone) as opened:
+            adopted = _match_files(layout, opened) if lock.alone else 0
+            statuses = opened.statuses()
+            there = [statuses[entry.key] for entry in wanted if entry.key in statuses]
+            if is_new or (len(there) < len(wanted) and manifest.plan != plan):
                 manifest = replace(manifest, plan=plan)
                 manifest.write(layout)
-            work = _Work(layout, index, manifest.header(plan), compute, progress, started)
-            work.counted(len(wanted), [statuses[entry.key] for entry in wanted if entry.key in statuses])
-            chunks = chunked(machine, manifest.recipe, missing, chunk_size)
+            chunks = _missing(chunked(machine, manifest.recipe, wanted, chunk_size), statuses)
+            opened.leases.plan([_row(chunk) for chunk in chunks], alone=lock.alone)
+            lock.share()
+            tally = Tally(len(wanted), len(there), sum(status != OK for status in there))
+
+            def tell() -> None:
+                if progress is not None:
+                    progress(_progress(tally, time.monotonic() - started))
+
             if chunks:
                 mine = executor or (LocalProcesses(workers) if workers > 0 else InProcess())
+                scheduler = Scheduler(layout, opened, manifest.header(plan), compute, tally, tell, lease)
                 try:
-                    work.run(chunks, mine)
+                    scheduler.run(chunks, mine)
                 except BaseException:
                     if executor is None:
                         mine.close(at_once=True)
                     raise
                 if executor is None:
                     mine.close()
-            return work.report(wanted, adopted)
+            return _report(opened, wanted, tally, adopted, time.monotonic() - started)
 
 
 def _manifest(layout: CatalogueDirectory, machine: Machine, plan: Plan) -> tuple[Manifest, bool]:
@@ -194,14 +212,14 @@ def _manifest(layout: CatalogueDirectory, machine: Machine, plan: Plan) -> tuple
     return manifest, False
 
 
-def _open_index(layout: CatalogueDirectory) -> Index:
+def _open_index(layout: CatalogueDirectory, location: IndexLocation, *, alone: bool) -> Index:
     try:
-        return Index(layout.index)
+        return location.open()
     except CatalogueFileError:
-        if not layout.index.exists():
+        if not (alone and location.is_file and layout.index.exists()):
             raise
         layout.move_to_quarantine(layout.index)  # whatever it was, the shards hold all that it should have known
-        return Index(layout.index)
+        return location.open()
 
 
 def _match_files(layout: CatalogueDirectory, index: Index) -> int:
@@ -216,128 +234,62 @@ def _adopt(layout: CatalogueDirectory, index: Index, name: str) -> int:
     content = path.read_bytes()
     if sha256_of(content) != name:
         raise CatalogueFileError(path, "does not match its checksum: verify the catalogue first")
-    return index.add_shard(name, len(content), decode_shard(content, path))
+    try:
+        return index.add_shard(name, len(content), decode_shard(content, path))
+    except EntriesPresentError:
+        # Left by a builder that was killed before it knew that another one had stored these cases.
+        layout.move_to_quarantine(path)
+        return 0
 
 
-class _Work:
-    """One build under way: hands out chunks, keeps results, counts."""
+def _missing(chunks: list[Chunk], statuses: Mapping[str, str]) -> list[Chunk]:
+    """Chunks without the entries that are there.
 
-    def __init__(
-        self,
-        layout: CatalogueDirectory,
-        index: Index,
-        header: ShardHeader,
-        compute: Compute,
-        progress: Callable[[Progress], None] | None,
-        started: float,
-    ) -> None:
-        self._layout, self._index, self._header = layout, index, header
-        self._compute, self._progress, self._started = compute, progress, started
-        self._attempts: dict[str, int] = {}
-        self._queue: deque[Chunk] = deque()
-        self._added = self._present = self._total = self._failed = 0
-        self._workers_lost = self._failures = 0
-        self._lost: list[str] = []
-        self._lost_reason = ""
+    The chunks are those of the whole plan, so that what a chunk holds does not depend on which others are done.
+    """
+    left: list[Chunk] = []
+    for chunk in chunks:
+        entries = tuple(entry for entry in chunk.entries if entry.key not in statuses)
+        if entries:
+            left.append(chunk if len(entries) == len(chunk.entries) else replace(chunk, entries=entries))
+    return left
 
-    def counted(self, total: int, present: list[str]) -> None:
-        """Take note of the plan's size and of the statuses that are there already."""
-        self._total, self._present = total, len(present)
-        self._failed = sum(status != OK for status in present)
 
-    def run(self, chunks: list[Chunk], executor: Executor) -> None:
-        """Compute and keep all chunks."""
-        self._queue.extend(chunks)
-        self._index.plan_chunks([_row(chunk) for chunk in chunks])
-        self._tell()
-        flying: dict[Future[tuple[Outcome, ...]], Chunk] = {}
-        while self._queue or flying:
-            while self._queue and len(flying) < executor.capacity:
-                chunk = self._queue.popleft()
-                self._index.begin_chunk(chunk.id)
-                self._attempts[chunk.id] = self._attempts.get(chunk.id, 0) + 1
-                flying[executor.submit(self._compute, chunk)] = chunk
-            finished, _ = wait(flying, return_when=FIRST_COMPLETED)
-            for future in finished:
-                chunk = flying.pop(future)
-                error = future.exception()
-                if error is None:
-                    self._keep(chunk, future.result())
-                elif isinstance(error, (SolverError, CatalogueError)):
-                    raise error  # a refusal: it would be the same for every chunk
-                else:
-                    self._try_again(chunk, error, died=executor.is_loss(error))
-                self._tell()
+def _progress(tally: Tally, seconds: float) -> Progress:
+    now = tally.added + tally.others
+    rate = now / seconds if seconds > 0 else 0.0
+    left = tally.total - tally.done - len(tally.lost)
+    return Progress(
+        done=tally.done,
+        total=tally.total,
+        failed=tally.failed,
+        lost=len(tally.lost),
+        rate=rate,
+        eta=left / rate if rate > 0 else None,
+        seconds=seconds,
+    )
 
-    def _keep(self, chunk: Chunk, outcomes: tuple[Outcome, ...]) -> None:
-        shard = Shard.of(self._header, chunk.entries, outcomes)
-        content = encode_shard(shard)
-        name = sha256_of(content)
-        publish(self._layout.shard(name), content)
-        self._added += self._index.add_shard(name, len(content), shard, chunk=chunk.id)
-        self._failed += sum(status != OK for status in shard.status)
 
-    def _try_again(self, chunk: Chunk, error: BaseException, *, died: bool) -> None:
-        """Once more if the worker died; else in halves, until the single case is found that cannot be computed."""
-        attempt = self._attempts[chunk.id]
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        if died:
-            self._workers_lost += 1
-            reason = f"its worker died, in {attempt} {'attempt' if attempt == 1 else 'attempts'}"
-        self._failures += 1
-        if self._added == 0 and self._failures >= HOPELESS:
-            raise BuildError(f"nothing could be computed in {self._failures} attempts, the last: {reason}") from error
-        again = died and attempt < ATTEMPTS
-        if not again and len(chunk.entries) > 1:
-            halves = chunk.halves()
-            self._index.split_chunk(chunk.id, [_row(half) for half in halves])
-            self._queue.extend(halves)
-            return
-        self._index.end_attempt(chunk.id, reason, lost=not again)
-        if again:
-            self._queue.append(chunk)
-        else:
-            self._lost += [entry.key for entry in chunk.entries]
-            self._lost_reason = reason
-
-    def _tell(self) -> None:
-        if self._progress is None:
-            return
-        seconds = time.monotonic() - self._started
-        rate = self._added / seconds if seconds > 0 else 0.0
-        left = self._total - self._present - self._added - len(self._lost)
-        self._progress(
-            Progress(
-                done=self._present + self._added,
-                total=self._total,
-                failed=self._failed,
-                lost=len(self._lost),
-                rate=rate,
-                eta=left / rate if rate > 0 else None,
-                seconds=seconds,
-            )
-        )
-
-    def report(self, wanted: tuple[Entry, ...], adopted: int) -> BuildReport:
-        """Sum up."""
-        statuses = self._index.statuses()
-        failed: dict[str, int] = {}
-        for entry in wanted:
-            status = statuses.get(entry.key, OK)
-            if status != OK:
-                failed[status] = failed.get(status, 0) + 1
-        return BuildReport(
-            added=self._added,
-            present=self._present,
-            adopted=adopted,
-            failed=failed,
-            lost=tuple(self._lost),
-            lost_reason=self._lost_reason,
-            workers_lost=self._workers_lost,
-            seconds=time.monotonic() - self._started,
-            size=sum(row.size for row in self._index.shards().values()),
-        )
+def _report(index: Index, wanted: tuple[Entry, ...], tally: Tally, adopted: int, seconds: float) -> BuildReport:
+    statuses = index.statuses()
+    failed: dict[str, int] = {}
+    for entry in wanted:
+        status = statuses.get(entry.key, OK)
+        if status != OK:
+            failed[status] = failed.get(status, 0) + 1
+    return BuildReport(
+        added=tally.added,
+        others=tally.others,
+        present=tally.present,
+        adopted=adopted,
+        failed=failed,
+        lost=tuple(tally.lost),
+        lost_reason=next(reversed(tally.lost.values()), ""),
+        workers_lost=tally.workers_lost,
+        seconds=seconds,
+        size=sum(row.size for row in index.shards().values()),
+    )
 
 
 def _row(chunk: Chunk) -> ChunkRow:
-    return ChunkRow(chunk.id, ",".join(chunk.joints), len(chunk.entries), ChunkStatus.PENDING, 0, "")
+    return ChunkRow(chunk.id, chunk.entries[0].hypothesis.label, len(chunk.entries))

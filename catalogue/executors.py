@@ -38,6 +38,10 @@ class Executor(Protocol):
         """Whether a future's exception means that the place of work was lost, not that the task failed."""
         ...
 
+    def is_blameless(self, error: BaseException) -> bool:
+        """Whether the loss had nothing to do with the task, so that it is begun again without counting."""
+        ...
+
     def close(self, *, at_once: bool = False) -> None:
         """Give everything back; `at_once` ends tasks in flight."""
         ...
@@ -59,6 +63,10 @@ class InProcess:
 
     def is_loss(self, error: BaseException) -> bool:
         """Never: with this process the build ends, too."""
+        return False
+
+    def is_blameless(self, error: BaseException) -> bool:
+        """Never."""
         return False
 
     def close(self, *, at_once: bool = False) -> None:
@@ -93,6 +101,10 @@ class LocalProcesses:
     def is_loss(self, error: BaseException) -> bool:
         """Whether the worker died: killed, out of memory, crashed."""
         return isinstance(error, BrokenProcessPool)
+
+    def is_blameless(self, error: BaseException) -> bool:
+        """Never: a worker that dies may have died of its task."""
+        return False
 
     def close(self, *, at_once: bool = False) -> None:
         """End the workers: after their tasks, or now."""

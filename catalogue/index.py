@@ -7,47 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self, TypeVarTuple
 
-from sqlalchemy import (
-    Column,
-    Connection,
-    ForeignKey,
-    Integer,
-    MetaData,
-    String,
-    Table,
-    create_engine,
-    delete,
-    event,
-    func,
-    insert,
-    select,
-    text,
-    update,
-)
-from sqlalchemy.exc import DatabaseError
+from sqlalchemy import Connection, Select, delete, func, insert, select
+from sqlalchemy.exc import IntegrityError
 
-from catalogue.errors import CatalogueFileError
-from catalogue.keys import canonical_json
+from catalogue.database import Database
+from catalogue.leases import ChunkRow, ChunkStatus, Leases, finish_chunk
 from catalogue.shard import Shard
+from catalogue.tables import CATALOGUES, ENTRIES, SHARDS
 
-__all__ = ["ChunkRow", "ChunkStatus", "Index", "ShardRow"]
+__all__ = ["ChunkRow", "ChunkStatus", "EntriesPresentError", "Index", "ShardRow"]
 
-INDEX_VERSION = 1
-"""Kept in SQLite's ``user_version``; an index of another version is made anew."""
+Q = TypeVarTuple("Q")
 
-
-class ChunkStatus(StrEnum):
-    """How far a chunk is."""
-
-    PENDING = "pending"
-    RUNNING = "running"
-    DONE = "done"
-    LOST = "lost"
+LOCAL = "local"
+"""Instance of a catalogue whose index is a file of its own."""
 
 
 @dataclass(frozen=True)
@@ -59,79 +36,52 @@ class ShardRow:
     entries: int
 
 
-@dataclass(frozen=True)
-class ChunkRow:
-    """One chunk of a build: how many entries of which joints, its status, how often it was begun, and what happened."""
-
-    id: str
-    joints: str
-    entries: int
-    status: ChunkStatus
-    attempts: int
-    message: str
-
-
-_METADATA = MetaData()
-
-_SHARDS = Table(
-    "shards",
-    _METADATA,
-    Column("sha256", String, primary_key=True),
-    Column("size", Integer, nullable=False),
-    Column("entries", Integer, nullable=False),
-)
-
-_ENTRIES = Table(
-    "entries",
-    _METADATA,
-    Column("key", String, primary_key=True),
-    Column("shard", ForeignKey("shards.sha256", ondelete="CASCADE"), nullable=False, index=True),
-    Column("position", Integer, nullable=False),
-    Column("hypothesis", String, nullable=False, index=True),
-    Column("clearances", String, nullable=False),
-    Column("status", String, nullable=False),
-    Column("message", String, nullable=False),
-)
-
-_CHUNKS = Table(
-    "chunks",
-    _METADATA,
-    Column("id", String, primary_key=True),
-    Column("joints", String, nullable=False),
-    Column("entries", Integer, nullable=False),
-    Column("status", String, nullable=False),
-    Column("attempts", Integer, nullable=False, server_default=text("0")),
-    Column("message", String, nullable=False, server_default=text("''")),
-)
-
-
-class Index:
-    """An SQLite database in WAL mode; opened (and made, where there is none) by the constructor.
+class EntriesPresentError(Exception):
+    """Some entries of a shard lie in another one already; nothing was entered.
 
     Parameters
     ----------
-    path : Path
-        The file.
+    keys : frozenset of str
+        Those entries.
+    """
+
+    def __init__(self, keys: frozenset[str]) -> None:
+        self.keys = keys
+        super().__init__(keys)
+
+    def __str__(self) -> str:
+        return f"{len(self.keys)} of its entries lie in another shard"
+
+
+class Index:
+    """The rows of one catalogue in a database; opened (and made, where there is none) by the constructor.
+
+    Parameters
+    ----------
+    source : Path or str
+        A file of SQLite, or the URL of a database.
+    instance : str, optional
+        Which catalogue, in a database of several.
+
+    Attributes
+    ----------
+    leases : Leases
+        The chunks of builds.
 
     Raises
     ------
     CatalogueFileError
-        The file is no database, is damaged, or cannot be written.
+        It is no database, cannot be reached, is damaged, or cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._engine = create_engine(f"sqlite:///{path}")
-        event.listen(self._engine, "connect", _configure)
+    def __init__(self, source: Path | str, instance: str = LOCAL) -> None:
+        self._database = Database(source)
         try:
-            with self._engine.begin() as connection:
-                if connection.scalar(text("PRAGMA user_version")) != INDEX_VERSION:
-                    _METADATA.drop_all(connection)
-                    connection.execute(text(f"PRAGMA user_version = {INDEX_VERSION}"))
-                _METADATA.create_all(connection)
-        except DatabaseError as error:
-            self._engine.dispose()
-            raise CatalogueFileError(path, f"cannot be used as an index ({error.orig})") from error
+            self._catalogue = self._registered(instance)
+        except BaseException:
+            self._database.close()
+            raise
+        self.leases = Leases(self._database, self._catalogue)
 
     def __enter__(self) -> Self:
         return self
@@ -141,143 +91,149 @@ class Index:
     ) -> None:
         self.close()
 
+    @property
+    def name(self) -> str:
+        """Its file, or its URL without password."""
+        return self._database.name
+
     def close(self) -> None:
-        """Give the file back; SQLite then folds its side files into it."""
-        self._engine.dispose()
+        """Give the database back; SQLite then folds its side files into it."""
+        self._database.close()
 
     def is_sound(self) -> bool:
-        """Whether SQLite finds the file undamaged and complete."""
-        try:
-            with self._engine.connect() as connection:
-                return str(connection.scalar(text("PRAGMA integrity_check"))) == "ok"
-        except DatabaseError:
-            return False
+        """Whether the database finds itself undamaged and complete."""
+        return self._database.is_sound()
 
     def shards(self) -> dict[str, ShardRow]:
         """Shards by name."""
-        with self._engine.connect() as connection:
-            return {row.sha256: ShardRow(*row) for row in connection.execute(select(_SHARDS))}
+        with self._database.reading() as connection:
+            rows = connection.execute(self._of(select(SHARDS.c.sha256, SHARDS.c.size, SHARDS.c.entries)))
+            return {row.sha256: ShardRow(*row) for row in rows}
 
     def places(self) -> dict[str, tuple[str, int]]:
         """Shard and position in it of every entry, by key."""
-        query = select(_ENTRIES.c.key, _ENTRIES.c.shard, _ENTRIES.c.position)
-        with self._engine.connect() as connection:
+        query = self._of(select(ENTRIES.c.key, ENTRIES.c.shard, ENTRIES.c.position))
+        with self._database.reading() as connection:
             return {key: (shard, position) for key, shard, position in connection.execute(query)}
 
     def statuses(self) -> dict[str, str]:
         """Status of every entry, by key."""
-        with self._engine.connect() as connection:
-            return {row.key: row.status for row in connection.execute(select(_ENTRIES.c.key, _ENTRIES.c.status))}
+        with self._database.reading() as connection:
+            rows = connection.execute(self._of(select(ENTRIES.c.key, ENTRIES.c.status)))
+            return {row.key: row.status for row in rows}
 
     def counts(self) -> dict[tuple[str, str], int]:
         """Number of entries by hypothesis and status."""
-        query = select(_ENTRIES.c.hypothesis, _ENTRIES.c.status, func.count()).group_by(
-            _ENTRIES.c.hypothesis, _ENTRIES.c.status
-        )
-        with self._engine.connect() as connection:
+        columns = (ENTRIES.c.hypothesis, ENTRIES.c.status)
+        query = self._of(select(*columns, func.count())).group_by(*columns)
+        with self._database.reading() as connection:
             return {(hypothesis, status): number for hypothesis, status, number in connection.execute(query)}
 
-    def add_shard(self, sha256: str, size: int, shard: Shard, *, chunk: str | None = None) -> int:
+    def add_shard(
+        self, sha256: str, size: int, shard: Shard, *, chunk: str | None = None, seconds: float = 0.0, message: str = ""
+    ) -> int:
         """Enter a shard, its entries and the end of its chunk, all or nothing.
 
-        Entries that are in the index already stay where they are.
+        Parameters
+        ----------
+        sha256 : str
+            Its name.
+        size : int
+            Bytes.
+        shard : Shard
+        chunk : str, optional
+            The chunk that is done with it.
+        seconds : float, optional
+            Processor time of the chunk [s].
+        message : str, optional
+            What went wrong in the chunk; it counts as lost then.
 
         Returns
         -------
         int
-            Number of new entries.
+            Number of new entries; 0 if the very shard is known already.
+
+        Raises
+        ------
+        EntriesPresentError
+            Some of the entries lie in another shard.
         """
         rows = [
             {
+                "catalogue": self._catalogue,
                 "key": shard.key[position],
                 "shard": sha256,
                 "position": position,
                 "hypothesis": shard.hypothesis.label,
-                "clearances": canonical_json(shard.entry(position).fault),
                 "status": shard.status[position],
                 "message": shard.message[position],
             }
             for position in range(shard.count)
         ]
-        with self._engine.begin() as connection:
-            connection.execute(insert(_SHARDS).values(sha256=sha256, size=size, entries=shard.count))
-            known = _known(connection, shard.key)
-            new = [row for row in rows if row["key"] not in known]
-            if new:
-                connection.execute(insert(_ENTRIES), new)
-            if chunk is not None:
-                _change(connection, chunk, status=ChunkStatus.DONE.value, message="")
-        return len(new)
+        try:
+            with self._database.writing() as connection:
+                is_new = sha256 not in self._known_shards(connection, [sha256])
+                if is_new:
+                    present = self._known(connection, shard.key)
+                    if present:
+                        raise EntriesPresentError(present)
+                    values = {"catalogue": self._catalogue, "sha256": sha256, "size": size, "entries": shard.count}
+                    connection.execute(insert(SHARDS).values(values))
+                    connection.execute(insert(ENTRIES), rows)
+                if chunk is not None:
+                    finish_chunk(connection, self._catalogue, chunk, sha256, seconds, message)
+        except IntegrityError:  # another builder entered them meanwhile, which is seen now
+            return self.add_shard(sha256, size, shard, chunk=chunk, seconds=seconds, message=message)
+        return shard.count if is_new else 0
 
     def remove_shards(self, names: Iterable[str]) -> None:
         """Forget shards and their entries."""
-        with self._engine.begin() as connection:
+        with self._database.writing() as connection:
             for name in names:
-                connection.execute(delete(_SHARDS).where(_SHARDS.c.sha256 == name))
+                connection.execute(delete(SHARDS).where(SHARDS.c.catalogue == self._catalogue, SHARDS.c.sha256 == name))
 
-    def plan_chunks(self, chunks: Sequence[ChunkRow]) -> None:
-        """Make `chunks` the ones to be done.
-
-        Others that are not done are forgotten; one that was planned before keeps its number of attempts.
-        """
-        wanted = {chunk.id for chunk in chunks}
-        with self._engine.begin() as connection:
-            old = {row.id: row for row in connection.execute(select(_CHUNKS))}
-            for row in old.values():
-                if row.id not in wanted and row.status != ChunkStatus.DONE:
-                    connection.execute(delete(_CHUNKS).where(_CHUNKS.c.id == row.id))
-            for chunk in chunks:
-                if chunk.id in old:
-                    _change(connection, chunk.id, status=ChunkStatus.PENDING.value)
-                else:
-                    connection.execute(insert(_CHUNKS).values(_pending(chunk)))
-
-    def begin_chunk(self, chunk: str) -> None:
-        """A worker has it: one attempt more."""
-        with self._engine.begin() as connection:
-            _change(connection, chunk, status=ChunkStatus.RUNNING.value, attempts=_CHUNKS.c.attempts + 1)
-
-    def split_chunk(self, chunk: str, parts: Sequence[ChunkRow]) -> None:
-        """Put `parts` in the place of a chunk."""
-        with self._engine.begin() as connection:
-            connection.execute(delete(_CHUNKS).where(_CHUNKS.c.id == chunk))
-            connection.execute(insert(_CHUNKS), [_pending(part) for part in parts])
-
-    def end_attempt(self, chunk: str, message: str, *, lost: bool) -> None:
-        """The attempt failed: lost for this build, or to be tried again."""
-        status = ChunkStatus.LOST if lost else ChunkStatus.PENDING
-        with self._engine.begin() as connection:
-            _change(connection, chunk, status=status.value, message=message)
+    def known(self, keys: Sequence[str]) -> dict[str, str]:
+        """Status of those of the entries that are there, by key."""
+        found: dict[str, str] = {}
+        with self._database.reading() as connection:
+            for part in _parts(keys):
+                query = self._of(select(ENTRIES.c.key, ENTRIES.c.status)).where(ENTRIES.c.key.in_(part))
+                found.update({row.key: row.status for row in connection.execute(query)})
+        return found
 
     def chunks(self) -> tuple[ChunkRow, ...]:
         """All chunks the builds of this catalogue know, in the order in which they were planned."""
-        with self._engine.connect() as connection:
-            rows = connection.execute(select(_CHUNKS).order_by(text("rowid")))
-            return tuple(
-                ChunkRow(row.id, row.joints, row.entries, ChunkStatus(row.status), row.attempts, row.message)
-                for row in rows
-            )
+        return self.leases.rows()
+
+    def _registered(self, instance: str) -> int:
+        """Number of the catalogue in this database."""
+        query = select(CATALOGUES.c.id).where(CATALOGUES.c.instance == instance)
+        with self._database.reading() as connection:
+            number: int | None = connection.scalar(query)
+        if number is not None:
+            return number
+        try:
+            with self._database.writing() as connection:
+                connection.execute(insert(CATALOGUES).values(instance=instance))
+        except IntegrityError:  # another process was first
+            pass
+        with self._database.reading() as connection:
+            return int(connection.scalar(query) or 0)
+
+    def _of(self, query: Select[*Q]) -> Select[*Q]:
+        """Only the rows of this catalogue."""
+        return query.where(query.get_final_froms()[0].c.catalogue == self._catalogue)
+
+    def _known_shards(self, connection: Connection, names: Sequence[str]) -> set[str]:
+        return set(connection.scalars(self._of(select(SHARDS.c.sha256)).where(SHARDS.c.sha256.in_(names))))
+
+    def _known(self, connection: Connection, keys: Sequence[str]) -> frozenset[str]:
+        query = self._of(select(ENTRIES.c.key))
+        return frozenset(
+            key for part in _parts(keys) for key in connection.scalars(query.where(ENTRIES.c.key.in_(part)))
+        )
 
 
-def _configure(connection: Any, _record: object) -> None:
-    """WAL lets readers read while a build writes; a lost last transaction is found again in the shards."""
-    cursor = connection.cursor()
-    for pragma in ("journal_mode = WAL", "synchronous = NORMAL", "foreign_keys = ON", "busy_timeout = 10000"):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()
-
-
-def _known(connection: Connection, keys: Sequence[str]) -> set[str]:
-    known: set[str] = set()
-    for start in range(0, len(keys), 500):  # SQLite limits the parameters of a statement
-        query = select(_ENTRIES.c.key).where(_ENTRIES.c.key.in_(keys[start : start + 500]))
-        known.update(connection.scalars(query))
-    return known
-
-
-def _change(connection: Connection, chunk: str, **values: Any) -> None:
-    connection.execute(update(_CHUNKS).where(_CHUNKS.c.id == chunk).values(**values))
-
-
-def _pending(chunk: ChunkRow) -> dict[str, Any]:
-    return {"id": chunk.id, "joints": chunk.joints, "entries": chunk.entries, "status": ChunkStatus.PENDING.value}
+def _parts(keys: Sequence[str], size: int = 500) -> list[Sequence[str]]:
+    """SQLite limits the parameters of a statement."""
+    return [keys[start : start + size] for start in range(0, len(keys), size)]

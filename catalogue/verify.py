@@ -13,8 +13,9 @@ from catalogue.directory import CatalogueDirectory, sha256_of
 from catalogue.entry import Entry
 from catalogue.errors import CatalogueError, CatalogueFileError, CatalogueMismatchError
 from catalogue.hdf5 import decode_shard
-from catalogue.index import Index
+from catalogue.index import EntriesPresentError, Index
 from catalogue.keys import entry_key
+from catalogue.location import IndexLocation
 from catalogue.manifest import Manifest
 from catalogue.shard import OK, Shard
 from solver.errors import MachineError
@@ -177,19 +178,21 @@ class _Check:
 
     def _repair_index(self, sound: dict[str, Shard], sizes: dict[str, int]) -> int:
         """Make the index say what the sound shards hold; returns how many entries it knew that are nowhere now."""
-        path = self._layout.index
-        is_new = not path.exists()
+        path, location = self._layout.index, IndexLocation.of(self._layout)
+        is_new = location.is_file and not path.exists()
         index: Index | None = None
         try:
-            index = Index(path)
+            index = location.open()
             if not is_new and not index.is_sound():
                 raise CatalogueFileError(path, "is a damaged database")
         except CatalogueFileError as error:
+            if not location.is_file:
+                raise
             if index is not None:
                 index.close()
             aside = self._layout.move_to_quarantine(path)
             self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}, made again from the shards")
-            index, is_new = Index(path), True
+            index, is_new = location.open(), True
         else:
             if is_new and sound:
                 self._note(path, "is missing", "made again from the shards")
@@ -207,8 +210,18 @@ class _Check:
                 self._note(path, f"did not agree with {len(wrong)} shards", "entered them again")
             index.remove_shards([*gone, *wrong])
             for name in sorted([*new, *wrong]):
-                index.add_shard(name, sizes[name], sound[name])
+                self._enter(index, name, sizes, sound)
             return len(set(before) - set(index.places()))
+
+    def _enter(self, index: Index, name: str, sizes: dict[str, int], sound: dict[str, Shard]) -> None:
+        """Enter a shard, or put it aside if another one holds some of its entries."""
+        try:
+            index.add_shard(name, sizes[name], sound[name])
+        except EntriesPresentError as error:
+            path = self._layout.shard(name)
+            del sound[name]
+            aside = self._layout.move_to_quarantine(path)
+            self._note(path, str(error), f"moved to {aside.relative_to(self._layout.root)}")
 
     def _was_noted(self, name: str) -> bool:
         return any(finding.path == self._layout.shard(name) for finding in self._findings)

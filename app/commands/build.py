@@ -27,8 +27,11 @@ if TYPE_CHECKING:
     help="Which cases it is to hold.",
 )
 @click.option("--workers", type=click.IntRange(1, 1024), help="Processes that compute; by default one a processor.")
+@click.option(
+    "--index", metavar="URL", help="Database for the index, postgresql://user@host/database; remembered in the folder."
+)
 @json_option
-def command(machine: str, catalogue: Path, plan: str, workers: int | None, as_json: bool) -> None:
+def command(machine: str, catalogue: Path, plan: str, workers: int | None, index: str | None, as_json: bool) -> None:
     """Build the catalogue of MACHINE (a shipped machine's name, or a file).
 
     What is there already is kept; the same command again goes on where an interrupted one stopped.
@@ -44,6 +47,7 @@ def command(machine: str, catalogue: Path, plan: str, workers: int | None, as_js
             resolve_plan(plan),
             catalogue,
             workers=workers or processors(),
+            index=index,
             progress=lambda state: line.show(state.done, state.total),
         )
     if as_json:
@@ -70,6 +74,7 @@ def document(report: BuildReport, catalogue: Path) -> dict[str, object]:
     return {
         "catalogue": str(catalogue),
         "added": report.added,
+        "added_by_others": report.others,
         "present": report.present,
         "adopted": report.adopted,
         "failed": dict(report.failed),
@@ -83,8 +88,9 @@ def document(report: BuildReport, catalogue: Path) -> dict[str, object]:
 
 def tell(report: BuildReport, catalogue: Path) -> None:
     """Print the report as plain lines."""
+    others = f", {report.others} by other builders" if report.others else ""
     click.echo(
-        f"{catalogue}: {report.added} cases added in {report.seconds:.1f} s, {report.present} were there; "
+        f"{catalogue}: {report.added} cases added in {report.seconds:.1f} s{others}, {report.present} were there; "
         f"{report.size / 1e6:.1f} MB"
     )
     if report.failed:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import Future
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN, compute
 
-from catalogue.build import Progress, build
+from catalogue.build import BuildReport, Progress, build
 from catalogue.directory import CatalogueDirectory
 from catalogue.errors import (
     BuildError,
@@ -22,6 +23,7 @@ from catalogue.errors import (
 )
 from catalogue.executors import InProcess
 from catalogue.index import ChunkStatus, Index
+from catalogue.leases import Leases
 from catalogue.plan import Plan, parse_plan
 from catalogue.store import Catalogue
 from catalogue.verify import verify
@@ -57,7 +59,7 @@ def test_chunks_have_one_set_of_joints_and_their_state_is_kept(tmp_path: Path) -
     with Index(tmp_path / "index.sqlite") as index:
         chunks = index.chunks()
         assert all(chunk.status is ChunkStatus.DONE and chunk.attempts == 1 for chunk in chunks)
-        assert [chunk.joints for chunk in chunks[:4]] == ["", "A", "B", "O"]
+        assert [chunk.hypothesis for chunk in chunks[:4]] == ["healthy", "A", "B", "O"]
         assert sum(chunk.entries for chunk in chunks) == len(KEYS)
         assert index.counts()["healthy", "ok"] + index.counts().get(("healthy", "diverged"), 0) == 6
 
@@ -219,18 +221,60 @@ def test_machine_that_cannot_be_assembled_touches_nothing(tmp_path: Path) -> Non
     assert not (tmp_path / "c").exists()
 
 
-def test_second_builder_is_refused(tmp_path: Path) -> None:
-    refused: list[str] = []
+def test_second_builder_does_what_is_left_and_verify_is_refused(tmp_path: Path) -> None:
+    """Begun in the middle of the first, the second builder has all other chunks done before the first goes on."""
+    reports: list[BuildReport] = []
 
     def second(progress: Progress) -> None:
-        if progress.done:
-            for use in (lambda: quick_build(tmp_path), lambda: verify(tmp_path)):
-                with pytest.raises(CatalogueBusyError) as caught:
-                    use()
-                refused.append(str(caught.value))
+        if progress.done and not reports:
+            with pytest.raises(CatalogueBusyError) as caught:
+                verify(tmp_path)
+            assert (
+                str(caught.value) == f"{tmp_path}: another build or verify is running here; wait for its end or stop it"
+            )
+            reports.append(quick_build(tmp_path))
 
-    quick_build(tmp_path, progress=second)
-    assert set(refused) == {f"{tmp_path}: another build or verify is running here; wait for its end or stop it"}
+    first = quick_build(tmp_path, progress=second)
+    assert (first.added, first.others) == (4, len(KEYS) - 4)
+    assert (reports[0].added, reports[0].others, reports[0].present) == (len(KEYS) - 4, 0, 4)
+    assert first.failed == reports[0].failed == {"diverged": len(FAILING)}
+    assert_complete(tmp_path)
+
+
+def test_build_waits_for_the_end_of_a_verify(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_build(tmp_path, with_draws(1))
+    monkeypatch.setattr("catalogue.locks.WAIT", 0.1)
+    with CatalogueDirectory(tmp_path).locked(), pytest.raises(CatalogueBusyError):
+        quick_build(tmp_path)
+    monkeypatch.undo()
+    with ThreadPoolExecutor(1) as pool:
+        with CatalogueDirectory(tmp_path).locked():
+            later = pool.submit(quick_build, tmp_path)
+            with pytest.raises(TimeoutError):
+                later.result(timeout=0.3)
+        assert later.result().added > 0
+    assert_complete(tmp_path)
+
+
+def test_builder_takes_over_what_another_one_had_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chunk on somebody's lease is left alone until the lease has run out."""
+    monkeypatch.setattr(Leases, "extend", lambda self, owner, seconds: None)  # no sign of life
+    stopped: list[float] = []
+
+    class Sleeper(InProcess):
+        """Comes to a halt with its first chunk in hand, as a computer that is suspended."""
+
+        def submit(self, task: Any, argument: Any) -> Future[Any]:
+            if not stopped:
+                stopped.append(time.monotonic())
+                reports.append(quick_build(tmp_path, lease=60.0))
+            return super().submit(task, argument)
+
+    reports: list[BuildReport] = []
+    late = quick_build(tmp_path, executor=Sleeper(), lease=0.5)
+    assert reports[0].added == len(KEYS)
+    assert time.monotonic() - stopped[0] >= 0.5
+    assert (late.added, late.others) == (0, len(KEYS))  # what it brings late is there already, once
     assert_complete(tmp_path)
 
 
@@ -257,7 +301,7 @@ def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monk
     assert report.added + report.present == len(KEYS) - 1
     with Index(tmp_path / "index.sqlite") as index:
         lost = [chunk for chunk in index.chunks() if chunk.status is ChunkStatus.LOST]
-        assert [(chunk.entries, chunk.message) for chunk in lost] == [(1, report.lost_reason)]
+        assert [(chunk.entries, chunk.message) for chunk in lost] == [(3, f"{victim[:12]}: {report.lost_reason}")]
     monkeypatch.undo()
     assert quick_build(tmp_path).added == 1
     assert_complete(tmp_path)

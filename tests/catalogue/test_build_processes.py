@@ -16,8 +16,7 @@ import pytest
 from building import KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN
 
-from catalogue import build as build_module
-from catalogue import executors
+from catalogue import executors, scheduling
 from catalogue.build import BuildReport
 
 
@@ -94,7 +93,7 @@ def test_builder_and_workers_killed_at_random_moments(tmp_path: Path) -> None:
 def test_case_that_kills_its_worker_is_found_and_the_others_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build_module, "ATTEMPTS", 1)
+    monkeypatch.setattr(scheduling, "ATTEMPTS", 1)
     victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.draw == 3)
     monkeypatch.setenv("FAKE_DEADLY", victim)
     report = quick_build(tmp_path, workers=1)
