@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.storage import DiagnosisRow, aware
-from catalogue.answer import Effort, Evidence, GoodnessOfFit, Hypothesis, Provenance, Verdict
+from catalogue.answer import Effort, EffortSpent, Evidence, GoodnessOfFit, Hypothesis, ModeUsed, Provenance, Verdict
 
 
 class DiagnosisOut(BaseModel):
@@ -24,6 +24,8 @@ class DiagnosisOut(BaseModel):
     catalogue: str = Field(description="Id of the catalogue as it was then; one that has grown has another.")
     drive_speed_rpm: float
     effort: Effort = Field(description="As used; a warning says if that is less than was asked for.")
+    effort_spent: EffortSpent = Field(description="What was simulated for this answer alone.")
+    mode: ModeUsed = Field(description="How far the model of the machine was believed.")
     verdict: Verdict
     hypotheses: tuple[Hypothesis, ...] = Field(description="The most probable first; no joints: no wear.")
     joint_probabilities: Mapping[str, float] = Field(description="Of each joint, to be among the worn ones.")

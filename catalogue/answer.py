@@ -9,6 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Effort = Literal["fast", "standard", "thorough"]
 Verdict = Literal["fault", "healthy", "unknown"]
+Mode = Literal["trusted", "robust"]
+ModeAsked = Literal["auto", "trusted", "robust"]
 
 
 class _Frozen(BaseModel):
@@ -81,6 +83,39 @@ class Evidence(_Frozen):
     bands: tuple[BandEvidence, ...]
 
 
+class ModeUsed(_Frozen):
+    """How far the model of the machine was believed.
+
+    Attributes
+    ----------
+    asked : {"auto", "trusted", "robust"}
+    used : {"trusted", "robust"}
+        As simulated, or with everything that may differ in the real machine.
+    trusted_p_value : float or None
+        Goodness of fit of the trusted model, which decides where the choice is free; None where it was not asked.
+    """
+
+    asked: ModeAsked
+    used: Mode
+    trusted_p_value: float | None
+
+
+class EffortSpent(_Frozen):
+    """What was computed for this answer alone, besides comparing with the catalogue.
+
+    Attributes
+    ----------
+    simulations, generations : int
+        Cases simulated around the most probable hypotheses, in how many rounds.
+    note : str
+        Why there were none or no more, and what they changed; empty for other efforts than thorough.
+    """
+
+    simulations: int
+    generations: int
+    note: str
+
+
 class MatcherIdentity(_Frozen):
     """Which method matched."""
 
@@ -126,7 +161,9 @@ class Diagnosis(_Frozen):
     drive_speed_rpm : float
         Estimated, or as given.
     effort : {"fast", "standard", "thorough"}
-        As used, which may be less than was asked for; a warning says so then.
+        As asked.
+    effort_spent : EffortSpent
+    mode : ModeUsed
     verdict : {"fault", "healthy", "unknown"}
     hypotheses : tuple of Hypothesis
         All of the catalogue, most probable first.
@@ -148,6 +185,8 @@ class Diagnosis(_Frozen):
     catalogue: str
     drive_speed_rpm: float
     effort: Effort
+    effort_spent: EffortSpent
+    mode: ModeUsed
     verdict: Verdict
     hypotheses: tuple[Hypothesis, ...]
     joint_probabilities: Mapping[str, float]

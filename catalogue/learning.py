@@ -29,12 +29,18 @@ class Learning:
         What is drawn on every copy of an entry.
     rows : int
         Rows of a hypothesis, at least: hypotheses with few entries get more copies of each.
+    most : int
+        Entries of a hypothesis that are learned from, at most: the first draws.
+    without : tuple of str
+        Hypotheses that are left out.
     seed : int
         Of everything drawn.
     """
 
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     rows: int = 500
+    most: int = 10**9
+    without: tuple[str, ...] = ()
     seed: int = 0
 
 
@@ -63,17 +69,22 @@ def training_set(catalogue: Catalogue, sensing: Sensing, watched: BoolArray, lea
     entries = catalogue.entries
     if len(entries) == 0:
         raise DiagnosisError(f"catalogue {catalogue.path}: holds no spectrum yet")
-    counts = {label: int(np.sum(entries.hypothesis == label)) for label in catalogue.hypotheses}
+    labels = [label for label in catalogue.hypotheses if label not in learning.without]
+    chosen = np.zeros(len(entries), dtype=np.bool_)
+    for label in labels:
+        rows = np.flatnonzero(entries.hypothesis == label)
+        chosen[rows[np.argsort(entries.draw[rows], kind="stable")[: learning.most]]] = True
+    counts = {label: int(np.sum(chosen & (entries.hypothesis == label))) for label in labels}
     for label, count in counts.items():
         if count < 3:
             raise DiagnosisError(
                 f"catalogue {catalogue.path}: {count} entries of hypothesis {label}: at least 3 needed"
             )
-    copies = np.array([math.ceil(learning.rows / counts[label]) for label in entries.hypothesis])
+    copies = np.array([math.ceil(learning.rows / counts.get(label, 1)) for label in entries.hypothesis]) * chosen
     features, entry = observe(catalogue.power(), sensing, learning.discrepancy, copies, learning.seed)
     hypothesis = entries.hypothesis[entry]
     sets = []
-    for label in catalogue.hypotheses:
+    for label in labels:
         rows = np.flatnonzero(hypothesis == label)
         joints = entries.worn_of(int(entry[rows[0]]))
         columns: IntArray = np.array([entries.joints.index(joint) for joint in joints], dtype=np.int64)

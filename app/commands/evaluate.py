@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from app.commands.parameters import existing_catalogue, json_option, print_json
+from app.commands.build import processors
+from app.commands.parameters import Names, existing_catalogue, json_option, print_json
 from app.commands.progress import ProgressLine
-from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from catalogue.evaluate import Evaluation
+    from catalogue.evaluation.study import Study
+    from catalogue.evaluation.sweep import Sweep
+
+PROTOCOLS = "matched, noisy, hard, model-error, other-cause, as-new, pairs, triples"
 
 
 @click.command("evaluate")
@@ -21,59 +24,121 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--protocol",
+    "protocols",
+    type=Names(),
     default="noisy",
     show_default=True,
-    metavar="matched|noisy|hard",
-    help="Conditions of the recordings.",
+    metavar="NAME,...",
+    help=f"Kinds of recordings: {PROTOCOLS}; one error or cause as model-error-a ... model-error-all, "
+    "other-cause-half-mount ...",
 )
-@click.option("--count", default=120, show_default=True, type=click.IntRange(1, 100_000), help="Recordings.")
+@click.option("--count", default=120, show_default=True, type=click.IntRange(1, 100_000), help="Recordings a protocol.")
 @click.option("--seed", default=1, show_default=True, type=int, help="Of everything drawn.")
 @click.option(
+    "--methods",
+    type=Names(),
+    default="gaussian",
+    show_default=True,
+    metavar="NAME,...",
+    help="Compared on the same recordings: gaussian, nearest, ...",
+)
+@click.option(
+    "--efforts",
     "--effort",
+    "efforts",
+    type=Names(("fast", "standard", "thorough")),
     default="standard",
     show_default=True,
-    type=click.Choice(["fast", "standard", "thorough"]),
-    help="Method.",
+    metavar="fast,standard,thorough",
+    help="Efforts of the method gaussian.",
+)
+@click.option(
+    "--modes",
+    "--mode",
+    "modes",
+    type=Names(("auto", "trusted", "robust")),
+    default="auto",
+    show_default=True,
+    metavar="auto,trusted,robust",
+    help="How far the model is believed.",
+)
+@click.option("--sweep", is_flag=True, help="Number of draws and accuracy of the solver against quality and cost.")
+@click.option(
+    "--draws", type=Names(number=True), default="25,50,100,200,400", show_default=True, help="Draws of --sweep."
+)
+@click.option(
+    "--accuracies",
+    type=Names(("draft", "standard", "reference")),
+    default="draft,standard",
+    show_default=True,
+    help="Solver accuracies of --sweep; catalogues that are missing are built.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    default=processors,
+    help="Processes that build the catalogues of --sweep.",
+)
+@click.option(
+    "--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Draw reliability, or the sweep."
 )
 @json_option
-def command(catalogue: Path, protocol: str, count: int, seed: int, effort: str, as_json: bool) -> None:
+def command(
+    catalogue: Path,
+    protocols: list[str],
+    count: int,
+    seed: int,
+    methods: list[str],
+    efforts: list[Any],
+    modes: list[Any],
+    sweep: bool,
+    draws: list[int],
+    accuracies: list[Any],
+    workers: int,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
     """Measure diagnoses on freshly simulated recordings that the catalogue has not seen."""
-    from typing import cast
+    if plot is not None:
+        from app.plots import check_ending
 
-    from catalogue.answer import Effort
-    from catalogue.evaluate import evaluate
+        check_ending(plot)
+    from catalogue.evaluation.recordings import Recordings
+    from catalogue.evaluation.study import evaluate, setups_of
     from catalogue.store import Catalogue
+    from solver.compiler.native import cache_directory
 
     opened = Catalogue.open(existing_catalogue(catalogue))
+    setups = setups_of(methods, efforts, modes)
+    kept = Recordings(cache_directory().parent / "recordings")
     with ProgressLine("diagnosing", "recordings") as line:
-        found = evaluate(opened, protocol, count, seed, effort=cast("Effort", effort), progress=line.show)
+        if sweep:
+            from catalogue.evaluation.sweep import trade_off
+
+            found: Study | Sweep = trade_off(
+                opened,
+                draws,
+                accuracies,
+                protocols[0],
+                count,
+                seed,
+                setups=setups,
+                recordings=kept,
+                folder=cache_directory().parent / "sweeps",
+                workers=workers,
+                progress=line.show,
+            )
+        else:
+            found = evaluate(opened, protocols, count, seed, setups=setups, recordings=kept, progress=line.show)
+    if plot is not None:
+        from app.evaluation_plots import plot_evaluation
+
+        plot_evaluation(found, plot)
     if as_json:
         print_json(found.content())
-    else:
-        click.echo(report(found))
+        return
+    from app.evaluation_report import report
 
-
-def report(found: Evaluation) -> str:
-    """Return the figures as text."""
-
-    def percent(value: float | None) -> str:
-        return "-" if value is None else f"{100 * value:.1f} %"
-
-    lines = [
-        f"{found.count} recordings, protocol {found.protocol.name}, seed {found.seed}, effort {found.effort}"
-        + (f"; {found.failed} could not be simulated" if found.failed else "")
-        + (f"; {found.refused} were refused" if found.refused else ""),
-        f"right hypothesis first            {percent(found.top1)}",
-        f"among the first two               {percent(found.top2)}",
-        f"log-loss, calibration error       {found.log_loss:.3f}, {found.calibration_error:.3f}",
-        f"clearance error, median and p90   {percent(found.clearance_median)}, {percent(found.clearance_p90)}",
-        f"truth inside the 90 % interval    {percent(found.interval_coverage)}",
-        f"truth in the candidate set        {percent(found.set_coverage)}, {found.set_size:.2f} members",
-        f"verdict unknown; wrong verdict    {percent(found.unknown)}; {percent(found.wrong_verdict)}",
-        f"a diagnosis, median and worst     {found.seconds_median:.3f} s, {found.seconds_worst:.2f} s",
-        "",
-        "truth (rows) against the first hypothesis (columns):",
-    ]
-    rows = [[label, *(str(cell) for cell in row)] for label, row in zip(found.labels, found.confusion, strict=True)]
-    numbers = frozenset(range(1, len(found.labels) + 1))
-    return "\n".join([*lines, indented(table(["", *found.labels], rows, numbers))])
+    click.echo(report(found))
+    if plot is not None:
+        click.echo(f"drawn: {plot}")

@@ -116,6 +116,39 @@ class Pairs(click.ParamType[tuple[str, str]]):
         return left.strip(), right.strip()
 
 
+class Names(click.ParamType[list[Any]]):
+    """Names, or whole numbers, with commas between them; each once.
+
+    Parameters
+    ----------
+    known : sequence of str
+        The names that are possible; any, if none are given.
+    number : bool
+        Whether they are whole numbers greater than 0.
+    """
+
+    name = "list"
+
+    def __init__(self, known: Sequence[str] = (), *, number: bool = False) -> None:
+        self._known = tuple(known)
+        self._number = number
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[Any]:
+        """Return the names in order."""
+        if isinstance(value, list):
+            return value
+        found: list[Any] = []
+        for name in filter(None, (part.strip() for part in str(value).split(","))):
+            if self._known and name not in self._known:
+                raise click.BadParameter(f"{name}: must be one of {', '.join(self._known)}", ctx, param)
+            if self._number and not (name.isdigit() and int(name) > 0):
+                raise click.BadParameter(f"{name}: must be a whole number greater than 0", ctx, param)
+            found.append(int(name) if self._number else name)
+        if not found:
+            raise click.BadParameter(f"{value!r}: must name at least one", ctx, param)
+        return list(dict.fromkeys(found))
+
+
 def each_once(pairs: Sequence[tuple[str, str]], option: str) -> dict[str, str]:
     """Return pairs as a mapping; a left side given twice is refused, as one of the two would be lost."""
     found = dict(pairs)

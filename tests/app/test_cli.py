@@ -310,7 +310,7 @@ def test_diagnose_refuses_bad_recordings(kind: str, text: str, shelf: Path, worn
     assert_refused(invoke("diagnose", path, "--catalogue", shelf / "slider-crank"), 2, text)
 
 
-def test_evaluate_prints_figures_and_confusion(shelf: Path) -> None:
+def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> None:
     arguments = [
         "evaluate",
         "--catalogue",
@@ -324,11 +324,29 @@ def test_evaluate_prints_figures_and_confusion(shelf: Path) -> None:
     ]
     document = json.loads(invoke(*arguments, "--json").stdout)
     assert document["count"] == 8
-    assert sum(map(sum, document["confusion"])) == 8
-    assert document["top1"] >= 0.75  # three joints of a machine that is told apart nearly always
-    printed = invoke(*arguments).stdout
-    assert "8 recordings, protocol matched, seed 3, effort standard" in printed
-    assert f"right hypothesis first            {100 * document['top1']:.1f} %" in printed
+    (row,) = document["rows"]
+    assert row["setup"] == {"method": "gaussian", "effort": "standard", "mode": "auto"}
+    assert sum(map(sum, row["figures"]["confusion"])) == 8
+    assert row["figures"]["top1"] >= 0.75  # three joints of a machine that is told apart nearly always
+    plot = tmp_path / "reliability.svg"
+    printed = invoke(*arguments, "--methods", "gaussian,nearest", "--plot", plot).stdout
+    assert "8 recordings a protocol, seed 3" in printed
+    assert f"matched   gaussian  standard  auto  {100 * row['figures']['top1']:.1f} %" in printed
+    assert "matched   nearest   standard  auto" in printed
+    assert "truth (rows) against the first hypothesis (columns)" in printed
+    assert plot.stat().st_size > 1000
+
+
+def test_evaluate_sweeps_draws(shelf: Path, tmp_path: Path) -> None:
+    plot = tmp_path / "sweep.svg"
+    arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "matched", "--count", "4"]
+    printed = invoke(*arguments, "--sweep", "--draws", "4,8", "--accuracies", "draft", "--plot", plot).stdout
+    assert "slider-crank, protocol matched, 4 recordings, seed 1" in printed
+    assert [line.split()[:2] for line in printed.splitlines() if line.startswith("  draft")] == [
+        ["draft", "4"],
+        ["draft", "8"],
+    ]
+    assert plot.stat().st_size > 1000
 
 
 def test_evaluate_refuses_what_means_nothing(shelf: Path, tmp_path: Path) -> None:

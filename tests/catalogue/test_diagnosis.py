@@ -81,7 +81,7 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
         "id", "machine", "catalogue", "drive_speed_rpm", "effort", "verdict", "hypotheses", "joint_probabilities",
         "candidate_set", "coverage", "goodness_of_fit", "evidence", "warnings",
     }  # fmt: skip
-    assert set(content) == documented | {"provenance", "hash"}
+    assert set(content) == documented | {"mode", "effort_spent", "provenance", "hash"}
     first = content["hypotheses"][0]
     assert set(first) == {"label", "joints", "probability", "distance_db"}
     assert set(first["joints"]["B"]) == {"clearance_um", "interval_um"}

@@ -1,0 +1,165 @@
+"""What ``jointplay evaluate`` prints: figures side by side, and details of the first setup."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from app.commands.tables import indented, table
+from catalogue.evaluation.study import Row, Study
+from catalogue.evaluation.sweep import Sweep
+
+
+def report(found: Study | Sweep) -> str:
+    """Return the figures as text."""
+    if not isinstance(found, Study):
+        return sweep_report(found)
+    lines = [
+        f"{found.machine}, {found.entries} entries; {found.count} recordings a protocol, seed {found.seed}",
+        "",
+        "which joint:",
+        indented(hypotheses_table(found.rows)),
+        "",
+        "how much, how sure, at what cost:",
+        indented(certainty_table(found.rows)),
+    ]
+    first = found.rows[0].setup
+    for row in found.rows:
+        if row.setup == first:
+            lines += ["", *details(row)]
+    return "\n".join(lines)
+
+
+def hypotheses_table(rows: Sequence[Row]) -> str:
+    """Return how often hypotheses and joints are right, row by row."""
+    head = (*_SETUP, "first", "first two", "exact joints", "joints in first two", "log-loss", "ECE", "lowest F1")
+    cells = []
+    for row in rows:
+        found = row.figures
+        lowest = min((each.f1 for each in found.joints if each.f1 is not None), default=None)
+        shares = (found.top1, found.top2, found.exact_set, found.joints_in_top2)
+        cells.append(
+            (
+                *_setup(row),
+                *map(percent, shares),
+                number(found.log_loss),
+                number(found.calibration_error),
+                number(lowest),
+            )
+        )
+    return table(head, cells, frozenset(range(len(_SETUP), len(head))))
+
+
+def certainty_table(rows: Sequence[Row]) -> str:
+    """Return clearances, sets, verdicts and times, row by row."""
+    head = (
+        *_SETUP,
+        "clearance p50, p90",
+        "in interval",
+        "in set, size",
+        "unknown",
+        "AUROC",
+        "called healthy",
+        "wrong",
+        "time p50, worst",
+        "simulated",
+    )
+    cells = []
+    for row in rows:
+        found = row.figures
+        cells.append(
+            (
+                *_setup(row),
+                f"{percent(found.clearance_median)}, {percent(found.clearance_p90)}",
+                percent(found.interval_coverage),
+                f"{percent(found.set_coverage)}, {number(found.set_size, 2)}",
+                percent(found.unknown),
+                number(found.auroc_unknown),
+                percent(found.healthy),
+                percent(found.wrong_verdict),
+                f"{seconds(found.seconds_median)}, {seconds(found.seconds_worst)}",
+                number(found.simulations, 0),
+            )
+        )
+    return table(head, cells, frozenset(range(len(_SETUP), len(head))))
+
+
+def details(row: Row) -> list[str]:
+    """Return joint scores, reliability and confusions of one row."""
+    found = row.figures
+    lost = [f"{row.failed} could not be simulated"] * bool(row.failed) + [f"{row.refused} were refused"] * bool(
+        row.refused
+    )
+    lines = [f"{' '.join(_setup(row))}: {'; '.join([f'{found.count} recordings', *lost])}"]
+    scores = [
+        (each.joint, percent(each.precision), percent(each.recall), number(each.f1))
+        for each in found.joints
+        if each.f1 is not None
+    ]
+    if scores:
+        lines.append(indented(table(("joint", "precision", "recall", "F1"), scores, frozenset({1, 2, 3}))))
+    bins = [
+        (f"{each.low:.1f} to {each.high:.1f}", str(each.count), percent(each.confidence), percent(each.right))
+        for each in found.reliability
+        if each.count
+    ]
+    if bins:
+        lines.append(
+            indented(table(("probability of the first", "count", "mean", "right"), bins, frozenset({1, 2, 3})))
+        )
+    lines.append("  truth (rows) against the first hypothesis (columns):")
+    cells = [[label, *map(str, counts)] for label, counts in zip(found.labels, found.confusion, strict=True)]
+    return [*lines, indented(table(["", *found.columns], cells, frozenset(range(1, len(found.columns) + 1))))]
+
+
+def sweep_report(found: Sweep) -> str:
+    """Return number of draws and accuracy against quality and cost."""
+    head = (
+        *("accuracy", "draws", "entries", "catalogue", "method", "effort", "mode"),
+        *("first", "first two", "log-loss", "clearance p50", "a query"),
+    )
+    cells = []
+    for point in found.points:
+        each = point.figures
+        cells.append(
+            (
+                point.accuracy,
+                str(point.draws),
+                str(point.entries),
+                f"{point.build_seconds:.3g} s",
+                point.setup.method,
+                point.setup.effort,
+                point.setup.mode,
+                percent(each.top1),
+                percent(each.top2),
+                number(each.log_loss),
+                percent(each.clearance_median),
+                seconds(each.seconds_median),
+            )
+        )
+    title = f"{found.machine}, protocol {found.protocol.name}, {found.count} recordings, seed {found.seed}"
+    numbers = frozenset((1, 2, 3, *range(7, 12)))
+    return f"{title}; catalogue: processor time to build it\n{indented(table(head, cells, numbers))}"
+
+
+_SETUP = ("protocol", "method", "effort", "mode")
+
+
+def _setup(row: Row) -> tuple[str, str, str, str]:
+    return row.protocol.name, row.setup.method, row.setup.effort, row.setup.mode
+
+
+def percent(value: float | None) -> str:
+    """Return a share in per cent, a dash for none."""
+    return "-" if value is None else f"{100 * value:.1f} %"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number, a dash for none."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def seconds(value: float | None) -> str:
+    """Return a time, a dash for none."""
+    if value is None:
+        return "-"
+    return f"{1000 * value:.1f} ms" if value < 0.1 else f"{value:.2f} s"

@@ -1,0 +1,210 @@
+"""In what a real machine may differ from its model: errors of the model, and causes no hypothesis stands for."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from catalogue.evaluation.response import Response
+from catalogue.evaluation.truth import Truth, contact_of, drawn_contacts
+from catalogue.keys import seed_from
+from solver.machines.joints import SlidingJoint, TurningJoint
+from solver.machines.machine import Machine, parse_machine
+
+__all__ = ["DIFFERENCES", "Difference", "with_differences"]
+
+Difference = Callable[[Truth, np.random.Generator], Truth]
+"""Draws what differs, and returns the machine with it."""
+
+HERTZ_LENGTH = 40e-6
+"""Penetration at which a Hertzian contact is as stiff as the linear one it stands for, m."""
+
+LAWS: Mapping[str, Mapping[str, float]] = {"hertz": {"hysteresis": 1.7}, "lankarani-nikravesh": {"restitution": 0.7}}
+"""Other contact laws, with the middle of what is drawn."""
+
+TABLE_POINTS = 36
+"""Points of a load over the drive angle."""
+
+
+def with_differences(truth: Truth, names: tuple[str, ...], seed: int, number: int) -> Truth:
+    """Return a truth with some of :data:`DIFFERENCES`, each drawn from a seed of its own."""
+    for name in names:
+        draws = np.random.default_rng(seed_from("difference", name, seed, truth.hypothesis.label, number))
+        truth = DIFFERENCES[name](truth, draws)
+    return truth
+
+
+def _law(truth: Truth, draws: np.random.Generator) -> Truth:
+    """A Hertzian contact with hysteresis in every joint, of one of two kinds."""
+    law = str(draws.choice(sorted(LAWS)))
+    machine = _with_law(truth.machine, law)
+    kept = {path: value for path, value in truth.parameters.items() if not _of_normal_force(path)}
+    return replace(truth, machine=machine, parameters=kept | drawn_contacts(machine, truth.joints, 0.6, draws))
+
+
+def _of_normal_force(path: str) -> bool:
+    return path.rpartition(".contact.")[2] in ("stiffness", "damping", "hysteresis", "restitution")
+
+
+@lru_cache(maxsize=16)
+def _with_law(machine: Machine, law: str) -> Machine:
+    tree = json.loads(machine.canonical_json())
+    for joint in machine.turning_joints:
+        own = contact_of(machine, joint)
+        scale = 1.0 / math.sqrt(HERTZ_LENGTH) if own.law == "linear" else 1.0
+        kept = {name: getattr(own, name) for name in ("friction", "viscous", "friction_velocity")}
+        contact = {**kept, "law": law, "stiffness": own.stiffness * scale, **LAWS[law]}
+        tree["joints"][joint]["contact"] = contact
+    return _machine(tree, machine)
+
+
+def _resonance(truth: Truth, draws: np.random.Generator) -> Truth:
+    """All sensors on one spring at 300 Hz."""
+    gains = (1.0,) * len(truth.machine.sensors)
+    return replace(truth, response=Response(300.0, float(draws.uniform(0.01, 0.05)), gains))
+
+
+def _mode(truth: Truth, draws: np.random.Generator) -> Truth:
+    """A mode of the frame between 150 and 600 Hz, which every sensor sees in its own way."""
+    frequency = math.exp(draws.uniform(math.log(150.0), math.log(600.0)))
+    gains = tuple(draws.uniform(-0.6, 1.0, len(truth.machine.sensors)).tolist())
+    return replace(truth, response=Response(frequency, float(draws.uniform(0.01, 0.05)), gains))
+
+
+def _frame(truth: Truth, draws: np.random.Generator) -> Truth:
+    """Mass and inertia of the frame up to 20 % off, stiffness of all supports in x and in y up to 30 %."""
+    machine = truth.machine
+    body = machine.links[machine.frame]
+    changed: dict[str, float] = {}
+    for name in ("mass", "inertia"):
+        factor = float(draws.uniform(0.8, 1.2))
+        if getattr(body, name):
+            changed[f"links.{machine.frame}.{name}"] = getattr(body, name) * factor
+    factors = draws.uniform(0.7, 1.3, 2).tolist()
+    changed |= _stiffness(machine, range(len(machine.supports)), (factors[0], factors[1]))
+    return replace(truth, parameters={**truth.parameters, **changed})
+
+
+def _stiffness(machine: Machine, supports: range, factors: tuple[float, float]) -> dict[str, float]:
+    """Changed stiffness of some supports: in x and y, or along a spring with the first factor."""
+    changed: dict[str, float] = {}
+    for index in supports:
+        own = getattr(machine.supports[index], "stiffness", None)
+        if isinstance(own, tuple):
+            changed |= {
+                f"supports.{index}.stiffness.{axis}": value * factors[axis] for axis, value in enumerate(own) if value
+            }
+        elif own:
+            changed[f"supports.{index}.stiffness"] = own * factors[0]
+    return changed
+
+
+def _half_mount(truth: Truth, draws: np.random.Generator) -> Truth:
+    """One support at half its stiffness."""
+    index = int(draws.integers(len(truth.machine.supports)))
+    changed = _stiffness(truth.machine, range(index, index + 1), (0.5, 0.5))
+    return replace(truth, parameters={**truth.parameters, **changed})
+
+
+def _gain(truth: Truth, draws: np.random.Generator) -> Truth:
+    """Every sensor up to 15 % off."""
+    return replace(truth, gains=tuple((1.0 + draws.uniform(-0.15, 0.15, len(truth.machine.sensors))).tolist()))
+
+
+def _load(truth: Truth, draws: np.random.Generator) -> Truth:
+    """A constant force of 20 to 100 N on the output link."""
+    force = float(draws.uniform(20.0, 100.0)) * float(draws.choice([-1.0, 1.0]))
+    link, at, (along, _) = _output(truth.machine)
+    machine = _with_load(truth.machine, link, at, "force", (0.0, 0.0))
+    place = len(machine.loads) - 1
+    changed = {f"loads.{place}.force.{axis}": force * part for axis, part in enumerate(along)}
+    return replace(truth, machine=machine, parameters={**truth.parameters, **changed})
+
+
+def _bent_rail(truth: Truth, draws: np.random.Generator) -> Truth:
+    """A force across the way of the output link, once a revolution, of a third of the moving weight."""
+    machine = truth.machine
+    moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
+    force = moving * (machine.gravity or 9.81) / 3.0
+    # A table is a part of the compiled model, so two phases serve all recordings.
+    phase = float(draws.choice([0.0, 0.5 * math.pi]))
+    link, at, (_, across) = _output(machine)
+    angles = [2.0 * math.pi * i / TABLE_POINTS for i in range(TABLE_POINTS)]
+    rows = [(a, *(force * math.sin(a + phase) * part for part in across), 0.0) for a in angles]
+    return replace(truth, machine=_with_load(machine, link, at, "over_angle", tuple(rows)))
+
+
+def _unbalance(truth: Truth, draws: np.random.Generator) -> Truth:
+    """A weight at the far end of the driven link, 10, 20 or 30 % of its own."""
+    return replace(truth, machine=_with_unbalance(truth.machine, float(draws.choice([0.1, 0.2, 0.3]))))
+
+
+@lru_cache(maxsize=16)
+def _with_unbalance(machine: Machine, share: float) -> Machine:
+    joint = machine.joints[str(getattr(machine.drive, "joint", ""))]
+    name = next(each for each in joint.links if each != machine.frame)
+    body = machine.links[name]
+    others = [each.at for each in machine.joints.values() if isinstance(each, TurningJoint) and name in each.links]
+    far = max(others, key=lambda point: math.dist(point, joint.at))
+    tree = json.loads(machine.canonical_json())
+    cg = [(own + share * end) / (1.0 + share) for own, end in zip(body.cg, far, strict=True)]
+    tree["links"][name] |= {"mass": (body.mass or 0.0) * (1.0 + share), "cg": cg}
+    return _machine(tree, machine)
+
+
+Vector = tuple[float, float]
+
+
+def _output(machine: Machine) -> tuple[str, Vector, tuple[Vector, Vector]]:
+    """The link that does the work, the point it is loaded at, and the directions along and across its way.
+
+    That is the link that slides on the frame; else the one that turns on the frame and is not driven, at the joint
+    furthest from the frame's.
+    """
+    frame, driven = machine.frame, str(getattr(machine.drive, "joint", ""))
+    for joint in machine.joints.values():
+        if isinstance(joint, SlidingJoint) and frame in joint.links:
+            link = next(name for name in joint.links if name != frame)
+            x, y = joint.direction
+            return link, joint.at, ((x, y), (-y, x))
+    for name, joint in machine.joints.items():
+        if isinstance(joint, TurningJoint) and frame in joint.links and name != driven:
+            link = next(each for each in joint.links if each != frame)
+            others = [other.at for other in machine.joints.values() if link in other.links]
+            far = max(others, key=lambda point: math.dist(point, joint.at))
+            length = math.dist(far, joint.at)
+            x, y = ((far[0] - joint.at[0]) / length, (far[1] - joint.at[1]) / length) if length else (1.0, 0.0)
+            return link, far, ((-y, x), (x, y))
+    moving = next(name for name in machine.links if name != frame)
+    return moving, machine.links[moving].cg, ((1.0, 0.0), (0.0, 1.0))
+
+
+@lru_cache(maxsize=64)
+def _with_load(machine: Machine, link: str, at: Vector, name: str, value: tuple[Any, ...]) -> Machine:
+    tree = json.loads(machine.canonical_json())
+    tree["loads"] = [*tree["loads"], {"link": link, "at": list(at), name: value}]
+    return _machine(tree, machine)
+
+
+def _machine(tree: dict[str, Any], machine: Machine) -> Machine:
+    return parse_machine(tree, f"machine {machine.name} of an evaluation")
+
+
+DIFFERENCES: Mapping[str, Difference] = {
+    "law": _law,
+    "resonance": _resonance,
+    "mode": _mode,
+    "frame": _frame,
+    "gain": _gain,
+    "load": _load,
+    "half-mount": _half_mount,
+    "bent-rail": _bent_rail,
+    "unbalance": _unbalance,
+}
+"""Differences by name."""

@@ -1,0 +1,282 @@
+"""Figures of merit of diagnoses whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from catalogue.answer import Diagnosis, Verdict
+from catalogue.calibration import calibration_error, log_loss
+from catalogue.evaluation.truth import Truth
+
+__all__ = ["Answered", "Figures", "JointScore", "ReliabilityBin", "auroc", "figures", "joint_scores", "reliability"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What was true of one recording, and what was answered.
+
+    Parameters
+    ----------
+    label : str
+        The true hypothesis.
+    worn : frozenset of str
+        Joints that are worn.
+    clearances_um : mapping of str to float
+    probabilities : mapping of str to float
+        Of every hypothesis in the catalogue.
+    joint_probabilities : mapping of str to float
+    found : mapping of str to (float, float, float)
+        Clearance, and its interval's ends, of the joints of the most probable hypothesis, um.
+    candidates : tuple of str
+    verdict : {"fault", "healthy", "unknown"}
+    p_value : float
+        Of the explanation by the trusted model; by the robust one where only that was asked.
+    seconds : float
+        Of the answer.
+    simulations : int
+        Cases simulated for it.
+    """
+
+    label: str
+    worn: frozenset[str]
+    clearances_um: Mapping[str, float]
+    probabilities: Mapping[str, float]
+    joint_probabilities: Mapping[str, float]
+    found: Mapping[str, tuple[float, float, float]]
+    candidates: tuple[str, ...]
+    verdict: Verdict
+    p_value: float
+    seconds: float
+    simulations: int
+
+    @classmethod
+    def of(cls, truth: Truth, answer: Diagnosis, seconds: float) -> Self:
+        """Keep of an answer what figures are made of."""
+        best, trusted = answer.hypotheses[0], answer.mode.trusted_p_value
+        return cls(
+            label=truth.hypothesis.label,
+            worn=frozenset(truth.hypothesis.joints),
+            clearances_um={joint: 1e6 * value for joint, value in truth.clearances.items()},
+            probabilities={each.label: each.probability for each in answer.hypotheses},
+            joint_probabilities=dict(answer.joint_probabilities),
+            found={joint: (each.clearance_um, *each.interval_um) for joint, each in best.joints.items()},
+            candidates=answer.candidate_set,
+            verdict=answer.verdict,
+            p_value=answer.goodness_of_fit.p_value if trusted is None else trusted,
+            seconds=seconds,
+            simulations=answer.effort_spent.simulations,
+        )
+
+    @property
+    def first(self) -> str:
+        """The most probable hypothesis."""
+        return max(self.probabilities, key=lambda label: self.probabilities[label])
+
+
+@dataclass(frozen=True)
+class ReliabilityBin:
+    """Answers whose first probability lies between `low` and `high`: how many, how sure, and how often right."""
+
+    low: float
+    high: float
+    count: int
+    confidence: float | None
+    right: float | None
+
+
+@dataclass(frozen=True)
+class JointScore:
+    """One joint called worn where its probability is above one half: precision, recall and their harmonic mean."""
+
+    joint: str
+    precision: float | None
+    recall: float | None
+    f1: float | None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of merit over a set of recordings; None where there is nothing to count.
+
+    Parameters
+    ----------
+    count : int
+    top1, top2 : float or None
+        Share with the true hypothesis first; among the first two. None where no truth is in the catalogue.
+    joints_in_top2 : float or None
+        Share with every worn joint in one of the first two hypotheses.
+    exact_set : float or None
+        Share whose first hypothesis has exactly the worn joints.
+    log_loss, calibration_error : float or None
+        Mean of -ln p(truth); expected error of the first probability, ten bins.
+    reliability : tuple of ReliabilityBin
+    clearance_median, clearance_p90 : float or None
+        |estimate / truth - 1| over all worn joints where the true hypothesis came first: median and 90 % quantile.
+    interval_coverage : float or None
+        Share of those with the truth inside the 90 % interval.
+    set_coverage, set_size : float or None
+        Share with the truth in the candidate set; its mean size.
+    unknown, healthy : float or None
+        Share with these verdicts.
+    wrong_verdict : float or None
+        Share called healthy that is worn, or called worn that is not.
+    auroc_unknown : float or None
+        Probability that a recording of this set has a smaller p-value than a listed one.
+    joints : tuple of JointScore
+    labels, columns : tuple of str
+        Rows and columns of `confusion`: truths, and first hypotheses.
+    confusion : tuple of tuple of int
+    seconds_median, seconds_worst : float or None
+        Of one answer, preparation of the recording left out; the worst includes learning for a new noise level.
+    simulations : float or None
+        Cases simulated for one answer, mean.
+    """
+
+    count: int
+    top1: float | None
+    top2: float | None
+    joints_in_top2: float | None
+    exact_set: float | None
+    log_loss: float | None
+    calibration_error: float | None
+    reliability: tuple[ReliabilityBin, ...]
+    clearance_median: float | None
+    clearance_p90: float | None
+    interval_coverage: float | None
+    set_coverage: float | None
+    set_size: float | None
+    unknown: float | None
+    healthy: float | None
+    wrong_verdict: float | None
+    auroc_unknown: float | None
+    joints: tuple[JointScore, ...]
+    labels: tuple[str, ...]
+    columns: tuple[str, ...]
+    confusion: tuple[tuple[int, ...], ...]
+    seconds_median: float | None
+    seconds_worst: float | None
+    simulations: float | None
+
+
+def figures(
+    answers: Sequence[Answered],
+    joints_of: Mapping[str, frozenset[str]],
+    listed: Sequence[float] = (),
+) -> Figures:
+    """Return the figures of some answers.
+
+    Parameters
+    ----------
+    answers : sequence of Answered
+        All of one catalogue.
+    joints_of : mapping of str to frozenset of str
+        Worn joints of every hypothesis that was compared, in the order of the columns of the confusion matrix.
+    listed : sequence of float
+        P-values of recordings that a hypothesis of the catalogue explains, for `auroc_unknown`.
+    """
+    columns = tuple(joints_of)
+    labels = tuple(dict.fromkeys([*(label for label in columns if any(a.label == label for a in answers))]))
+    labels += tuple(dict.fromkeys(answer.label for answer in answers if answer.label not in columns))
+    confusion = np.zeros((len(labels), len(columns)), dtype=np.int64)
+    for answer in answers:
+        confusion[labels.index(answer.label), columns.index(answer.first)] += 1
+    known = [answer for answer in answers if answer.label in joints_of]
+    truth = np.array([columns.index(answer.label) for answer in known], dtype=np.int64)
+    posterior = np.array([[answer.probabilities[label] for label in columns] for answer in known])
+    posterior = posterior.reshape(len(known), len(columns))
+    rank = np.argsort(np.argsort(-posterior, axis=1, kind="stable"), axis=1, kind="stable")
+    place = rank[np.arange(len(truth)), truth]
+    errors, inside = clearance_errors(answers)
+    seconds = [answer.seconds for answer in answers]
+    return Figures(
+        count=len(answers),
+        top1=_mean(place == 0),
+        top2=_mean(place <= 1),
+        joints_in_top2=_mean([answer.worn <= _first_two(answer, joints_of) for answer in answers]),
+        exact_set=_mean([joints_of[answer.first] == answer.worn for answer in answers]),
+        log_loss=log_loss(posterior, truth) if known else None,
+        calibration_error=calibration_error(posterior, truth) if known else None,
+        reliability=reliability(posterior.max(axis=1), posterior.argmax(axis=1) == truth) if known else (),
+        clearance_median=float(np.median(errors)) if errors else None,
+        clearance_p90=float(np.quantile(errors, 0.9)) if errors else None,
+        interval_coverage=_mean(inside),
+        set_coverage=_mean([answer.label in answer.candidates for answer in known]),
+        set_size=_mean([len(answer.candidates) for answer in answers]),
+        unknown=_mean([answer.verdict == "unknown" for answer in answers]),
+        healthy=_mean([answer.verdict == "healthy" for answer in answers]),
+        wrong_verdict=_mean([answer.verdict == ("healthy" if answer.worn else "fault") for answer in answers]),
+        auroc_unknown=auroc([-answer.p_value for answer in answers], [-value for value in listed]),
+        joints=joint_scores(answers),
+        labels=labels,
+        columns=columns,
+        confusion=tuple(tuple(int(n) for n in row) for row in confusion),
+        seconds_median=float(np.median(seconds)) if seconds else None,
+        seconds_worst=float(np.max(seconds)) if seconds else None,
+        simulations=_mean([answer.simulations for answer in answers]),
+    )
+
+
+def clearance_errors(answers: Sequence[Answered]) -> tuple[list[float], list[bool]]:
+    """Return |estimate / truth - 1|, and whether the interval holds the truth, where the true hypothesis came first."""
+    errors: list[float] = []
+    inside: list[bool] = []
+    for answer in answers:
+        if answer.first == answer.label:
+            for joint, (value, low, high) in answer.found.items():
+                true = answer.clearances_um[joint]
+                errors.append(abs(value / true - 1.0))
+                inside.append(low <= true <= high)
+    return errors, inside
+
+
+def reliability(confidence: FloatArray, right: NDArray[np.bool_], bins: int = 10) -> tuple[ReliabilityBin, ...]:
+    """Return how sure and how often right answers are, in equally wide bins of their first probability."""
+    index = np.minimum((confidence * bins).astype(np.int64), bins - 1)
+    return tuple(
+        ReliabilityBin(
+            k / bins, (k + 1) / bins, int(np.sum(index == k)), _mean(confidence[index == k]), _mean(right[index == k])
+        )
+        for k in range(bins)
+    )
+
+
+def joint_scores(answers: Sequence[Answered]) -> tuple[JointScore, ...]:
+    """Return precision, recall and F1 of every joint."""
+    scores = []
+    for joint in sorted({joint for answer in answers for joint in answer.joint_probabilities}):
+        called = np.array([answer.joint_probabilities.get(joint, 0.0) > 0.5 for answer in answers], dtype=bool)
+        worn = np.array([joint in answer.worn for answer in answers], dtype=bool)
+        hits = float(np.sum(called & worn))
+        total = float(called.sum() + worn.sum())
+        f1 = 2.0 * hits / total if total else None
+        scores.append(JointScore(joint, _mean(worn[called]), _mean(called[worn]), f1))
+    return tuple(scores)
+
+
+def auroc(positive: Sequence[float], negative: Sequence[float]) -> float | None:
+    """Return the probability that a positive scores higher than a negative, ties counting one half; None without any.
+
+    Area under the receiver operating characteristic, by ranks (Hanley and McNeil, Radiology 143 (1982) 29).
+    """
+    if not len(positive) or not len(negative):
+        return None
+    ranks = rankdata(np.concatenate([positive, negative]))
+    n = len(positive)
+    return float((ranks[:n].sum() - 0.5 * n * (n + 1)) / (n * len(negative)))
+
+
+def _first_two(answer: Answered, joints_of: Mapping[str, frozenset[str]]) -> frozenset[str]:
+    ranked = sorted(answer.probabilities, key=lambda label: -answer.probabilities[label])
+    return frozenset().union(*(joints_of[label] for label in ranked[:2]))
+
+
+def _mean(values: Sequence[float] | Sequence[bool] | NDArray[np.generic]) -> float | None:
+    return float(np.mean(np.asarray(values, dtype=np.float64))) if len(values) else None

@@ -1,0 +1,186 @@
+"""Held-out recordings: simulated on demand, kept on disk by content, then given noise, gains and a structure.
+
+What is kept is what ideal sensors on a rigid frame would report. Noise, gains and the structure's transfer function are
+put on top in the computer's memory, so that protocols which differ only in those share their simulations.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import solver
+from catalogue.evaluation.protocols import Protocol
+from catalogue.evaluation.truth import Truth
+from catalogue.keys import content_digest
+from catalogue.measurement import Channel, Measurement
+from solver.cases.history import Case, History, Settings, Status
+from solver.machines.fault import FaultState
+from solver.machines.machine import Machine
+from solver.simulation.simulate import simulate_batch
+from solver.spectra.sensor import sensor_signals, sensor_transform
+
+__all__ = ["Recordings", "recorded"]
+
+FloatArray = NDArray[np.float64]
+
+TOGETHER = 16
+"""Cases simulated at a time: two vectors of lanes, so that histories do not fill the memory."""
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """Simulations kept in a folder, least recently used ones dropped beyond a limit.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Nothing is kept without one.
+    limit : int
+        Bytes kept; a recording of 2.5 s with four sensors has 0.4 MB.
+    """
+
+    folder: Path | None = None
+    limit: int = 2_000_000_000
+
+    def ideal(self, protocol: Protocol, truths: Sequence[Truth]) -> Iterator[tuple[int, FloatArray | None]]:
+        """Yield the number and the ideal sensors' signals (n, s), m/s2, of every truth; None for one that failed.
+
+        Those that are kept come first, the others as they are simulated.
+        """
+        missing: dict[Machine, list[int]] = defaultdict(list)
+        for index, truth in enumerate(truths):
+            kept = self._kept(self.key(protocol, truth))
+            if kept is None:
+                missing[truth.machine].append(index)
+            else:
+                yield index, kept
+        for machine, indices in missing.items():
+            # Cases of the same joints next to each other share a compiled model.
+            indices.sort(key=lambda index: truths[index].joints)
+            for start in range(0, len(indices), TOGETHER):
+                batch = indices[start : start + TOGETHER]
+                cases = [Case(FaultState(truths[i].clearances), truths[i].parameters) for i in batch]
+                histories = simulate_batch(machine, cases, _settings(protocol, machine))
+                for index, history in zip(batch, histories, strict=True):
+                    signal = _ideal(machine, history, truths[index].seconds)
+                    if signal is not None:
+                        self._keep(self.key(protocol, truths[index]), signal)
+                    yield index, signal
+        self._drop()
+
+    def key(self, protocol: Protocol, truth: Truth) -> str:
+        """Return what a simulation is kept under: a digest of everything that determines it."""
+        settings = _settings(protocol, truth.machine)
+        return content_digest(
+            {
+                "machine": truth.machine.content_key,
+                "fault": dict(truth.clearances),
+                "parameters": dict(truth.parameters),
+                "settings": [settings.accuracy, settings.sample_rate, settings.revolutions],
+                "seconds": truth.seconds,
+                "solver": solver.__version__,
+            }
+        )
+
+    def _path(self, key: str) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{key}.npy"
+
+    def _kept(self, key: str) -> FloatArray | None:
+        if self.folder is None or not self._path(key).exists():
+            return None
+        try:
+            found = np.load(self._path(key), allow_pickle=False).astype(np.float64)
+            os.utime(self._path(key))
+        except (OSError, ValueError):  # dropped by another process, or damaged: simulated again
+            return None
+        return np.asarray(found, dtype=np.float64)
+
+    def _keep(self, key: str, signal: FloatArray) -> None:
+        if self.folder is None:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=self.folder, suffix=".tmp")
+        with os.fdopen(handle, "wb") as stream:
+            np.save(stream, signal.astype(np.float32))
+        Path(temporary).replace(self._path(key))
+
+    def _drop(self) -> None:
+        if self.folder is None or not self.folder.is_dir():
+            return
+        kept = []
+        for path in self.folder.glob("*.npy"):
+            try:
+                found = path.stat()
+            except FileNotFoundError:
+                continue
+            kept.append((found.st_mtime, found.st_size, path))
+        total = sum(size for _, size, _ in kept)
+        for _, size, path in sorted(kept):
+            if total <= self.limit:
+                return
+            path.unlink(missing_ok=True)
+            total -= size
+
+
+def _settings(protocol: Protocol, machine: Machine) -> Settings:
+    speed = abs(float(getattr(machine.drive, "speed", 0.0)))
+    fastest = speed * (1.0 + protocol.speed) / (2.0 * math.pi)
+    slowest = speed * (1.0 - protocol.speed) / (2.0 * math.pi)
+    # Long enough for the fastest drive; five revolutions of the slowest are more time, but not more revolutions.
+    revolutions = 0.1 + max(protocol.seconds * fastest, 5.05 * fastest / slowest)
+    return Settings(sample_rate=protocol.sample_rate, accuracy="standard", revolutions=revolutions)
+
+
+def _ideal(machine: Machine, history: History, seconds: float) -> FloatArray | None:
+    if history.status is not Status.OK:
+        return None
+    rows = np.flatnonzero(history.t >= history.transient)[: round(seconds * history.sample_rate)]
+    return sensor_signals(
+        history.displacement[rows],
+        history.velocity[rows],
+        history.band_limited_acceleration[rows],
+        [sensor.at for sensor in machine.sensors],
+        [sensor.direction for sensor in machine.sensors],
+        machine.links[machine.frame].cg,
+    )
+
+
+def recorded(protocol: Protocol, truth: Truth, ideal: FloatArray) -> Measurement:
+    """Return what the real sensors of a protocol record.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    truth : Truth
+    ideal : ndarray, shape (n, s)
+        Of ideal sensors on a rigid frame, m/s2.
+    """
+    machine, draws = truth.machine, np.random.default_rng(truth.seed)
+    transform = sensor_transform(
+        [sensor.at for sensor in machine.sensors],
+        [sensor.direction for sensor in machine.sensors],
+        machine.links[machine.frame].cg,
+    )
+    elsewhere = draws.normal(size=(len(ideal), 3)) * np.array(protocol.frame_noise)
+    signal = truth.response.of(ideal, protocol.sample_rate) + elsewhere @ transform.T
+    signal = signal * np.array(truth.gains) + protocol.sensor_noise * draws.normal(size=signal.shape)
+    return Measurement(
+        name=f"simulated {truth.hypothesis.label}",
+        sample_rate=protocol.sample_rate,
+        signal=signal,
+        channels=tuple(Channel(sensor.name, "m/s2", "acceleration") for sensor in machine.sensors),
+        warnings=(),
+        import_report=("simulated",),
+        sha256=hashlib.sha256(np.ascontiguousarray(signal).tobytes()).hexdigest(),
+    )

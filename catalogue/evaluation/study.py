@@ -1,0 +1,269 @@
+"""A study: methods, efforts and modes side by side, on the same held-out recordings of some protocols."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+from catalogue.answer import Effort, ModeAsked
+from catalogue.diagnosis import Question, answer
+from catalogue.entry import Hypothesis
+from catalogue.errors import DiagnosisError, MeasurementError
+from catalogue.evaluation.differences import with_differences
+from catalogue.evaluation.metrics import Answered, Figures, figures
+from catalogue.evaluation.protocols import Protocol, protocols_of
+from catalogue.evaluation.recordings import Recordings, recorded
+from catalogue.evaluation.truth import Truth, draw_truth
+from catalogue.features import prepare
+from catalogue.learning import Learning, MatcherCache
+from catalogue.matching import Matcher
+from catalogue.nearest import NearestEntry
+from catalogue.store import Catalogue
+
+__all__ = ["METHODS", "Row", "Setup", "Study", "evaluate", "setups_of"]
+
+GAUSSIAN = "gaussian"
+
+METHODS: Mapping[str, Callable[[], Matcher] | None] = {GAUSSIAN: None, "nearest": NearestEntry}
+"""Methods by name: the one that a diagnosis uses by itself, and cross-checks."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How recordings are diagnosed.
+
+    Parameters
+    ----------
+    method : str
+        Name in :data:`METHODS`.
+    effort : {"fast", "standard", "thorough"}
+    mode : {"auto", "trusted", "robust"}
+    """
+
+    method: str = GAUSSIAN
+    effort: Effort = "standard"
+    mode: ModeAsked = "auto"
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of one protocol and one setup.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    setup : Setup
+    failed, refused : int
+        Cases that could not be simulated; recordings that were refused (their drive speed could not be found, ...).
+    figures : Figures
+    """
+
+    protocol: Protocol
+    setup: Setup
+    failed: int
+    refused: int
+    figures: Figures
+
+
+@dataclass(frozen=True)
+class Study:
+    """Quality of diagnosis on held-out recordings.
+
+    Parameters
+    ----------
+    machine : str
+        Its name.
+    catalogue : str
+        SHA-256 of the catalogue's content.
+    entries : int
+        Entries of the catalogue.
+    seed, count : int
+        Of what was drawn; recordings asked for in each protocol.
+    rows : tuple of Row
+        Protocol by protocol, setup by setup.
+    """
+
+    machine: str
+    catalogue: str
+    entries: int
+    seed: int
+    count: int
+    rows: tuple[Row, ...]
+
+    def content(self) -> dict[str, object]:
+        """Return everything as plain data, for JSON."""
+        return dataclasses.asdict(self)
+
+
+def setups_of(methods: Sequence[str], efforts: Sequence[Effort], modes: Sequence[ModeAsked]) -> tuple[Setup, ...]:
+    """Return all combinations; cross-check methods have the effort ``standard`` only.
+
+    Raises
+    ------
+    DiagnosisError
+        An unknown method.
+    """
+    for method in methods:
+        if method not in METHODS:
+            raise DiagnosisError(f"method: {method}: must be one of {', '.join(METHODS)}")
+    found = [
+        Setup(method, effort if method == GAUSSIAN else "standard", mode)
+        for method, effort, mode in product(methods, efforts, modes)
+    ]
+    return tuple(dict.fromkeys(found))
+
+
+def evaluate(
+    catalogue: Catalogue,
+    protocols: Sequence[str | Protocol] = ("noisy",),
+    count: int = 120,
+    seed: int = 1,
+    *,
+    setups: Sequence[Setup] = (Setup(),),
+    recordings: Recordings | None = None,
+    most: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Study:
+    """Measure diagnoses on recordings that no catalogue has seen.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    protocols : sequence of str or Protocol
+        Names in :data:`catalogue.evaluation.protocols.PROTOCOLS`, groups of them, or conditions of one's own.
+    count : int
+        Recordings a protocol, at least one a hypothesis.
+    seed : int
+        Of everything drawn.
+    setups : sequence of Setup
+        Compared on the same recordings.
+    recordings : Recordings, optional
+        Where simulations are kept; nowhere without it.
+    most : int, optional
+        Entries of a hypothesis that are learned from, at most: the first draws of each.
+    progress : callable, optional
+        Called with the number of recordings done and their total.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    DiagnosisError
+        An unknown protocol, too few recordings, a machine without sensors, or nothing could be diagnosed.
+    """
+    wanted = protocols_of(protocols)
+    if not catalogue.machine.sensors:
+        raise DiagnosisError(f"machine {catalogue.machine.name}: has no sensors to record with")
+    run = _Run(catalogue, count, seed, tuple(setups), recordings or Recordings(), most)
+    sets = {protocol: run.hypotheses(protocol) for protocol in wanted}
+    total = sum(2 if protocol.foreign else 1 for protocol in wanted) * count
+    done = 0
+
+    def told() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, total), total)
+
+    known: dict[Protocol, dict[Setup, list[Answered]]] = {}
+    rows: list[Row] = []
+    for protocol in wanted:
+        found = run.answers(protocol, told)
+        listed: Mapping[Setup, Sequence[Answered]] = {}
+        if protocol.foreign:
+            plain = replace(protocol, name="listed", kind="singles", differences=(), foreign=False)
+            if plain not in known:
+                known[plain] = run.answers(plain, told).answers
+            listed = known[plain]
+        for setup, answers in found.answers.items():
+            values = [each.p_value for each in listed.get(setup, ())]
+            made = figures(answers, run.columns(protocol, sets[protocol]), values)
+            rows.append(Row(protocol, setup, found.failed, found.refused, made))
+    if progress is not None:
+        progress(total, total)
+    return Study(catalogue.machine.name, catalogue.id, len(catalogue.entries), seed, count, tuple(rows))
+
+
+@dataclass
+class _Found:
+    answers: dict[Setup, list[Answered]]
+    failed: int = 0
+    refused: int = 0
+
+
+@dataclass(frozen=True)
+class _Run:
+    catalogue: Catalogue
+    count: int
+    seed: int
+    setups: tuple[Setup, ...]
+    recordings: Recordings
+    most: int | None
+
+    def hypotheses(self, protocol: Protocol) -> tuple[Hypothesis, ...]:
+        found = protocol.hypotheses(self.catalogue)
+        if self.count < len(found):
+            rule = f"must be at least {len(found)}, one a hypothesis of protocol {protocol.name}"
+            raise DiagnosisError(f"count: {self.count}: {rule}")
+        return found
+
+    def without(self, protocol: Protocol, hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
+        """Hypotheses that are taken out of the catalogue."""
+        worn = {len(each.joints) for each in hypotheses}
+        listed = self.catalogue.entries.hypotheses
+        return tuple(each.label for each in listed if protocol.unlisted and len(each.joints) in worn)
+
+    def columns(self, protocol: Protocol, hypotheses: Sequence[Hypothesis]) -> dict[str, frozenset[str]]:
+        without = self.without(protocol, hypotheses)
+        listed = self.catalogue.entries.hypotheses
+        return {each.label: frozenset(each.joints) for each in listed if each.label not in without}
+
+    def truths(self, protocol: Protocol) -> list[Truth]:
+        machine, hypotheses = self.catalogue.machine, self.hypotheses(protocol)
+        found = []
+        for index in range(self.count):
+            hypothesis, number = hypotheses[index % len(hypotheses)], index // len(hypotheses)
+            truth = draw_truth(machine, hypothesis, protocol, self.seed, number)
+            found.append(with_differences(truth, protocol.differences, self.seed, number))
+        return found
+
+    def answers(self, protocol: Protocol, told: Callable[[], None]) -> _Found:
+        truths, cache, found = self.truths(protocol), MatcherCache(), _Found({setup: [] for setup in self.setups})
+        without = self.without(protocol, self.hypotheses(protocol))
+        learning = Learning(without=without) if self.most is None else Learning(without=without, most=self.most)
+        for index, signal in self.recordings.ideal(protocol, truths):
+            told()
+            if signal is None:
+                found.failed += 1
+                continue
+            recording = recorded(protocol, truths[index], signal)
+            try:
+                prepared = prepare(recording, self.catalogue.machine, scheme=self.catalogue.scheme)
+            except MeasurementError:
+                found.refused += 1
+                continue
+            for setup in self.setups:
+                method = METHODS[setup.method]
+                question = Question(setup.effort, setup.mode)
+                begin = time.perf_counter()
+                got = answer(
+                    prepared,
+                    recording.sha256,
+                    self.catalogue,
+                    question,
+                    matcher=method() if method is not None else None,
+                    learning=learning,
+                    cache=cache,
+                )
+                found.answers[setup].append(Answered.of(truths[index], got, time.perf_counter() - begin))
+        if not any(found.answers.values()):
+            rule = f"{found.failed} failed, {found.refused} were refused"
+            raise DiagnosisError(
+                f"none of {self.count} recordings of protocol {protocol.name} could be diagnosed: {rule}"
+            )
+        return found

@@ -1,0 +1,175 @@
+"""Speed against accuracy: draws and solver accuracy of a catalogue against quality and cost of diagnoses."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from catalogue.build import build
+from catalogue.chunk import chunked, simulate_chunk
+from catalogue.errors import DiagnosisError
+from catalogue.evaluation.metrics import Figures
+from catalogue.evaluation.protocols import Protocol, protocols_of
+from catalogue.evaluation.recordings import Recordings
+from catalogue.evaluation.study import Setup, evaluate
+from catalogue.keys import content_digest
+from catalogue.plan import Plan
+from catalogue.store import Catalogue
+from solver.cases.steps import Accuracy
+
+__all__ = ["Point", "Sweep", "trade_off"]
+
+TIMED_CASES = 8
+"""Cases of each hypothesis that are simulated to learn what a case costs: one vector of lanes."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One catalogue and one setup.
+
+    Parameters
+    ----------
+    accuracy : str
+        Of the catalogue's simulations.
+    draws : int
+        Entries of a hypothesis, at most.
+    entries : int
+        Of the catalogue.
+    build_seconds : float
+        Processor time to simulate them.
+    setup : Setup
+    figures : Figures
+    """
+
+    accuracy: str
+    draws: int
+    entries: int
+    build_seconds: float
+    setup: Setup
+    figures: Figures
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The trade between speed and accuracy of one machine.
+
+    Parameters
+    ----------
+    machine : str
+    protocol : Protocol
+    seed, count : int
+    points : tuple of Point
+    """
+
+    machine: str
+    protocol: Protocol
+    seed: int
+    count: int
+    points: tuple[Point, ...]
+
+    def content(self) -> dict[str, object]:
+        """Return everything as plain data, for JSON."""
+        return dataclasses.asdict(self)
+
+
+def trade_off(
+    catalogue: Catalogue,
+    draws: Sequence[int],
+    accuracies: Sequence[str],
+    protocol: str | Protocol = "hard",
+    count: int = 120,
+    seed: int = 1,
+    *,
+    setups: Sequence[Setup] = (Setup(),),
+    recordings: Recordings | None = None,
+    folder: Path | None = None,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sweep:
+    """Diagnose the same recordings from catalogues of several sizes and accuracies.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Gives machine and plan; serves for its own accuracy.
+    draws : sequence of int
+        Entries of a hypothesis; more than the catalogue has count as all of them, once.
+    accuracies : sequence of str
+        Of the solver; the same plan is built for those that the catalogue does not have.
+    protocol, count, seed, setups, recordings
+        As for :func:`catalogue.evaluation.study.evaluate`.
+    folder : Path, optional
+        Where catalogues of other accuracies are kept; made anew each time without it.
+    workers : int
+        Processes that build them.
+    progress : callable, optional
+        Called with the number of recordings done and their total.
+
+    Raises
+    ------
+    DiagnosisError
+        As for :func:`catalogue.evaluation.study.evaluate`, or a number of draws below 3.
+    """
+    (conditions,) = protocols_of([protocol])[:1]
+    if not draws or min(draws) < 3:
+        raise DiagnosisError(f"draws: {min(draws, default=0)}: must be at least 3")
+    largest = max(int(np.sum(catalogue.entries.hypothesis == label)) for label in catalogue.hypotheses)
+    sizes = sorted({min(each, largest) for each in draws})
+    total, done = len(sizes) * len(accuracies) * count, 0
+    points: list[Point] = []
+    with tempfile.TemporaryDirectory(prefix="jointplay-sweep-") as scratch:
+        for accuracy in accuracies:
+            known = _built(catalogue, cast(Accuracy, accuracy), folder or Path(scratch), workers)
+            each = _seconds_a_case(known)
+            for most in sizes:
+
+                def told(now: int, _: int, before: int = done) -> None:
+                    if progress is not None:
+                        progress(min(total, before + now), total)
+
+                study = evaluate(
+                    known,
+                    [conditions],
+                    count,
+                    seed,
+                    setups=setups,
+                    recordings=recordings,
+                    most=most,
+                    progress=told,
+                )
+                done += count
+                entries = sum(min(most, int(np.sum(known.entries.hypothesis == label))) for label in known.hypotheses)
+                points += [Point(accuracy, most, entries, each * entries, row.setup, row.figures) for row in study.rows]
+    return Sweep(catalogue.machine.name, conditions, seed, count, tuple(points))
+
+
+def _built(catalogue: Catalogue, accuracy: Accuracy, folder: Path, workers: int) -> Catalogue:
+    """The catalogue itself, or one of the same plan with another accuracy."""
+    if catalogue.recipe.accuracy == accuracy:
+        return catalogue
+    plan: Plan = catalogue.plan.model_copy(update={"accuracy": accuracy})
+    digest = content_digest([catalogue.machine.content_key, plan.hash])[:16]
+    place = folder / f"{catalogue.machine.name}-{accuracy}-{digest}"
+    build(catalogue.machine, plan, place, workers=workers)
+    return Catalogue.open(place)
+
+
+def _seconds_a_case(catalogue: Catalogue) -> float:
+    """Processor time of a case, mean over the hypotheses: a few of each are simulated again, kernels being ready."""
+    entries = catalogue.plan.entries(catalogue.machine)
+    spent: list[float] = []
+    for label in catalogue.hypotheses:
+        some = [entry for entry in entries if entry.hypothesis.label == label][:: max(1, len(entries) // 2000)]
+        for chunk in chunked(catalogue.machine, catalogue.recipe, some[:TIMED_CASES], TIMED_CASES):
+            simulate_chunk(chunk)
+            before = sum(os.times()[:2])
+            simulate_chunk(chunk)
+            spent.append((sum(os.times()[:2]) - before) / len(chunk.entries))
+    return float(np.mean(spent))

@@ -1,0 +1,79 @@
+"""What speaks for an answer: levels band by band, and warnings of what a catalogue does not cover."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from catalogue.answer import BandEvidence, Evidence, Hypothesis, JointClearance
+from catalogue.features import PreparedMeasurement
+from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
+from catalogue.store import Catalogue
+
+__all__ = ["edge_warnings", "evidence", "hypothesis_shown", "speed_warnings"]
+
+EDGE = 0.02
+"""Share of the catalogue's clearance range, at either end, in which an estimate is warned of."""
+
+
+def hypothesis_shown(match: HypothesisMatch) -> Hypothesis:
+    """Return a hypothesis as the answer shows it."""
+    return Hypothesis(
+        label=match.label,
+        joints={
+            found.joint: JointClearance(
+                clearance_um=1e6 * found.median, interval_um=(1e6 * found.low, 1e6 * found.high)
+            )
+            for found in match.clearances
+        },
+        probability=min(1.0, match.probability),
+        distance_db=match.distance_db,
+    )
+
+
+def evidence(prepared: PreparedMeasurement, best: HypothesisMatch, feature: FloatArray) -> Evidence:
+    """Return measured against predicted levels of a hypothesis, number by number of the feature vector."""
+    orders: list[BandEvidence] = []
+    bands: list[BandEvidence] = []
+    rows = zip(prepared.axes, feature, best.predicted, best.spread, strict=True)
+    for axis, measured, predicted, spread in rows:
+        low, high = axis.low_order, axis.high_order
+        item = BandEvidence(
+            order=0.5 * (low + high) if axis.single_order else math.sqrt(low * high),
+            low_hz=axis.low_hz,
+            high_hz=axis.high_hz,
+            channel=axis.channel,
+            measured_db=float(measured),
+            predicted_db=float(predicted),
+            spread_db=float(spread),
+            z=float((measured - predicted) / spread),
+        )
+        (orders if axis.single_order else bands).append(item)
+    return Evidence(orders=tuple(orders), bands=tuple(bands))
+
+
+def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[str]:
+    """Warn of a drive speed the catalogue has not seen."""
+    speeds = np.abs(catalogue.entries.drive_speed) * 30.0 / math.pi
+    rpm = prepared.drive_speed * 30.0 / math.pi
+    low, high = float(speeds.min()), float(speeds.max())
+    if 0.999 * low <= rpm <= 1.001 * high:
+        return []
+    return [f"drive speed {rpm:.4g} rpm lies outside the catalogue's {low:.4g} to {high:.4g} rpm"]
+
+
+def edge_warnings(result: MatchResult, catalogue: Catalogue) -> list[str]:
+    """Warn of clearances at the ends of what the catalogue holds."""
+    worn = catalogue.entries.clearance[catalogue.entries.clearance > 0.0]
+    if not worn.size or not result.best.clearances:
+        return []
+    low, high = math.log(float(worn.min())), math.log(float(worn.max()))
+    margin = EDGE * (high - low)
+    warnings = []
+    for found in result.best.clearances:
+        for bound, beyond, value in ((low, "smallest", found.low), (high, "largest", found.high)):
+            if abs(math.log(value) - bound) <= margin:
+                um = 1e6 * math.exp(bound)
+                warnings.append(f"clearance of {found.joint} reaches the catalogue's {beyond}, {um:.3g} um")
+    return warnings

@@ -1,0 +1,228 @@
+"""Evaluation on held-out simulations: truths, recordings, studies and sweeps."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalogue.entry import Hypothesis
+from catalogue.errors import DiagnosisError
+from catalogue.evaluation.differences import DIFFERENCES, with_differences
+from catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, protocols_of
+from catalogue.evaluation.recordings import Recordings, recorded
+from catalogue.evaluation.response import Response
+from catalogue.evaluation.study import Setup, evaluate, setups_of
+from catalogue.evaluation.sweep import trade_off
+from catalogue.evaluation.truth import Truth, draw_truth
+from catalogue.store import Catalogue
+from solver.machines.machine import shipped_machine
+
+SHORT = replace(PROTOCOLS["matched"], seconds=1.0, clearance=(80e-6, 700e-6))
+MACHINE = shipped_machine("slider-crank")
+
+
+def truth_of(*joints: str, protocol: Protocol = SHORT, number: int = 0) -> Truth:
+    return draw_truth(MACHINE, Hypothesis.of(joints), protocol, 3, number)
+
+
+def ideal_of(truth: Truth, protocol: Protocol = SHORT) -> np.ndarray:
+    ((_, signal),) = Recordings().ideal(protocol, [truth])
+    assert signal is not None
+    return signal
+
+
+def test_most_held_out_faults_are_found(small_catalogue: Catalogue) -> None:
+    seen: list[tuple[int, int]] = []
+    setups = setups_of(["gaussian", "nearest"], ["standard"], ["auto"])
+    study = evaluate(
+        small_catalogue, [SHORT], 16, seed=3, setups=setups, progress=lambda done, total: seen.append((done, total))
+    )
+    assert [row.setup.method for row in study.rows] == ["gaussian", "nearest"]
+    found = study.rows[0].figures
+    assert found.count == 16
+    assert study.rows[0].failed == study.rows[0].refused == 0
+    assert found.labels == found.columns == ("healthy", "A", "B", "O")
+    assert [sum(row) for row in found.confusion] == [4, 4, 4, 4]
+    assert found.top1 is not None
+    assert found.top1 >= 14 / 16
+    assert found.exact_set is not None
+    assert found.exact_set >= 14 / 16
+    assert found.log_loss is not None
+    assert found.log_loss < 0.6
+    assert found.clearance_median is not None
+    assert found.clearance_median < 0.2
+    assert found.set_coverage is not None
+    assert found.set_coverage >= found.top1
+    assert found.wrong_verdict is not None
+    assert found.wrong_verdict <= 2 / 16
+    assert sum(each.count for each in found.reliability) == 16
+    assert [each.joint for each in found.joints] == ["A", "B", "O"]
+    assert seen[-1] == (16, 16)
+    assert json.loads(json.dumps(study.content()))["rows"][0]["protocol"]["name"] == "matched"
+
+
+def test_a_foreign_cause_has_smaller_p_values_than_what_is_listed(small_catalogue: Catalogue) -> None:
+    half_mount = replace(SHORT, name="half mount", kind="singles", differences=("half-mount",), foreign=True)
+    (row,) = evaluate(small_catalogue, [half_mount], 8, seed=3).rows
+    assert row.figures.auroc_unknown is not None
+    assert row.figures.auroc_unknown > 0.8
+
+
+def test_truths_follow_from_the_seed_and_stay_within_the_protocol() -> None:
+    protocol = PROTOCOLS["hard"]
+    assert truth_of("A", protocol=protocol) == truth_of("A", protocol=protocol)
+    for number in range(50):
+        truth = truth_of("B", protocol=protocol, number=number)
+        assert list(truth.clearances) == ["B"]
+        assert protocol.clearance[0] <= truth.clearances["B"] <= protocol.clearance[1]
+        assert abs(truth.parameters["drive.speed"] / MACHINE.drive.speed - 1.0) <= protocol.speed  # type: ignore[union-attr, operator]
+        assert protocol.friction[0] <= truth.parameters["contact.friction"] <= protocol.friction[1]
+        assert truth.seconds >= 2.5
+    assert list(truth_of("A", "B").clearances) == ["A", "B"]
+    new = draw_truth(MACHINE, Hypothesis.as_new(), protocol, 3, 0)
+    assert list(new.clearances) == ["A", "B", "O"]
+    assert protocol.fits[0] <= min(new.clearances.values()) <= max(new.clearances.values()) <= protocol.fits[1]
+    assert truth_of().clearances == {}
+
+
+def test_protocols_that_differ_in_noise_share_their_truths() -> None:
+    matched, hard = (truth_of("A", protocol=PROTOCOLS[name]) for name in ("matched", "hard"))
+    assert matched == hard
+    other = with_differences(truth_of("A", protocol=PROTOCOLS["model-error-d"]), ("gain",), 3, 0)
+    assert replace(other, gains=matched.gains) == matched
+
+
+@pytest.mark.parametrize("name", DIFFERENCES)
+@pytest.mark.parametrize("machine", ["slider-crank", "four-bar", "quick-return"])
+def test_every_difference_changes_the_machine_and_nothing_else(name: str, machine: str) -> None:
+    drawn = shipped_machine(machine)
+    joint = drawn.turning_joints[0]
+    plain = draw_truth(drawn, Hypothesis.of([joint]), SHORT, 1, 0)
+    truth = with_differences(plain, (name,), 1, 0)
+    assert truth == with_differences(plain, (name,), 1, 0)
+    assert truth.clearances == plain.clearances
+    assert truth.parameters["drive.speed"] == plain.parameters["drive.speed"]
+    changed = {
+        field
+        for field in ("machine", "parameters", "response", "gains")
+        if getattr(truth, field) != getattr(plain, field)
+    }
+    expected = {
+        "law": {"machine", "parameters"},
+        "resonance": {"response"},
+        "mode": {"response"},
+        "frame": {"parameters"},
+        "gain": {"gains"},
+        "load": {"machine", "parameters"},
+        "half-mount": {"parameters"},
+        "bent-rail": {"machine"},
+        "unbalance": {"machine"},
+    }
+    assert changed == expected[name]
+
+
+def test_sizes_of_differences() -> None:
+    plain = truth_of("A")
+    frame = with_differences(plain, ("frame",), 1, 0).parameters
+    assert 0.8 <= frame["links.frame.mass"] / MACHINE.links["frame"].mass <= 1.2  # type: ignore[operator]
+    half = with_differences(plain, ("half-mount",), 1, 0).parameters
+    stiffness = {path: value for path, value in half.items() if path.startswith("supports.")}
+    assert len(stiffness) == 2
+    for path, value in stiffness.items():
+        _, index, _, axis = path.split(".")
+        assert value == pytest.approx(0.5 * MACHINE.supports[int(index)].stiffness[int(axis)])  # type: ignore[union-attr, index]
+    load = with_differences(plain, ("load",), 1, 0)
+    force = math.hypot(*(load.parameters[f"loads.0.force.{axis}"] for axis in range(2)))
+    assert 20.0 <= force <= 100.0
+    assert load.machine.loads[0].force == (0.0, 0.0)
+
+
+def test_recordings_carry_noise_gains_and_structure_of_the_protocol() -> None:
+    truth = truth_of()
+    ideal = ideal_of(truth)
+    clean = recorded(Protocol("none", frame_noise=(0.0, 0.0, 0.0)), truth, ideal)
+    assert clean.signal == pytest.approx(ideal)
+    assert clean.channel_names == tuple(sensor.name for sensor in MACHINE.sensors)
+    noisy = recorded(replace(SHORT, sensor_noise=0.1), truth, ideal)
+    assert (noisy.signal - clean.signal).std(axis=0) == pytest.approx(0.1, rel=0.1)
+    assert noisy.sha256 != clean.sha256
+    quiet = Protocol("gain", frame_noise=(0.0, 0.0, 0.0))
+    gains = recorded(quiet, with_differences(truth, ("gain",), 1, 0), ideal).signal / clean.signal
+    assert np.allclose(gains, gains[0])
+    assert 0.005 < np.abs(gains[0] - 1.0).max() <= 0.15
+    shaken = recorded(Protocol("frame", frame_noise=(0.1, 0.0, 0.0)), truth, ideal).signal - ideal
+    along_x = [sensor.direction[0] == 1.0 for sensor in MACHINE.sensors]
+    assert shaken[:, along_x].std() == pytest.approx(0.1, rel=0.1)
+    assert not shaken[:, np.logical_not(along_x)].any()
+
+
+def test_a_mode_lifts_its_own_frequency_and_leaves_low_ones_alone() -> None:
+    rate, count = 10_000.0, 20_000
+    t = np.arange(count) / rate
+    signal = np.stack([np.sin(2 * np.pi * f * t) for f in (5.0, 300.0)], axis=1)
+    passed = Response(300.0, 0.02, (1.0, 1.0)).of(signal, rate)
+    # At resonance |H| = |1 + 1 / (2 i z)| = 25; far below it is 1.
+    assert passed.std(axis=0) / signal.std(axis=0) == pytest.approx([1.0, math.hypot(1.0, 25.0)], rel=1e-3)
+    assert Response().of(signal, rate) is signal
+
+
+def test_simulations_are_kept_and_found_again(tmp_path: Path) -> None:
+    kept, truth = Recordings(tmp_path), truth_of("A")
+    ((_, first),) = kept.ideal(SHORT, [truth])
+    (stored,) = tmp_path.glob("*.npy")
+    ((_, again),) = kept.ideal(replace(SHORT, sensor_noise=1.0), [truth])
+    assert first is not None
+    assert again == pytest.approx(first, rel=1e-6, abs=1e-6 * float(np.abs(first).max()))
+    np.save(stored, np.zeros((2, 4), np.float32))
+    ((_, from_disk),) = kept.ideal(SHORT, [truth])
+    assert from_disk is not None
+    assert not from_disk.any()
+    stored.write_bytes(b"damaged")
+    ((_, anew),) = kept.ideal(SHORT, [truth])
+    assert anew == pytest.approx(first)
+    list(Recordings(tmp_path, limit=1).ideal(SHORT, []))
+    assert not list(tmp_path.glob("*.npy"))
+
+
+def test_protocols_by_name_and_by_group(small_catalogue: Catalogue) -> None:
+    assert [each.name for each in protocols_of(["hard", "model-error", "hard"])] == ["hard", *GROUPS["model-error"]]
+    assert len(GROUPS["model-error"]) == 7
+    assert all(PROTOCOLS[name].foreign for name in GROUPS["other-cause"])
+    labels = [each.label for each in PROTOCOLS["pairs"].hypotheses(small_catalogue)]
+    assert labels == ["A+B", "A+O", "B+O"]
+    assert [each.label for each in PROTOCOLS["triples"].hypotheses(small_catalogue)] == ["A+B+O"]
+    assert [each.label for each in PROTOCOLS["as-new"].hypotheses(small_catalogue)] == ["as-new"]
+    assert [each.label for each in PROTOCOLS["hard"].hypotheses(small_catalogue)] == ["healthy", "A", "B", "O"]
+
+
+def test_a_sweep_takes_the_first_draws_of_each_hypothesis(small_catalogue: Catalogue) -> None:
+    found = trade_off(small_catalogue, [6, 1000], ["draft"], SHORT, 8, seed=3)
+    assert [(point.accuracy, point.draws, point.entries) for point in found.points] == [
+        ("draft", 6, 24),
+        ("draft", 70, 246),
+    ]
+    few, many = found.points
+    assert 0.0 < few.build_seconds < many.build_seconds
+    assert few.figures.log_loss is not None
+    assert many.figures.log_loss is not None
+    assert many.figures.log_loss < few.figures.log_loss
+    assert json.loads(json.dumps(found.content()))["points"][0]["draws"] == 6
+
+
+def test_refuses_what_it_cannot_do(small_catalogue: Catalogue) -> None:
+    with pytest.raises(DiagnosisError, match="protocol: easy: must be one of matched, noisy, hard"):
+        evaluate(small_catalogue, ["easy"])
+    with pytest.raises(DiagnosisError, match="count: 3: must be at least 4, one a hypothesis of protocol matched"):
+        evaluate(small_catalogue, ["matched"], 3)
+    with pytest.raises(DiagnosisError, match="protocol mine: difference colour: must be one of law"):
+        evaluate(small_catalogue, [Protocol("mine", differences=("colour",))])
+    with pytest.raises(DiagnosisError, match="method: best: must be one of gaussian"):
+        setups_of(["best"], ["standard"], ["auto"])
+    with pytest.raises(DiagnosisError, match="draws: 2: must be at least 3"):
+        trade_off(small_catalogue, [2], ["draft"], SHORT)
+    assert setups_of(["nearest"], ["fast", "thorough"], ["auto"]) == (Setup("nearest"),)

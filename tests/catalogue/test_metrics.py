@@ -1,0 +1,97 @@
+"""Figures of merit against values worked out by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from catalogue.evaluation.metrics import Answered, auroc, figures, joint_scores, reliability
+
+JOINTS = {"healthy": frozenset[str](), "A": frozenset("A"), "B": frozenset("B"), "A+B": frozenset("AB")}
+
+
+def answered(label: str, worn: str, *probabilities: float, p_value: float = 0.5) -> Answered:
+    by_label = dict(zip(JOINTS, probabilities, strict=True))
+    joints = {joint: sum(by_label[name] for name in JOINTS if joint in JOINTS[name]) for joint in "AB"}
+    first = max(by_label, key=lambda name: by_label[name])
+    return Answered(
+        label=label,
+        worn=frozenset(worn),
+        clearances_um=dict.fromkeys(worn, 100.0),
+        probabilities=by_label,
+        joint_probabilities=joints,
+        found=dict.fromkeys(sorted(JOINTS[first]), (110.0, 90.0, 120.0)),
+        candidates=(first,),
+        verdict="fault" if JOINTS[first] else "healthy",
+        p_value=p_value,
+        seconds=0.1,
+        simulations=0,
+    )
+
+
+ANSWERS = (
+    answered("A", "A", 0.0, 0.8, 0.1, 0.1),
+    answered("A", "A", 0.1, 0.3, 0.0, 0.6),
+    answered("healthy", "", 0.9, 0.1, 0.0, 0.0),
+    answered("A+B", "AB", 0.0, 0.5, 0.4, 0.1),
+)
+
+
+def test_ranks_sets_and_verdicts() -> None:
+    found = figures(ANSWERS, JOINTS)
+    assert found.count == 4
+    assert (found.top1, found.top2) == (0.5, 0.75)
+    assert found.exact_set == 0.5
+    assert found.joints_in_top2 == 1.0  # the last one is called A, then B: both joints are among the first two
+    assert found.log_loss == pytest.approx(-np.mean(np.log([0.8, 0.3, 0.9, 0.1])))
+    assert found.set_coverage == 0.5
+    assert found.set_size == 1.0
+    assert (found.unknown, found.healthy, found.wrong_verdict) == (0.0, 0.25, 0.0)
+    assert found.labels == ("healthy", "A", "A+B")
+    assert found.confusion == ((1, 0, 0, 0), (0, 1, 0, 1), (0, 1, 0, 0))
+    assert found.clearance_median == pytest.approx(0.1)
+    assert found.interval_coverage == 1.0
+    assert found.auroc_unknown is None
+
+
+def test_as_new_is_right_where_no_joint_is_called_worn() -> None:
+    found = figures([replace(ANSWERS[2], label="as-new", clearances_um={"A": 8.0, "B": 8.0})], JOINTS)
+    assert found.top1 is None  # the catalogue has no such hypothesis
+    assert found.exact_set == 1.0
+    assert found.labels == ("as-new",)
+    assert found.confusion == ((1, 0, 0, 0),)
+
+
+def test_truths_that_no_catalogue_holds_count_by_joints_only() -> None:
+    found = figures([replace(ANSWERS[3], label="A+B+C", worn=frozenset("ABC"))], JOINTS, listed=[0.6, 0.4])
+    assert found.top1 is found.log_loss is found.set_coverage is None
+    assert found.exact_set == 0.0
+    assert found.auroc_unknown == 0.5
+
+
+def test_area_under_the_curve_is_the_share_of_pairs_in_order() -> None:
+    generator = np.random.default_rng(1)
+    positive, negative = generator.integers(0, 9, 40).tolist(), generator.integers(2, 12, 30).tolist()
+    pairs = [1.0 if p > n else 0.5 if p == n else 0.0 for p in positive for n in negative]
+    assert auroc(positive, negative) == pytest.approx(np.mean(pairs))
+    assert auroc([], [1.0]) is None
+
+
+def test_joint_scores() -> None:
+    a, b = joint_scores(ANSWERS)
+    assert (a.joint, b.joint) == ("A", "B")
+    # A: probabilities 0.9, 0.9, 0.1, 0.6, worn in the first two and the last. B: 0.2, 0.6, 0, 0.5, worn in the last.
+    assert (a.precision, a.recall, a.f1) == (1.0, 1.0, 1.0)
+    assert (b.precision, b.recall, b.f1) == (0.0, 0.0, 0.0)
+
+
+def test_reliability_bins() -> None:
+    bins = reliability(np.array([0.55, 0.95, 0.99, 1.0]), np.array([False, True, True, False]))
+    assert len(bins) == 10
+    assert (bins[5].count, bins[5].right) == (1, 0.0)
+    assert bins[9].count == 3
+    assert bins[9].confidence == pytest.approx(0.98)
+    assert bins[9].right == pytest.approx(2 / 3)
+    assert bins[0].confidence is bins[0].right is None
