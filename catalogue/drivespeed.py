@@ -29,7 +29,7 @@ WINDOW_REVOLUTIONS = 1.0
 WINDOWS_PER_REVOLUTION = 2.0
 #: Polynomial degree of the wander at most, and its usual size as a fraction of the speed.
 WANDER_DEGREE = 6
-WANDER_PRIOR = 3e-3
+WANDER_PRIOR = 6e-3
 #: Phase error [rad] that no line is believed to stay below.
 PHASE_FLOOR = 0.01
 #: Samples a revolution that are kept for all this.
@@ -138,11 +138,11 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
     if sample_rate < 8.0 * turn:
         rule = f"{sample_rate / turn:.2g} samples a revolution are too few to find the drive speed: give the speed"
         raise MeasurementError(source, rule=rule)
-    kept, rate = _thinned(values, sample_rate, turn)
+    kept, rate = thinned(values, sample_rate, turn)
     blocks = np.array_split(kept, math.ceil(revolutions / BLOCK_REVOLUTIONS))
     tracks = []
     for block in blocks:
-        coarse, contrast = _comb(block, rate, turn)
+        coarse, contrast = comb_speed(block, rate, turn)
         if contrast < COMB_CONTRAST_DB:
             low, high = (60.0 * turn * (1.0 + side * SEARCH_RANGE) for side in (-1, 1))
             rule = f"no orders of a drive speed between {low:.4g} and {high:.4g} rpm stand out: give the speed"
@@ -151,17 +151,18 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
     return _joined(tracks, [len(block) / rate for block in blocks])
 
 
-def _thinned(values: FloatArray, sample_rate: float, turn: float) -> tuple[FloatArray, float]:
+def thinned(values: FloatArray, sample_rate: float, turn: float) -> tuple[FloatArray, float]:
     """Means of blocks of samples: orders near zero stay, what would fold onto them falls on zeros of the mean."""
     block = max(1, int(sample_rate / (turn * KEPT_PER_REVOLUTION)))
     count = len(values) // block
-    kept = values[: count * block].reshape(count, block, -1).mean(axis=1)
+    pieces = np.ascontiguousarray(values[: count * block].T).reshape(-1, count, block)
+    kept = (pieces @ np.full(block, 1.0 / block)).T
     kept = kept - kept.mean(axis=0)
     scale = kept.std(axis=0)
     return kept / np.where(scale > 0, scale, 1.0), sample_rate / block
 
 
-def _comb(kept: FloatArray, rate: float, turn: float) -> tuple[float, float]:
+def comb_speed(kept: FloatArray, rate: float, turn: float) -> tuple[float, float]:
     """Frequency whose multiples stand out most, and by how much [dB]."""
     length = len(kept)
     padded = scipy.fft.next_fast_len(8 * length, real=True)
@@ -254,11 +255,13 @@ def _phase_step(
     # Windows overlap by half: neighbours share half of their data.
     weight = np.minimum(share, 4.0) / (WINDOWS_PER_REVOLUTION * variance)
     total = np.maximum(weight.sum(axis=0), 1e-300)  # a line of a dead channel weighs nothing
-    centre = np.einsum("wco,wi->coi", weight, basis) / total[..., None]
-    normal = np.einsum("wco,o,wi,wj->ij", weight, orders**2, basis, basis, optimize=True)
-    normal -= np.einsum("co,o,coi,coj->ij", total, orders**2, centre, centre, optimize=True)
-    right = np.einsum("wco,o,wco,wi->i", weight, orders, residual, basis, optimize=True)
-    right -= np.einsum("wco,o,wco,coi->i", weight, orders, residual, centre, optimize=True)
+    windows = len(basis)
+    squared = np.broadcast_to(orders**2, total.shape).ravel()
+    flat = weight.reshape(windows, -1)
+    centre = flat.T @ basis / total.reshape(-1, 1)
+    normal = basis.T @ (basis * (flat @ squared)[:, None]) - (centre * (total.ravel() * squared)[:, None]).T @ centre
+    pulled = flat * np.broadcast_to(orders, total.shape).ravel() * residual.reshape(windows, -1)
+    right = basis.T @ pulled.sum(axis=1) - centre.T @ pulled.sum(axis=0)
     normal += np.diag(prior**-2)
     right -= deviation / prior**2
     covariance = np.linalg.inv(normal)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-import scipy.ndimage
 
 from catalogue.drivespeed import SpeedTrack
 
@@ -51,9 +50,8 @@ STRETCH = 30.0
 WINDOWS_PER_REVOLUTION = 4
 #: Independent windows among them: the noise bandwidth of a Hann window is 1.5 lines.
 INDEPENDENT = 1.5 / WINDOWS_PER_REVOLUTION
-#: Samples a cycle, and a revolution, that are kept to look at a frequency.
-SAMPLES_PER_CYCLE = 16.0
-SAMPLES_PER_REVOLUTION = 1000.0
+#: Samples in a row whose phases follow from one another by products: exponentials cost ten times as much.
+PHASES_TOGETHER = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +103,14 @@ def remove_hum(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) -> 
     Cleaned
         The signal is a copy; orders are untouched.
     """
-    values = np.array(signal, dtype=np.float64)
-    count = max(1, math.ceil(len(values) / sample_rate / STRETCH))
-    borders = np.linspace(0, len(values), count + 1).round().astype(int)
+    # Channel by channel, each in one piece of memory: every step below works along time.
+    values = np.array(np.asarray(signal, dtype=np.float64).T, order="C")
+    samples = values.shape[1]
+    count = max(1, math.ceil(samples / sample_rate / STRETCH))
+    borders = np.linspace(0, samples, count + 1).round().astype(int)
     found: dict[tuple[float, float | None], list[FloatArray]] = {}
     for first, last in itertools.pairwise(borders):
-        stretch = _Stretch(values[first:last], sample_rate, first / sample_rate, track)
+        stretch = _Stretch(values[:, first:last], sample_rate, first / sample_rate, track)
         for line in stretch.clean():
             # Stretches find slightly different frequencies of one line.
             known = [key for key in found if abs(key[0] - line.frequency) < 2 * MAINS_STRAY and key[1] == line.mains]
@@ -119,7 +119,7 @@ def remove_hum(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) -> 
         SteadyLine(frequency, np.sum(amplitudes, axis=0) / count, mains)
         for (frequency, mains), amplitudes in sorted(found.items())
     )
-    return Cleaned(values, lines)
+    return Cleaned(values.T, lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,16 +130,17 @@ class _Fit:
 
 
 class _Stretch:
-    """A stretch of the signal, cleaned in place."""
+    """A stretch of the signal (c, n), cleaned in place."""
 
     def __init__(self, values: FloatArray, sample_rate: float, start: float, track: SpeedTrack) -> None:
         self.values = values
         self.rate = sample_rate
-        self.time = np.arange(len(values)) / sample_rate
+        self.samples = values.shape[1]
+        self.time = np.arange(self.samples) / sample_rate
         speed = np.interp(start + self.time, track.time, track.speed)
         self.angle = np.concatenate([[0.0], np.cumsum(speed[:-1])]) / sample_rate
         self.turn = float(speed.mean()) / (2.0 * math.pi)
-        self.duration = len(values) / sample_rate
+        self.duration = self.samples / sample_rate
 
     def clean(self) -> list[SteadyLine]:
         """Take out mains lines of the stronger family, then others."""
@@ -164,8 +165,16 @@ class _Stretch:
 
     def _take_out(self, fit: _Fit | None) -> None:
         if fit is not None:
-            wave = np.exp(2j * math.pi * fit.line.frequency * self.time)
-            self.values -= 2.0 * (wave[:, None] * fit.half_amplitude).real
+            wave = self._phases(fit.line.frequency)
+            for channel, amplitude in zip(self.values, 2.0 * fit.half_amplitude, strict=True):
+                channel -= amplitude.real * wave.real - amplitude.imag * wave.imag
+
+    def _phases(self, frequency: float) -> ComplexArray:
+        """Return exp(2 pi i f t) at every sample, (n,)."""
+        turning = 2j * math.pi * frequency / self.rate
+        within = np.exp(turning * np.arange(PHASES_TOGETHER))
+        between = np.exp(turning * PHASES_TOGETHER * np.arange(math.ceil(self.samples / PHASES_TOGETHER)))
+        return np.outer(between, within).ravel()[: self.samples]
 
     def _fit(self, frequency: float, stray: float, mains: float | None, factor: float) -> _Fit | None:
         """Fit a line and the orders around it; None when the line is not there or cannot be told from an order."""
@@ -180,12 +189,13 @@ class _Stretch:
         if offset is None:
             return None
         model = np.column_stack([np.exp(2j * math.pi * offset * middle), turning])
-        inverse = np.linalg.pinv(model)
-        weights = inverse @ baseband
+        basis, triangle = np.linalg.qr(model)
+        unmixed = np.linalg.inv(triangle)
+        weights = unmixed @ (basis.conj().T @ baseband)
         residual = baseband - model @ weights
         freedom = max(1.0, INDEPENDENT * len(middle) - model.shape[1])
         variance = (np.abs(residual) ** 2).sum(axis=0) * INDEPENDENT / freedom
-        chance = variance * float(np.sum(np.abs(inverse[0]) ** 2)) / INDEPENDENT
+        chance = variance * float(np.sum(np.abs(unmixed[0]) ** 2)) / INDEPENDENT
         power = np.abs(weights[0]) ** 2
         gain = float((power / np.maximum(chance, np.finfo(np.float64).tiny)).sum())
         if gain < factor * (GAIN_A_CHANNEL * len(power) + GAIN_ON_TOP):
@@ -199,28 +209,24 @@ class _Stretch:
 
     def _baseband(self, frequency: float) -> tuple[ComplexArray, FloatArray]:
         """Complex amplitude at a frequency in every window, (windows, c), and the windows' middles [s]."""
-        # Means of blocks will do for low frequencies; what they lose at the frequency itself is known.
-        block = max(1, int(self.rate / max(SAMPLES_PER_CYCLE * frequency, SAMPLES_PER_REVOLUTION * self.turn)))
-        count = len(self.values) // block
-        thin = self.values[: count * block].reshape(count, block, -1).mean(axis=1)
-        thin /= np.sin(math.pi * frequency * block / self.rate) / (block * math.sin(math.pi * frequency / self.rate))
-        thin -= thin.mean(axis=0)
-        rate = self.rate / block
-        time = (np.arange(count) + 0.5 * (1.0 - 1.0 / block)) / rate
-        turned = thin * np.exp(-2j * math.pi * frequency * time)[:, None]
         # Windows overlap by three quarters: weigh every quarter once for each place in a window, then add up.
         # The window is exactly one revolution wide, or loud low orders would not fall on its zeros. What leaks of them
         # folds onto the order next to the line, as windows follow each other by a quarter of a revolution.
-        revolution = rate / self.turn
+        revolution = self.rate / self.turn
         hop = round(revolution / WINDOWS_PER_REVOLUTION)
-        place = (np.arange(WINDOWS_PER_REVOLUTION * hop) + 0.5 - 0.5 * WINDOWS_PER_REVOLUTION * hop) / revolution
+        sample = np.arange(WINDOWS_PER_REVOLUTION * hop) + 0.5 - 0.5 * WINDOWS_PER_REVOLUTION * hop
+        place = sample / revolution
         window = np.where(np.abs(place) < 0.5, np.cos(math.pi * place) ** 2, 0.0)
-        window /= window.sum()
-        quarters = turned[: count // hop * hop].reshape(count // hop, hop, -1)
-        parts = np.einsum("mhc,qh->qmc", quarters, window.reshape(WINDOWS_PER_REVOLUTION, hop))
-        windows = count // hop - WINDOWS_PER_REVOLUTION + 1
-        baseband = sum(parts[q, q : q + windows] for q in range(1, WINDOWS_PER_REVOLUTION)) + parts[0, :windows]
-        middle = time[0] + ((np.arange(windows) + 0.5 * WINDOWS_PER_REVOLUTION) * hop - 0.5) / rate
+        kernel = (window / window.sum() * np.exp(-2j * math.pi * frequency / self.rate * sample)).reshape(-1, hop)
+        count = self.samples // hop
+        windows = count - WINDOWS_PER_REVOLUTION + 1
+        frames = (self.values[:, : count * hop] - self.values.mean(axis=1, keepdims=True)).reshape(-1, hop)
+        weighed = frames @ np.concatenate([kernel.real, kernel.imag]).T
+        parts = weighed.reshape(-1, count, 2, WINDOWS_PER_REVOLUTION)
+        total = sum(parts[:, q : q + windows, :, q] for q in range(1, WINDOWS_PER_REVOLUTION)) + parts[:, :windows, :, 0]
+        middle = ((np.arange(windows) + 0.5 * WINDOWS_PER_REVOLUTION) * hop - 0.5) / self.rate
+        # The kernel's phase counts from the middle of its window: turned back to the beginning of the stretch.
+        baseband = (total[..., 0] + 1j * total[..., 1]).T * np.exp(-2j * math.pi * frequency * middle)[:, None]
         return np.asarray(baseband, dtype=np.complex128), np.asarray(middle, dtype=np.float64)
 
     def _offset(
@@ -252,19 +258,22 @@ class _Stretch:
 
     def _suspects(self) -> Iterable[float]:
         """Frequencies [Hz] of sharp peaks that are no order, nor a half, third or quarter of one."""
-        length = scipy.fft.next_fast_len(len(self.values), real=True)
-        window = np.hanning(len(self.values))[:, None]
-        spectrum = scipy.fft.rfft((self.values - self.values.mean(axis=0)) * window, length, axis=0)
-        lines = min(len(spectrum), int(min(SEARCH_UP_TO, 0.4 * self.rate) * length / self.rate))
-        power = np.abs(spectrum[:lines]) ** 2
-        scale = np.median(power, axis=0)
-        level = (power / np.where(scale > 0, scale, 1.0)).sum(axis=1)
+        length = scipy.fft.next_fast_len(self.samples, real=True)
+        window = np.hanning(self.samples)
+        spectrum = scipy.fft.rfft((self.values - self.values.mean(axis=1, keepdims=True)) * window, length)
+        lines = min(spectrum.shape[1], int(min(SEARCH_UP_TO, 0.4 * self.rate) * length / self.rate))
+        power = spectrum[:, :lines].real ** 2 + spectrum[:, :lines].imag ** 2
+        scale = np.median(power, axis=1, keepdims=True)
+        level = (power / np.where(scale > 0, scale, 1.0)).sum(axis=0)
         frequency = np.arange(lines) * self.rate / length
-        floor = scipy.ndimage.median_filter(level, size=2 * int(2.0 * self.turn * self.duration) + 1)
         order = frequency / self.turn
         away = np.min([np.abs(order * n - np.round(order * n)) / n for n in (2, 3, 4)], axis=0) * self.turn
         peaks = np.zeros(lines, dtype=bool)
         peaks[1:-1] = (level[1:-1] >= level[:-2]) & (level[1:-1] > level[2:])
-        peaks &= (level > 100.0 * floor) & (away * self.duration > 1.5) & (order > 0.5)
+        peaks &= (away * self.duration > 1.5) & (order > 0.5)
+        # The floor, a running median over two orders to either side, is only worked out under peaks.
+        half = max(1, min(int(2.0 * self.turn * self.duration), (lines - 1) // 2))
         chosen = np.flatnonzero(peaks)
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(level, half, mode="symmetric"), 2 * half + 1)
+        chosen = chosen[level[chosen] > 100.0 * np.median(around[chosen], axis=1)]
         return [float(f) for f in frequency[chosen[np.argsort(-level[chosen])][:SEARCH_LINES]]]
