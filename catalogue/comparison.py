@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from catalogue.feature_bands import joined
@@ -37,7 +39,8 @@ def canonical_sensing(prepared: PreparedMeasurement, catalogue: Catalogue) -> Se
     density = np.maximum(floor.density, 1e-30)
     loudest = np.array([density[np.equal(sensors.derivatives, kind)].max() for kind in sensors.derivatives])
     density = rounded_up(loudest, NOISE_STEP_DB) * rounded_up(density / loudest, NOISE_STEP_DB)
-    recorded = type(floor)(density, floor.sample_rate).band_power(edges, sensors.derivatives)
+    excess = rounded_up(floor.excess, NOISE_STEP_DB)
+    recorded = dataclasses.replace(floor, density=density, excess=excess).band_power(edges, sensors.derivatives)
     least = rounded_up(np.array(LEAST_NOISE_DENSITY), NOISE_STEP_DB) * np.diff(edges)[:, None]
     noise = np.maximum(recorded, least) @ (sensors.channels**2).T
     width = np.diff(catalogue.scheme.edges_hz(prepared.drive_speed)[list(prepared.cuts)])

@@ -29,7 +29,6 @@ from catalogue.matching import Matcher, MatchResult
 from catalogue.measurement import Measurement
 from catalogue.modes import Mode, ModeAsked, chosen, judged
 from catalogue.nearest import NearestEntry
-from catalogue.observation import Sensing
 from catalogue.store import Catalogue
 
 __all__ = ["Question", "answer", "diagnose"]
@@ -178,7 +177,7 @@ def answer(
         solver_version=solver.__version__,
         catalogue_solver_version=catalogue.manifest.solver_version,
         matcher=MatcherIdentity(name=method.name, version=method.version),
-        recipes=_recipes(prepared, sensing),
+        recipes=_recipes(prepared),
     )
     asked = [question.effort, question.mode, question.coverage, *([question.budget] * (question.effort == "thorough"))]
     content = {
@@ -203,19 +202,9 @@ def answer(
     return unsigned.model_copy(update={"hash": _digest(unsigned.model_dump(mode="json", exclude={"hash"}))})
 
 
-def _recipes(prepared: PreparedMeasurement, sensing: Sensing) -> tuple[str, ...]:
-    sensors = ", ".join(prepared.sensing.sensors)
-    how = "given" if prepared.speed.given else "estimated from the recording"
-    lines = [f"{line.frequency:.2f} Hz" for line in prepared.lines]
-    rms = ", ".join(f"{value:.2g}" for value in prepared.floor.rms)
-    return (
-        f"columns as sensors {sensors}",
-        f"drive speed {how}",
-        f"hum taken out: {', '.join(lines) or 'none found'}",
-        f"noise of the columns, rms to half the sample rate: {rms}",
-        f"compared: {', '.join(prepared.channels)} in {len(sensing.cuts) - 1} bands",
-        f"noise rounded up to steps of {NOISE_STEP_DB:g} dB",
-    )
+def _recipes(prepared: PreparedMeasurement) -> tuple[str, ...]:
+    rounding = f"rounded up to steps of {NOISE_STEP_DB:g} dB"
+    return (*(str(step) for step in prepared.steps), f"noise put on the catalogue: {rounding}")
 
 
 def _digest(content: object) -> str:

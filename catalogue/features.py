@@ -1,37 +1,28 @@
-"""A recording made ready to be compared: band powers of the frame's motion, their noise, and the feature vector.
-
-Features are levels in dB: orders 1 to 20, one order wide each, then third octaves to 4 kHz, of x, y and theta (or of
-the sensors there are), clipped below at the noise of the band.
-"""
+"""From a recording to what is compared: one recipe, whose steps are named, ordered and kept with the result."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.drivespeed import SpeedEstimate, SpeedTrack, track_speed
+from catalogue.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_speed
 from catalogue.errors import MeasurementError
-from catalogue.feature_bands import (
-    FEATURE_ORDERS,
-    LEAST_POWER,
-    FeatureAxis,
-    feature_axes,
-    feature_vector,
-    joined,
-    usable_cuts,
-)
+from catalogue.feature_bands import FEATURE_ORDERS, FeatureAxis, feature_axes, feature_vector, usable_cuts
 from catalogue.hum import SteadyLine, remove_hum
 from catalogue.measurement import Measurement
 from catalogue.noise import NoiseFloor, noise_floor
 from catalogue.parameters import nominal_drive_speed
-from catalogue.sensors import SensorMap, map_sensors
+from catalogue.prepared import PreparedMeasurement
+from catalogue.recipe_steps import RecipeStep
+from catalogue.resampling import WANDER, at_mean_speed
+from catalogue.sensors import SensorMap, map_sensors, without_columns
+from catalogue.steadiness import LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
 from solver.machines.machine import Machine
-from solver.spectra.band_power import BandMatrix, band_matrix
+from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS, band_matrix
 from solver.spectra.bands import BandScheme
 
 __all__ = [
@@ -51,85 +42,11 @@ MIN_REVOLUTIONS = 3.0
 FEW_REVOLUTIONS = 10.0
 #: Deviation from the nominal speed that is warned of.
 FAR_FROM_NOMINAL = 0.05
+#: Wander, relative, that is warned of: the course is followed, but a machine that turns so unevenly is hardly steady.
+MUCH_WANDER = 0.015
 
 #: Difference of a given speed from the one in the recording, relative, up to which they agree.
 GIVEN_AGREES = 0.005
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedMeasurement:
-    """A recording as it is compared with a catalogue.
-
-    Parameters
-    ----------
-    name : str
-    sensing : SensorMap
-        Columns, sensors, and how they make the compared channels.
-    speed : SpeedEstimate
-    revolutions : float
-        Drive revolutions in the recording.
-    bands : BandMatrix
-        Cross-powers (B, c, c) of the compared channels.
-    noise_power : (B, c) array
-        Power of the recording's own noise in every band of the compared channels.
-    floor : NoiseFloor
-        Of the used columns, as recorded.
-    lines : tuple of SteadyLine
-        Hum that was taken out.
-    cuts : tuple of int, (G + 1,)
-        Feature band ``g`` joins bands ``cuts[g]`` to ``cuts[g + 1] - 1``; only bands the sample rate covers.
-    warnings : tuple of str
-        Of the import and of the preparation.
-    notes : tuple of str
-        What was understood and done, without alarm.
-    """
-
-    name: str
-    sensing: SensorMap
-    speed: SpeedEstimate
-    revolutions: float
-    bands: BandMatrix
-    noise_power: FloatArray
-    floor: NoiseFloor
-    lines: tuple[SteadyLine, ...]
-    cuts: tuple[int, ...]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Compared channels, (c,)."""
-        return self.sensing.compared
-
-    @property
-    def drive_speed(self) -> float:
-        """Mean drive speed [rad/s]."""
-        return self.speed.speed
-
-    @property
-    def group_power(self) -> FloatArray:
-        """Power in each feature band, (G, c), noise included."""
-        return joined(self.bands.auto_power, self.cuts)
-
-    @property
-    def group_noise(self) -> FloatArray:
-        """Noise power in each feature band, (G, c)."""
-        return np.maximum(joined(self.noise_power, self.cuts), LEAST_POWER)
-
-    @property
-    def group_degrees_of_freedom(self) -> FloatArray:
-        """Degrees of freedom of the noise power in each feature band, (G,)."""
-        return joined(self.bands.degrees_of_freedom[:, None], self.cuts)[:, 0]
-
-    @property
-    def features(self) -> FloatArray:
-        """Feature vector, (G * c,), dB; see :func:`feature_vector`."""
-        return feature_vector(self.bands.power, self.cuts, noise=self.group_noise)
-
-    @property
-    def axes(self) -> tuple[FeatureAxis, ...]:
-        """What each number of the feature vector is, (G * c,)."""
-        return feature_axes(self.bands.scheme, self.cuts, self.channels, self.drive_speed)
 
 
 def prepare(
@@ -162,36 +79,36 @@ def prepare(
         No column matches a sensor, the recording is shorter than three revolutions, does not reach order 20, or its
         speed cannot be found.
     """
-    sensing = map_sensors(measurement, machine, mapping)
-    signal = np.ascontiguousarray(measurement.signal[:, sensing.columns])
-    rate = measurement.sample_rate
     nominal = nominal_drive_speed(machine)
-    warnings = [*measurement.warnings, *sensing.warnings]
+    rate = measurement.sample_rate
     if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):
         raise MeasurementError(measurement.name, value=speed, rule="drive speed must be finite and not zero")
-    _refuse_short(measurement, speed or nominal, allowance=0.1 if speed is None else 0.0)
-    track, doubt = _track(signal, rate, nominal, speed, measurement.name)
+    _refuse_short(measurement.name, measurement.duration, speed or nominal, allowance=0.1 if speed is None else 0.0)
+
+    sensing, sensor_step = _sensors(measurement, machine, mapping)
+    warnings = [*measurement.warnings, *sensing.warnings]
+    first, last, part_step, doubt = _steady_part(measurement, sensing, speed or nominal)
+    signal = measurement.signal[first:last, list(sensing.columns)]
     warnings += doubt
+
+    track, doubt = _track(signal, rate, nominal, speed, measurement.name)
     estimate = track.estimate
-    revolutions = _refuse_short(measurement, estimate.speed)
+    warnings += doubt
+    revolutions = _refuse_short(measurement.name, len(signal) / rate, estimate.speed)
     turn = estimate.speed / (2.0 * math.pi)
     if 0.5 * rate < (FEATURE_ORDERS + 0.5) * turn:
         rule = f"sample rate {rate:g} Hz: does not reach order {FEATURE_ORDERS} of a drive at {turn:.4g} Hz"
         raise MeasurementError(measurement.name, rule=rule)
+
     cleaned = remove_hum(signal, rate, track)
-    floor = noise_floor(cleaned.signal, rate, measurement.name)
+    wander = float(np.max(np.abs(track.speed / track.speed.mean() - 1.0)))
+    floor = noise_floor(cleaned.signal, rate, measurement.name, turn=turn, wander=wander)
+    resampled = wander > WANDER
+    even = at_mean_speed(cleaned.signal, rate, track) if resampled else cleaned.signal
     scheme = scheme or BandScheme.for_drive(nominal)
-    bands = band_matrix(
-        cleaned.signal,
-        rate,
-        estimate.speed,
-        scheme,
-        channels=sensing.compared,
-        derivatives=sensing.derivatives,
-        combine=sensing.channels,
-    )
+    derivatives = sensing.derivatives if any(sensing.derivatives) else None
+    bands = band_matrix(even, rate, estimate.speed, scheme, channels=sensing.sensors, derivatives=derivatives)
     edges = scheme.edges_hz(estimate.speed)
-    noise = floor.band_power(edges, sensing.derivatives) @ (sensing.channels**2).T
     cuts = usable_cuts(scheme, estimate.speed, rate)
     if round(revolutions) < FEW_REVOLUTIONS:
         warnings.append(f"only {revolutions:.1f} revolutions: results are less certain below {FEW_REVOLUTIONS:g}")
@@ -199,12 +116,39 @@ def prepare(
         warnings.append(
             f"drive speed {60 * turn:.4g} rpm is far from the nominal {abs(nominal) * 30 / math.pi:.4g} rpm"
         )
+    if wander > MUCH_WANDER:
+        warnings.append(f"drive speed wanders by {100 * wander:.2g} %: results are less certain")
     if cuts[-1] < scheme.count:
         warnings.append(
             f"sample rate {rate:g} Hz: bands above {edges[cuts[-1]]:.4g} Hz are not compared"
             f" (the catalogue goes to {edges[-1]:.4g} Hz)"
         )
-    notes = [*measurement.import_report, _speed_note(estimate)]
+    steps = (
+        sensor_step,
+        part_step,
+        RecipeStep(
+            name="drive speed",
+            version="2",
+            parameters={"search_range": SEARCH_RANGE},
+            found=_speed_note(estimate, wander),
+        ),
+        RecipeStep(name="hum", version="1", parameters={}, found=_lines_note(cleaned.lines)),
+        RecipeStep(name="noise floor", version="2", parameters={}, found=_floor_note(floor, sensing)),
+        RecipeStep(
+            name="angular resampling",
+            version="1",
+            parameters={"from_wander": WANDER},
+            found=f"wander {100 * wander:.2g} %: " + ("sampled anew at the mean speed" if resampled else "not needed"),
+        ),
+        RecipeStep(
+            name="bands",
+            version="1",
+            parameters={"window_revolutions": WINDOW_REVOLUTIONS, "hop_revolutions": HOP_REVOLUTIONS},
+            found=f"{bands.segments} windows; {', '.join(sensing.compared)} in {len(cuts) - 1} bands"
+            f" up to {edges[cuts[-1]]:.4g} Hz",
+        ),
+    )
+    notes = [*measurement.import_report, steps[2].found]
     notes += [
         f"steady line at {line.frequency:.2f} Hz taken out, amplitude up to {line.amplitude.max():.2g}"
         for line in cleaned.lines
@@ -214,31 +158,102 @@ def prepare(
         sensing=sensing,
         speed=estimate,
         revolutions=revolutions,
-        bands=bands,
-        noise_power=noise,
+        sensor_bands=bands,
+        noise_power=floor.band_power(edges, sensing.derivatives) @ (sensing.channels**2).T,
         floor=floor,
         lines=cleaned.lines,
         cuts=cuts,
         warnings=tuple(warnings),
         notes=tuple(notes),
+        steps=steps,
     )
 
 
-def _speed_note(estimate: SpeedEstimate) -> str:
+def _sensors(
+    measurement: Measurement, machine: Machine, mapping: Mapping[str, str] | None
+) -> tuple[SensorMap, RecipeStep]:
+    """Sensors to be used: those with clipping or dropouts are left out where the others see as much."""
+    sensing = map_sensors(measurement, machine, mapping)
+    names = measurement.channel_names
+    left_out: list[int] = []
+    for column in sensing.columns:
+        if any(flaw.channel == names[column] and flaw.kind != "offset" for flaw in measurement.flaws):
+            without = without_columns(sensing, machine, [column])
+            if without is not None:
+                sensing, left_out = without, [*left_out, column]
+    found = f"columns {', '.join(names[column] for column in sensing.columns)} as {', '.join(sensing.sensors)}"
+    if left_out:
+        text = f"left out, as the others see as much of the frame: {', '.join(names[column] for column in left_out)}"
+        sensing = dataclasses.replace(sensing, warnings=(*sensing.warnings, text))
+        found += f"; {text}"
+    return sensing, RecipeStep(
+        name="sensors", version="2", parameters={"compared": ", ".join(sensing.compared)}, found=found
+    )
+
+
+def _steady_part(
+    measurement: Measurement, sensing: SensorMap, nominal: float
+) -> tuple[int, int, RecipeStep, list[str]]:
+    """Samples to be used: the longest part without a dropout, of that the steady part; and what there is to say."""
+    used = {measurement.channel_names[column] for column in sensing.columns}
+    dropouts = sorted(
+        (flaw.first, flaw.last) for flaw in measurement.flaws if flaw.kind == "dropout" and flaw.channel in used
+    )
+    first, last = 0, len(measurement.signal)
+    findings = []
+    if dropouts:
+        ends, starts = [0, *(end for _, end in dropouts)], [*(start for start, _ in dropouts), last]
+        gaps = list(zip(ends, starts, strict=True))
+        start, end = max(gaps, key=lambda gap: gap[1] - gap[0])
+        if (end - start) / measurement.sample_rate * abs(nominal) / (2.0 * math.pi) >= 1.1 * MIN_REVOLUTIONS:
+            first, last = start, end
+            rate = measurement.sample_rate
+            findings.append(f"only {first / rate:.3g} to {last / rate:.3g} s are used: the rest holds dropouts")
+    stretch = steady_stretch(measurement.signal[first:last, list(sensing.columns)], measurement.sample_rate, nominal)
+    findings += stretch.findings
+    first, last = first + stretch.first, first + stretch.last
+    rate = measurement.sample_rate
+    step = RecipeStep(
+        name="steady part",
+        version="1",
+        parameters={"speed_deviation": SPEED_DEVIATION, "level_deviation_db": LEVEL_DEVIATION_DB},
+        found="; ".join([f"{first / rate:.4g} to {last / rate:.4g} s of {measurement.duration:.4g} s", *findings]),
+    )
+    return first, last, step, findings
+
+
+def _speed_note(estimate: SpeedEstimate, wander: float) -> str:
     rpm = estimate.speed * 30.0 / math.pi
     if estimate.given:
         return f"drive speed {rpm:.6g} rpm, as given"
-    return f"drive speed {rpm:.6g} rpm +- {100 * estimate.uncertainty / estimate.speed:.2g} %, found in the recording"
+    share = 100 * estimate.uncertainty / estimate.speed
+    return f"drive speed {rpm:.6g} rpm +- {share:.2g} %, found in the recording; wander {100 * wander:.2g} %"
 
 
-def _refuse_short(measurement: Measurement, speed: float, allowance: float = 0.0) -> float:
-    """Revolutions in the recording; refused when there are less than three even with the allowance."""
-    revolutions = measurement.duration * abs(speed) / (2.0 * math.pi)
+def _lines_note(lines: tuple[SteadyLine, ...]) -> str:
+    return "taken out: " + (", ".join(f"{line.frequency:.2f} Hz" for line in lines) or "none found")
+
+
+def _floor_note(floor: NoiseFloor, sensing: SensorMap) -> str:
+    rms = ", ".join(f"{value:.2g}" for value in floor.rms)
+    text = f"rms to half the sample rate {rms}, white"
+    if floor.coloured:
+        standing = [
+            f"{name} {low:.4g} to {high:.4g} Hz +{10 * math.log10(factor):.0f} dB"
+            for name, row in zip(sensing.sensors, floor.excess, strict=True)
+            for low, high, factor in zip(floor.edges[:-1], floor.edges[1:], row, strict=True)
+            if factor > 1.0
+        ]
+        text += f" but for {', '.join(standing)}"
+    return text
+
+
+def _refuse_short(name: str, duration: float, speed: float, allowance: float = 0.0) -> float:
+    """Revolutions in so many seconds; refused when there are less than three even with the allowance."""
+    revolutions = duration * abs(speed) / (2.0 * math.pi)
     if revolutions * (1.0 + allowance) < MIN_REVOLUTIONS:
-        rule = (
-            f"{measurement.duration:.4g} s are {revolutions:.2f} revolutions; at least {MIN_REVOLUTIONS:g} are needed"
-        )
-        raise MeasurementError(measurement.name, rule=rule)
+        rule = f"{duration:.4g} s are {revolutions:.2f} revolutions; at least {MIN_REVOLUTIONS:g} are needed"
+        raise MeasurementError(name, rule=rule)
     return revolutions
 
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import scipy.fft
 
 from catalogue.drivespeed import SpeedTrack
+from solver.spectra.segments import hann
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -223,7 +224,9 @@ class _Stretch:
         frames = (self.values[:, : count * hop] - self.values.mean(axis=1, keepdims=True)).reshape(-1, hop)
         weighed = frames @ np.concatenate([kernel.real, kernel.imag]).T
         parts = weighed.reshape(-1, count, 2, WINDOWS_PER_REVOLUTION)
-        total = sum(parts[:, q : q + windows, :, q] for q in range(1, WINDOWS_PER_REVOLUTION)) + parts[:, :windows, :, 0]
+        total = (
+            sum(parts[:, q : q + windows, :, q] for q in range(1, WINDOWS_PER_REVOLUTION)) + parts[:, :windows, :, 0]
+        )
         middle = ((np.arange(windows) + 0.5 * WINDOWS_PER_REVOLUTION) * hop - 0.5) / self.rate
         # The kernel's phase counts from the middle of its window: turned back to the beginning of the stretch.
         baseband = (total[..., 0] + 1j * total[..., 1]).T * np.exp(-2j * math.pi * frequency * middle)[:, None]
@@ -259,7 +262,7 @@ class _Stretch:
     def _suspects(self) -> Iterable[float]:
         """Frequencies [Hz] of sharp peaks that are no order, nor a half, third or quarter of one."""
         length = scipy.fft.next_fast_len(self.samples, real=True)
-        window = np.hanning(self.samples)
+        window = hann(self.samples)
         spectrum = scipy.fft.rfft((self.values - self.values.mean(axis=1, keepdims=True)) * window, length)
         lines = min(spectrum.shape[1], int(min(SEARCH_UP_TO, 0.4 * self.rate) * length / self.rate))
         power = spectrum[:, :lines].real ** 2 + spectrum[:, :lines].imag ** 2

@@ -19,7 +19,7 @@ from catalogue.channel_units import ChannelUnit, parse_unit
 from catalogue.errors import MeasurementError
 from catalogue.readers import Limits, RawColumn, RawRecording, reader_for
 from catalogue.time_base import TimeBase, even_time_base
-from catalogue.waveform import inspect_waveform
+from catalogue.waveform import Flaw, inspect_waveform
 from solver.spectra.spectrum import Quantity
 
 TIME_NAMES = frozenset({"time", "t", "zeit", "temps", "tempo", "tiempo", "tijd", "tid", "czas"})
@@ -64,6 +64,8 @@ class Measurement:
         Everything that was understood, one line each.
     sha256 : str
         Of the bytes as they came, hexadecimal.
+    flaws : tuple of Flaw
+        Clipping, dropouts and offsets that the warnings speak of.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Measurement:
     warnings: tuple[str, ...]
     import_report: tuple[str, ...]
     sha256: str
+    flaws: tuple[Flaw, ...] = ()
 
     @property
     def duration(self) -> float:
@@ -174,6 +177,7 @@ def measurement_of(
     facts += base.facts
     warnings = list(base.warnings)
     channels, signals = [], []
+    flaws: list[Flaw] = []
     for index, (column, unit) in enumerate(zip(raw.columns, understood, strict=True)):
         label = f"{column.position} {column.label!r}"
         if unit is None:
@@ -189,6 +193,7 @@ def measurement_of(
             found = inspect_waveform(signal, raw.source, column.name, SI_UNITS[quantity], base.sample_rate)
             facts.append(f"{label}: {quantity} in {unit.text} = {unit.factor:g} {SI_UNITS[quantity]}; {found.fact}")
             warnings += found.warnings
+            flaws += found.flaws
             channels.append(Channel(column.name, unit.text, quantity))
             signals.append(signal)
     table = np.column_stack(signals)
@@ -201,6 +206,7 @@ def measurement_of(
         warnings=tuple(warnings),
         import_report=tuple(facts),
         sha256=sha256 or hashlib.sha256(np.ascontiguousarray(raw.values).tobytes()).hexdigest(),
+        flaws=tuple(flaws),
     )
 
 

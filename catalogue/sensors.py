@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +83,7 @@ def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str
     sensors = {sensor.name: sensor for sensor in machine.sensors}
     lists = f"columns: {', '.join(names)}; sensors of {machine.name}: {', '.join(sensors) or 'none'}"
     frame = machine.links[machine.frame]
-    free = [] if frame.fixed else [index for index, motion in enumerate(MOTIONS) if motion not in frame.locked]
+    free = free_motions(machine)
     if not free:
         raise MeasurementError(
             measurement.name, rule=f"the frame of {machine.name} cannot move: sensors on it see nothing"
@@ -121,6 +121,43 @@ def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str
     quantities = [measurement.channels[column].quantity for column in columns]
     derivatives = tuple(DERIVATIVES["acceleration"] - DERIVATIVES[quantity] for quantity in quantities)
     return SensorMap(columns, tuple(found), transform, compared, channels, derivatives, tuple(warnings))
+
+
+def without_columns(sensing: SensorMap, machine: Machine, left_out: Collection[int]) -> SensorMap | None:
+    """Do without columns that cannot be trusted.
+
+    Parameters
+    ----------
+    sensing : SensorMap
+    machine : Machine
+    left_out : collection of int
+        Columns of the recording.
+
+    Returns
+    -------
+    SensorMap or None
+        None where the other sensors would see less of the frame's motion than all of them do.
+    """
+    kept = [index for index, column in enumerate(sensing.columns) if column not in left_out]
+    if not kept or np.linalg.matrix_rank(sensing.transform[kept]) < np.linalg.matrix_rank(sensing.transform):
+        return None
+    transform = sensing.transform[kept]
+    names = tuple(sensing.sensors[index] for index in kept)
+    compared, channels = names, np.eye(len(kept))
+    if sensing.rigid_body:
+        inverse = rigid_body(transform[:, free_motions(machine)]).inverse
+        if inverse is None:
+            return None
+        compared, channels = sensing.compared, inverse
+    columns = tuple(sensing.columns[index] for index in kept)
+    derivatives = tuple(sensing.derivatives[index] for index in kept)
+    return SensorMap(columns, names, transform, compared, channels, derivatives, sensing.warnings)
+
+
+def free_motions(machine: Machine) -> list[int]:
+    """Which of x, y, theta the frame can do."""
+    frame = machine.links[machine.frame]
+    return [] if frame.fixed else [index for index, motion in enumerate(MOTIONS) if motion not in frame.locked]
 
 
 def _plain(name: str) -> str:

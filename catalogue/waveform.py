@@ -3,19 +3,42 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from catalogue.errors import MeasurementError
 
+#: A channel that keeps one value for more samples than this, and than a hundredth of the recording, has dropped out.
+LEAST_STANDSTILL = 50
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """Something wrong with a channel.
+
+    Parameters
+    ----------
+    channel : str
+    kind : {"clipped", "dropout", "offset"}
+    first, last : int
+        Samples ``first`` to ``last - 1`` of a dropout; of clipped samples the first and the one after the last.
+    """
+
+    channel: str
+    kind: Literal["clipped", "dropout", "offset"]
+    first: int
+    last: int
+
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found: one phrase for the report, and warnings of one line each."""
+    """What was found: one phrase for the report, warnings of one line each, and the flaws they speak of."""
 
     fact: str
     warnings: tuple[str, ...]
+    flaws: tuple[Flaw, ...] = ()
 
 
 def inspect_waveform(
@@ -46,23 +69,27 @@ def inspect_waveform(
         raise MeasurementError(source, None, channel, low, "the channel never changes")
     mean = float(signal.mean())
     rms = float(np.sqrt(np.mean((signal - mean) ** 2)))
-    warnings = []
+    warnings, flaws = [], []
     for extreme, side in ((high, "upper"), (low, "lower")):
         clipped = _clipped(signal, extreme, high - low)
         if clipped:
             warnings.append(
                 f"channel {channel!r} looks clipped: {clipped} samples at its {side} end, {extreme:.4g} {unit}"
             )
-    length, start = _longest_standstill(signal)
-    if length > max(50, len(signal) // 100):
+            at_end = np.flatnonzero(np.abs(signal - extreme) <= 1e-3 * (high - low))
+            flaws.append(Flaw(channel, "clipped", int(at_end[0]), int(at_end[-1]) + 1))
+    for start, length in _standstills(signal):
         warnings.append(
             f"channel {channel!r} stands still for {length} samples from {start / sample_rate:.4g} s on: a dropout?"
         )
+        flaws.append(Flaw(channel, "dropout", start, start + length))
     if abs(mean) > 3.0 * rms:
         warnings.append(
             f"channel {channel!r} has an offset of {mean:.4g} {unit}, {abs(mean) / rms:.0f} times its rms; taken off"
         )
-    return Inspection(f"rms {rms:.4g}, offset {mean:.4g}, from {low:.4g} to {high:.4g} {unit}", tuple(warnings))
+        flaws.append(Flaw(channel, "offset", 0, len(signal)))
+    fact = f"rms {rms:.4g}, offset {mean:.4g}, from {low:.4g} to {high:.4g} {unit}"
+    return Inspection(fact, tuple(warnings), tuple(flaws))
 
 
 def _clipped(signal: npt.NDArray[np.float64], extreme: float, span: float) -> int:
@@ -80,9 +107,9 @@ def _clipped(signal: npt.NDArray[np.float64], extreme: float, span: float) -> in
     return count if int(runs.sum()) >= 3 else 0
 
 
-def _longest_standstill(signal: npt.NDArray[np.float64]) -> tuple[int, int]:
-    """Length and start of the longest run of one value."""
+def _standstills(signal: npt.NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Start and length of every long run of one value."""
     changes = np.concatenate([[0], np.flatnonzero(np.diff(signal)) + 1, [len(signal)]])
     lengths = np.diff(changes)
-    longest = int(np.argmax(lengths))
-    return int(lengths[longest]), int(changes[longest])
+    long = np.flatnonzero(lengths > max(LEAST_STANDSTILL, len(signal) // 100))
+    return [(int(changes[run]), int(lengths[run])) for run in long]

@@ -82,7 +82,7 @@ def test_recordings_of_the_collection(name: str) -> None:
         # the same wander are off by the same amount. It can differ by a good part of the largest wander, not by more.
         assert abs(error) < max(1e-3, 0.5 * truth["wander_max"])
     assert found.uncertainty < 3e-4 * found.speed and not found.given and found.contrast_db > 25
-    assert found.wander < 2 * truth["wander_max"]
+    assert found.wander < 2 * truth["wander_max"] + 5e-4
     one_axis = estimate_speed(recording.signal[:, 1:2], recording.sample_rate, nominal)
     assert one_axis.speed == pytest.approx(found.speed, rel=5e-4)
 
