@@ -19,6 +19,7 @@ from catalogue.locks import BuilderLock
 from catalogue.manifest import Manifest
 from catalogue.plan import Plan
 from catalogue.scheduling import Scheduler, Tally
+from catalogue.sealing import seal
 from catalogue.shard import OK
 from solver.machines.machine import Machine
 from solver.simulation.simulate import check_assembly
@@ -197,6 +198,7 @@ def build(
                     raise
                 if executor is None:
                     mine.close()
+            seal(layout, manifest, lambda: tuple(sorted(opened.shards())))
             return _report(opened, wanted, tally, adopted, time.monotonic() - started)
 
 

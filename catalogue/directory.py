@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from filelock import FileLock, Timeout
 
 from catalogue.errors import CatalogueBusyError, CatalogueFileError
 
-__all__ = ["CatalogueDirectory", "publish", "sha256_of"]
+__all__ = ["CatalogueDirectory", "publish", "sha256_of", "sync_folder"]
 
 _TEMPORARY = ".tmp-"
 
@@ -24,7 +25,7 @@ def sha256_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Make renames in `folder` durable, where the system can do that for a folder."""
     if os.name != "posix":
         return
@@ -33,6 +34,10 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _temporary_beside(path: Path) -> Path:
+    return path.with_name(f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(4)}")
 
 
 def publish(path: Path, content: bytes) -> None:
@@ -53,7 +58,7 @@ def publish(path: Path, content: bytes) -> None:
     CatalogueFileError
         The folder cannot be written to, or the disk is full.
     """
-    temporary = path.with_name(f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(4)}")
+    temporary = _temporary_beside(path)
     try:
         try:
             with open(temporary, "xb") as file:
@@ -64,7 +69,7 @@ def publish(path: Path, content: bytes) -> None:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
         raise CatalogueFileError(path, f"cannot be written ({error.strerror or error})") from error
 
@@ -110,6 +115,40 @@ class CatalogueDirectory:
         """Path of the shard called `name` (its SHA-256)."""
         return self.shards / f"{name}.h5"
 
+    @property
+    def matrices(self) -> Path:
+        """Folder of the feature matrices; made from the shards, so it can be lost."""
+        return self.root / "matrix"
+
+    def matrix(self, catalogue_id: str) -> Path:
+        """Folder of the matrix of one state of the catalogue."""
+        return self.matrices / catalogue_id[:16]
+
+    def remove_other_matrices(self, catalogue_id: str) -> None:
+        """Delete the matrices of earlier states; whoever has one mapped keeps it."""
+        if self.matrices.is_dir():
+            for path in self.matrices.iterdir():
+                if path != self.matrix(catalogue_id) and not path.name.startswith(_TEMPORARY):
+                    self.remove_folder(path)
+
+    def remove_folder(self, path: Path) -> None:
+        """Delete a folder under its name at once, then its files."""
+        if path.exists():
+            aside = _temporary_beside(path)
+            os.replace(path, aside)
+            shutil.rmtree(aside, ignore_errors=True)
+
+    @contextmanager
+    def temporary_folder(self, parent: Path) -> Iterator[Path]:
+        """A new folder that is deleted at the end, unless it has got another name by then."""
+        parent.mkdir(exist_ok=True)
+        path = _temporary_beside(parent / "x")
+        path.mkdir()
+        try:
+            yield path
+        finally:
+            shutil.rmtree(path, ignore_errors=True)
+
     def shard_names(self) -> tuple[str, ...]:
         """Names of all shards on the disk, sorted."""
         return tuple(sorted(path.stem for path in self.shards.glob("*.h5"))) if self.shards.is_dir() else ()
@@ -131,10 +170,14 @@ class CatalogueDirectory:
             raise CatalogueFileError(self.root, f"cannot be created ({error.strerror or error})") from error
 
     def remove_temporaries(self) -> int:
-        """Delete what an interrupted :func:`publish` left; only the holder of the lock may do this."""
-        leftovers = [path for folder in (self.root, self.shards) for path in folder.glob(f"{_TEMPORARY}*")]
+        """Delete what interrupted writing left; only the holder of the lock may do this."""
+        folders = (self.root, self.shards, self.matrices)
+        leftovers = [path for folder in folders for path in folder.glob(f"{_TEMPORARY}*")]
         for path in leftovers:
-            path.unlink(missing_ok=True)
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
         return len(leftovers)
 
     def move_to_quarantine(self, path: Path) -> Path:
@@ -146,8 +189,8 @@ class CatalogueDirectory:
             target = self.quarantine / f"{path.stem}-{number}{path.suffix}"
             number += 1
         os.replace(path, target)
-        _sync_folder(self.quarantine)
-        _sync_folder(path.parent)
+        sync_folder(self.quarantine)
+        sync_folder(path.parent)
         return target
 
     @contextmanager

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import platform
+import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib import metadata
@@ -17,8 +18,10 @@ from catalogue.directory import CatalogueDirectory, publish
 from catalogue.entry import Recipe
 from catalogue.errors import CatalogueFileError, CatalogueMismatchError, PlanError
 from catalogue.hdf5 import SCHEMA_VERSION
+from catalogue.keys import content_digest
 from catalogue.parameters import MachineNumbers
 from catalogue.plan import Plan, parse_plan
+from catalogue.seal import Seal, root_hash
 from catalogue.shard import ShardHeader
 from solver.errors import MachineError
 from solver.machines.machine import Machine, parse_machine
@@ -53,6 +56,10 @@ class Manifest:
         Computer and system of the first build.
     created : str
         RFC 3339, UTC.
+    instance : str
+        A UUID: this folder, as opposed to others of the same machine and plan.
+    seal : Seal, optional
+        What it consisted of at the end of the last build or check; None before the first.
     """
 
     machine_content: str
@@ -62,6 +69,8 @@ class Manifest:
     versions: Mapping[str, str]
     platform: str
     created: str
+    instance: str = field(default_factory=lambda: str(uuid.uuid4()))
+    seal: Seal | None = None
 
     @classmethod
     def of(cls, machine: Machine, plan: Plan) -> Self:
@@ -115,6 +124,9 @@ class Manifest:
             rule = f"has schema version {found}; this program reads and writes {SCHEMA_VERSION}"
             raise CatalogueMismatchError(directory.root, rule)
         try:
+            if content.pop("checksum") != content_digest(content):
+                raise ValueError("it does not match its checksum")
+            seal = content["seal"]
             return cls(
                 machine_content=parse_machine(content["machine"], str(path)).canonical_json(),
                 recipe=Recipe.from_content(content["recipe"]),
@@ -123,12 +135,14 @@ class Manifest:
                 versions=dict(content["versions"]),
                 platform=str(content["platform"]),
                 created=str(content["created"]),
+                instance=str(content["instance"]),
+                seal=None if seal is None else Seal.from_plain(seal),
             )
         except (KeyError, TypeError, ValueError, MachineError, PlanError) as error:
             raise CatalogueFileError(path, f"is damaged ({error})") from None
 
-    def write(self, directory: CatalogueDirectory) -> None:
-        """Write the manifest; the old one stays until the new one is complete."""
+    def to_json(self) -> bytes:
+        """As it is written, with a checksum over everything else in it."""
         content: dict[str, Any] = {
             "format": _FORMAT,
             "schema_version": SCHEMA_VERSION,
@@ -141,9 +155,20 @@ class Manifest:
             "versions": dict(self.versions),
             "platform": self.platform,
             "created": self.created,
+            "instance": self.instance,
             "machine": json.loads(self.machine_content),
+            "seal": None if self.seal is None else self.seal.plain,
         }
-        publish(directory.manifest, (json.dumps(content, indent=1) + "\n").encode())
+        content["checksum"] = content_digest(content)
+        return (json.dumps(content, indent=1) + "\n").encode()
+
+    def write(self, directory: CatalogueDirectory) -> None:
+        """Write the manifest; the old one stays until the new one is complete."""
+        publish(directory.manifest, self.to_json())
+
+    def root_of(self, shards: tuple[str, ...]) -> str:
+        """Root hash of the catalogue if it consists of these shards (names, sorted)."""
+        return root_hash(SCHEMA_VERSION, self.machine.content_key, self.recipe.content, shards)
 
     @cached_property
     def machine(self) -> Machine:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.entry import AS_NEW, HEALTHY, Hypothesis
-from catalogue.parameters import MachineNumbers
-from catalogue.shard import Shard
-from solver.machines.machine import Machine
+from catalogue.entry import Hypothesis
 
-__all__ = ["EntryTable", "catalogue_order", "joined_table"]
+__all__ = ["EntryTable"]
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -95,78 +91,3 @@ class EntryTable:
                 values[name] = value[keep]
         values["parameters"] = {path: numbers[keep] for path, numbers in self.parameters.items()}
         return EntryTable(**values)  # type: ignore[arg-type]
-
-
-def joined_table(shards: Sequence[Shard], machine: Machine) -> EntryTable:
-    """Tables of shards one below the other.
-
-    Parameters
-    ----------
-    shards : sequence of Shard
-        All of `machine`.
-    machine : Machine
-
-    Returns
-    -------
-    EntryTable
-        A number that only some shards vary has, in the others, the value of the machine's file.
-    """
-    joints = tuple(sorted(machine.turning_joints))
-    names = sorted({name for shard in shards for name in shard.parameter_names})
-    nominal = _nominal(machine, names)
-    count = sum(shard.count for shard in shards)
-    clearance, parameters = np.zeros((count, len(joints))), np.empty((len(names), count))
-    worn = np.zeros((count, len(joints)), dtype=np.bool_)
-    parameters[:] = np.reshape(nominal, (-1, 1))
-    start = 0
-    for shard in shards:
-        rows = slice(start, start + shard.count)
-        clearance[rows, [joints.index(joint) for joint in shard.joints]] = shard.clearance
-        worn[rows, [joints.index(joint) for joint in shard.hypothesis.joints]] = True
-        parameters[[names.index(name) for name in shard.parameter_names], rows] = shard.parameters.T
-        start += shard.count
-
-    def numbers(column: str, kind: type[Any]) -> NDArray[Any]:
-        parts = [np.asarray(getattr(shard, column), kind) for shard in shards]
-        return np.concatenate(parts) if parts else np.empty(0, kind)
-
-    return EntryTable(
-        key=_text(shard.key for shard in shards),
-        hypothesis=_text((shard.hypothesis.label,) * shard.count for shard in shards),
-        status=_text(shard.status for shard in shards),
-        message=_text(shard.message for shard in shards),
-        stratum=_text((shard.stratum,) * shard.count for shard in shards),
-        law=_text((shard.variant.law,) * shard.count for shard in shards),
-        joints=joints,
-        clearance=clearance,
-        worn=worn,
-        parameters=dict(zip(names, parameters, strict=True)),
-        draw=numbers("draw", np.int64),
-        drive_speed=numbers("drive_speed", np.float64),
-        segments=numbers("segments", np.int64),
-        transient=numbers("transient", np.float64),
-        guard_db=numbers("guard_db", np.float64),
-    )
-
-
-def _nominal(machine: Machine, names: Sequence[str]) -> list[float]:
-    numbers = MachineNumbers(machine) if names else None
-    return [numbers.by_path[numbers.targets(name)[0]] for name in names] if numbers else []
-
-
-def _text(columns: Iterable[tuple[str, ...]]) -> TextArray:
-    return np.array([value for column in columns for value in column], dtype=np.str_)
-
-
-def catalogue_order(table: EntryTable) -> IntArray:
-    """Rows in the order of a catalogue, each key once."""
-    ranks = {HEALTHY: 0, AS_NEW: 1}
-
-    def place(row: int) -> tuple[int, int, str, str, tuple[float, ...], int, str]:
-        label, stratum = str(table.hypothesis[row]), str(table.stratum[row])
-        worn = tuple(table.clearance[row][table.worn[row]].tolist())
-        rank = 2 if worn else ranks.get(label, 2)
-        return rank, len(worn), label, stratum, worn, int(table.draw[row]), str(table.key[row])
-
-    first = {key: row for row, key in reversed(list(enumerate(table.key.tolist())))}
-    return np.array(sorted(first.values(), key=place), dtype=np.int64)

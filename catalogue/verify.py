@@ -17,6 +17,8 @@ from catalogue.index import EntriesPresentError, Index
 from catalogue.keys import entry_key
 from catalogue.location import IndexLocation
 from catalogue.manifest import Manifest
+from catalogue.matrix_files import MappedColumns
+from catalogue.sealing import seal
 from catalogue.shard import OK, Shard
 from solver.errors import MachineError
 from solver.machines.machine import parse_machine
@@ -127,6 +129,7 @@ class _Check:
         if manifest is None:
             raise CatalogueFileError(self._layout.manifest, "is missing, and no shard tells what it should say")
         lost = self._repair_index(sound, sizes)
+        self._repair_matrix(manifest, tuple(sorted(sound)))
         keys = {key: status for shard in sound.values() for key, status in zip(shard.key, shard.status, strict=True)}
         failed = sum(status != OK for status in keys.values())
         return VerifyReport(len(sound), len(keys), failed, tuple(self._findings), lost)
@@ -222,6 +225,19 @@ class _Check:
             del sound[name]
             aside = self._layout.move_to_quarantine(path)
             self._note(path, str(error), f"moved to {aside.relative_to(self._layout.root)}")
+
+    def _repair_matrix(self, manifest: Manifest, names: tuple[str, ...]) -> None:
+        """Make the matrix and the seal say what the sound shards hold."""
+        path = self._layout.matrix(manifest.root_of(names))
+        try:
+            columns = MappedColumns.open(self._layout, manifest.root_of(names))
+            if columns is not None:
+                columns.check()
+            elif manifest.seal is not None and manifest.seal.names == names:
+                self._note(path, "is missing", "made again from the shards")
+        except CatalogueFileError as error:
+            self._note(error.path, error.rule.split(":")[0], "made again from the shards")
+        seal(self._layout, manifest, lambda: names)
 
     def _was_noted(self, name: str) -> bool:
         return any(finding.path == self._layout.shard(name) for finding in self._findings)

@@ -118,7 +118,8 @@ def test_same_question_same_answer_whatever_was_asked_before(worn: Diagnosis, sm
 
 
 def test_more_noise_makes_less_sure(worn: Diagnosis, small_catalogue: Catalogue) -> None:
-    loud = np.random.default_rng(1).normal(0.0, 3.0, recording(2).signal.shape)
+    # Measured: 0.46 to 0.56 (three seeds) against 0.40 without; at 3 m/s2 the difference drowns in that of the draws.
+    loud = np.random.default_rng(1).normal(0.0, 4.0, recording(2).signal.shape)
     answer = diagnose(disturbed(recording(2), loud), small_catalogue, cache=CACHE)
     assert answer.hypotheses[0].label == "B"
 
