@@ -12,7 +12,7 @@ from catalogue.matching import BoolArray, FloatArray
 from catalogue.observation import Sensing, rounded_up
 from catalogue.store import Catalogue
 
-__all__ = ["NOISE_STEP_DB", "canonical_sensing", "measured_levels", "watched"]
+__all__ = ["NOISE_STEP_DB", "canonical_sensing", "exact_sensing", "measured_levels", "watched"]
 
 NOISE_STEP_DB = 3.0
 """Steps a noise floor is rounded up to, so that a learned model serves all recordings of about the same noise."""
@@ -49,6 +49,17 @@ def canonical_sensing(prepared: PreparedMeasurement, catalogue: Catalogue) -> Se
     shorter = 1.0 / float(rounded_up(np.array(1.0 / seconds), NOISE_STEP_DB))
     cells = np.maximum(1.0, shorter * np.diff(edges[list(prepared.cuts)]))
     return Sensing(sensors.transform, sensors.channels, prepared.cuts, joined(noise, prepared.cuts), 2.0 * cells)
+
+
+def exact_sensing(prepared: PreparedMeasurement) -> Sensing:
+    """Return how the sensors of a recording see entries, with the recording's own noise and length: what a library of
+    models is asked with, which rounds them itself where it needs to.
+    """
+    sensors = prepared.sensing
+    width = np.diff(prepared.scheme.edges_hz(prepared.drive_speed)[list(prepared.cuts)])
+    least = LEAST_NOISE_DENSITY * width[:, None] * np.sum(sensors.channels**2, axis=1)
+    noise = np.maximum(prepared.group_noise, least)
+    return Sensing(sensors.transform, sensors.channels, prepared.cuts, noise, prepared.group_degrees_of_freedom)
 
 
 def measured_levels(prepared: PreparedMeasurement, sensing: Sensing) -> FloatArray:

@@ -1,22 +1,30 @@
-"""Training sets from catalogues, and fitted matchers kept for the next measurement of about the same noise."""
+"""Training sets from catalogues: which entries, seen through which sensors, with what added."""
 
 from __future__ import annotations
 
 import math
 import threading
+import zlib
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from catalogue.errors import DiagnosisError
-from catalogue.matching import BoolArray, Draws, FittedMatcher, IntArray, Matcher, TrainingSet
+from catalogue.matching import BoolArray, Draws, FittedMatcher, FloatArray, IntArray, Matcher, Mode, TrainingSet
 from catalogue.observation import Discrepancy, Sensing, observe
+from catalogue.spectra import Spectra, SpectraInMemory
 from catalogue.store import Catalogue
+from catalogue.transfer import RandomTransfer
 
 PRIOR_OF_ANOTHER_JOINT = 0.15
 """How much less likely a hypothesis becomes with every joint beyond the first: joints rarely wear out together."""
+
+WIDE_SHARE = 2.0 / 3.0
+"""Part of the draws of the robust mode that come from machines whose own data are uncertain, where there are such."""
 
 
 @dataclass(frozen=True)
@@ -25,23 +33,39 @@ class Learning:
 
     Parameters
     ----------
+    mode : {"trusted", "robust"}
+        Whether the model is believed, see :meth:`of`.
     discrepancy : Discrepancy
         What is drawn on every copy of an entry.
     rows : int
         Rows of a hypothesis, at least: hypotheses with few entries get more copies of each.
     most : int
-        Entries of a hypothesis that are learned from, at most: the first draws.
+        Entries of a hypothesis that are learned from, at most: the first draws, which fill its range evenly.
     without : tuple of str
         Hypotheses that are left out.
     seed : int
         Of everything drawn.
     """
 
+    mode: Mode = "trusted"
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     rows: int = 500
-    most: int = 10**9
+    most: int = 800
     without: tuple[str, ...] = ()
     seed: int = 0
+
+    @classmethod
+    def of(cls, mode: Mode, *, without: tuple[str, ...] = (), most: int = 800) -> Self:
+        """How each mode learns.
+
+        The trusted one believes the simulation to a decibel and the sensors to 3 %. The robust one learns from machines
+        whose own data are uncertain, too, believes two decibels, and draws flexible modes that the rigid model does not
+        have.
+        """
+        if mode == "trusted":
+            return cls(mode, without=without, most=most)
+        robust = replace(Discrepancy(), level_db=2.0, transfer=RandomTransfer())
+        return cls(mode, robust, rows=800, without=without, most=most)
 
 
 def prior(joints: tuple[str, ...]) -> float:
@@ -49,48 +73,76 @@ def prior(joints: tuple[str, ...]) -> float:
     return PRIOR_OF_ANOTHER_JOINT ** max(0, len(joints) - 1)
 
 
-def training_set(catalogue: Catalogue, sensing: Sensing, watched: BoolArray, learning: Learning) -> TrainingSet:
-    """Turn every entry of a catalogue into feature vectors as the sensors would report them.
+def rows_of(matrix: Spectra, label: str, learning: Learning, speed: float | None = None) -> IntArray:
+    """Return the rows of a hypothesis that are learned from, at the stored speed next to `speed` (rad/s)."""
+    trusted = matrix.rows(label, "trusted", draws=learning.most, speed=speed)
+    if learning.mode == "trusted":
+        return trusted if len(trusted) else matrix.rows(label, "wide", draws=learning.most, speed=speed)
+    wide = matrix.rows(label, "wide", draws=round(learning.most * WIDE_SHARE), speed=speed)
+    if len(wide):
+        trusted = trusted[: math.ceil(len(wide) * (1.0 / WIDE_SHARE - 1.0))]
+    return np.concatenate([trusted, wide])
+
+
+def training_set(
+    matrix: Spectra,
+    sensing: Sensing,
+    watched: BoolArray,
+    learning: Learning,
+    *,
+    rows: Mapping[str, IntArray] | None = None,
+    speed: float | None = None,
+    weights: Mapping[str, FloatArray] | None = None,
+) -> TrainingSet:
+    """Turn entries of a catalogue into feature vectors as the sensors would report them.
 
     Parameters
     ----------
-    catalogue : Catalogue
+    matrix : Spectra
     sensing : Sensing
         Of the measurement that is to be compared.
     watched : ndarray of bool, shape (features,)
         Features checked one by one, see :class:`TrainingSet`.
     learning : Learning
+    rows : mapping of str to ndarray of int, optional
+        Rows by hypothesis; only these hypotheses then. Those of :func:`rows_of` unless given.
+    speed : float, optional
+        Drive speed of the measurement, rad/s: which of the stored speeds is learned from, where there are several.
+    weights : mapping of str to ndarray, optional
+        Weights of the rows, by hypothesis.
 
     Raises
     ------
     DiagnosisError
-        The catalogue has no entry, or only one of some hypothesis.
+        The catalogue has no entry, or fewer than three of some hypothesis.
     """
-    entries = catalogue.entries
-    if len(entries) == 0:
-        raise DiagnosisError(f"catalogue {catalogue.path}: holds no spectrum yet")
-    labels = [label for label in catalogue.hypotheses if label not in learning.without]
-    chosen = np.zeros(len(entries), dtype=np.bool_)
-    for label in labels:
-        rows = np.flatnonzero(entries.hypothesis == label)
-        chosen[rows[np.argsort(entries.draw[rows], kind="stable")[: learning.most]]] = True
-    counts = {label: int(np.sum(chosen & (entries.hypothesis == label))) for label in labels}
-    for label, count in counts.items():
-        if count < 3:
-            raise DiagnosisError(
-                f"catalogue {catalogue.path}: {count} entries of hypothesis {label}: at least 3 needed"
-            )
-    copies = np.array([math.ceil(learning.rows / counts.get(label, 1)) for label in entries.hypothesis]) * chosen
-    features, entry = observe(catalogue.power(), sensing, learning.discrepancy, copies, learning.seed)
-    hypothesis = entries.hypothesis[entry]
+    hypotheses = [known for known in matrix.hypotheses if known.label not in learning.without]
+    if rows is not None:
+        hypotheses = [known for known in hypotheses if known.label in rows]
+    if not hypotheses:
+        raise DiagnosisError("catalogue: holds no spectrum yet")
+    edges_hz = np.array(matrix.edges) * abs(matrix.nominal_speed) / (2.0 * math.pi)
     sets = []
-    for label in labels:
-        rows = np.flatnonzero(hypothesis == label)
-        joints = entries.worn_of(int(entry[rows[0]]))
-        columns: IntArray = np.array([entries.joints.index(joint) for joint in joints], dtype=np.int64)
-        log_clearance = np.log(entries.clearance[entry[rows]][:, columns])
-        sets.append(Draws(label, joints, features[rows], log_clearance, entry[rows], prior(joints)))
+    for known in hypotheses:
+        chosen = rows_of(matrix, known.label, learning, speed) if rows is None else rows[known.label]
+        if len(chosen) < 3:
+            raise DiagnosisError(f"catalogue: {len(chosen)} entries of hypothesis {known.label}: at least 3 needed")
+        copies = np.full(len(chosen), math.ceil(learning.rows / len(chosen)), dtype=np.int64)
+        # What is drawn for one hypothesis does not depend on which others there are.
+        seed = (learning.seed, zlib.crc32(known.label.encode()))
+        features, entry = observe(matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz)
+        weight = None if weights is None else weights[known.label][entry]
+        log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
+        sets.append(
+            Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior(known.joints), weight)
+        )
     return TrainingSet(tuple(sets), watched)
+
+
+def _log_clearance(matrix: Spectra, joints: Sequence[str], rows: IntArray) -> FloatArray:
+    columns = [matrix.joints.index(joint) for joint in joints]
+    found: FloatArray = np.log(matrix.clearance(rows)[:, columns])
+    return found
 
 
 class MatcherCache:
@@ -111,7 +163,7 @@ class MatcherCache:
         self, catalogue: Catalogue, sensing: Sensing, watched: BoolArray, matcher: Matcher, learning: Learning
     ) -> FittedMatcher:
         """Return the matcher fitted to this catalogue and sensing; fits it if it is not known."""
-        key = (catalogue.id, sensing.key, watched.tobytes(), matcher, learning)
+        key = (catalogue.id, sensing.digest, watched.tobytes(), matcher, learning)
         with self._lock:
             if key in self._known:
                 self._known.move_to_end(key)
@@ -120,7 +172,7 @@ class MatcherCache:
         # On one thread: the matrices are small, and threads that wait for each other cost eleven times the time of the
         # sums they share (measured on two busy cores: 11 s against 1 s).
         with threadpool_limits(limits=1, user_api="blas"):
-            fitted = matcher.fit(training_set(catalogue, sensing, watched, learning))
+            fitted = matcher.fit(training_set(SpectraInMemory(catalogue), sensing, watched, learning))
         with self._lock:
             self._known[key] = fitted
             while len(self._known) > self._size:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalogue.conformal import CandidateSet, Conformal
 from catalogue.errors import MatchingError
 
 FloatArray = NDArray[np.float64]
@@ -21,6 +22,9 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 HEALTHY = "healthy"
+
+Mode = Literal["trusted", "robust"]
+"""How far a model is believed: as simulated, or with everything that may differ in the real machine."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class Draws:
         whenever rows are held out.
     prior : float
         Weight of the hypothesis before the measurement, > 0; only ratios matter.
+    weight : ndarray, shape (n,), optional
+        How much each row counts, > 0; only ratios matter. All count the same unless given.
     """
 
     label: str
@@ -51,6 +57,7 @@ class Draws:
     log_clearance: FloatArray
     entry: IntArray
     prior: float = 1.0
+    weight: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.features)
@@ -66,6 +73,8 @@ class Draws:
             raise MatchingError(
                 f"hypothesis {self.label}: {self.log_clearance.shape[1]} clearances for joints {self.joints}"
             )
+        if self.weight is not None and (self.weight.shape != (n,) or not (self.weight > 0.0).all()):
+            raise MatchingError(f"hypothesis {self.label}: weights must be {n} numbers greater than 0")
         if not self.prior > 0.0:
             raise MatchingError(f"hypothesis {self.label}: prior {self.prior}: must be greater than 0")
         if not (np.isfinite(self.features).all() and np.isfinite(self.log_clearance).all()):
@@ -79,8 +88,19 @@ class Draws:
     def rows(self, keep: BoolArray) -> Draws:
         """Return the same hypothesis with only the rows where `keep` is true."""
         return Draws(
-            self.label, self.joints, self.features[keep], self.log_clearance[keep], self.entry[keep], self.prior
+            self.label,
+            self.joints,
+            self.features[keep],
+            self.log_clearance[keep],
+            self.entry[keep],
+            self.prior,
+            None if self.weight is None else self.weight[keep],
         )
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights of the rows (n,), of mean 1."""
+        return np.ones(len(self.entry)) if self.weight is None else self.weight / float(self.weight.mean())
 
 
 @dataclass(frozen=True)
@@ -171,14 +191,49 @@ class HypothesisMatch:
 
 @dataclass(frozen=True)
 class MatchResult:
-    """Answer of a matcher: hypotheses in falling order of probability (ties in the order of the training set)."""
+    """Answer of a matcher: hypotheses in falling order of probability (ties in the order of the training set).
+
+    Parameters
+    ----------
+    hypotheses : tuple of HypothesisMatch
+    conformal : Conformal, optional
+        What :meth:`set` goes by; without it a set is the fewest hypotheses whose probabilities add up.
+    mode : {"trusted", "robust"}
+        How the draws it learned from were made.
+    trusted_p_value : float, optional
+        Where the trusted mode was tried first and did not explain the measurement: its p-value.
+    notes : tuple of str
+        What was done, and what is doubtful, in words.
+    """
 
     hypotheses: tuple[HypothesisMatch, ...]
+    conformal: Conformal | None = None
+    mode: Mode = "trusted"
+    trusted_p_value: float | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def best(self) -> HypothesisMatch:
         """The most probable hypothesis."""
         return self.hypotheses[0]
+
+    @property
+    def p_value(self) -> float:
+        """P-value of the best fitting hypothesis of the 95 % set: whether any likely cause explains the measurement."""
+        return self.explained(0.95)
+
+    def explained(self, coverage: float) -> float:
+        """Return the largest p-value in the set of a coverage; that of the first hypothesis where the set is empty."""
+        likely = self.set(coverage).labels
+        values = [match.p_value for match in self.hypotheses if match.label in likely]
+        return max(values, default=self.best.p_value)
+
+    def set(self, coverage: float) -> CandidateSet:
+        """Return the hypotheses that hold the truth with probability `coverage`, if it is among them."""
+        if self.conformal is None:
+            return CandidateSet(self.candidate_set(coverage), coverage)
+        probability = np.array([match.probability for match in self.hypotheses])
+        return self.conformal.members([match.label for match in self.hypotheses], probability, coverage)
 
     def probability(self, label: str) -> float:
         """Return the probability of the hypothesis `label`; 0 if it is not among them."""
@@ -230,6 +285,6 @@ class Matcher(Protocol):
         """Learn a training set."""
 
 
-def ranked(matches: Sequence[HypothesisMatch]) -> MatchResult:
+def ranked(matches: Sequence[HypothesisMatch], conformal: Conformal | None = None) -> MatchResult:
     """Sort hypotheses by falling probability; equal ones keep their order."""
-    return MatchResult(tuple(sorted(matches, key=lambda match: -match.probability)))
+    return MatchResult(tuple(sorted(matches, key=lambda match: -match.probability)), conformal)

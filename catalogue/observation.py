@@ -7,15 +7,21 @@ every entry, so that a matcher learns which differences mean nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.errors import DiagnosisError
 from catalogue.matching import FloatArray, IntArray
+from catalogue.transfer import RandomTransfer
 
-ComplexArray = NDArray[np.complexfloating]
+PackedArray = NDArray[np.float32] | NDArray[np.float64]
+
+_UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_REAL = [0, 1, 2, 3, 5, 7]
 
 
 @dataclass(frozen=True)
@@ -32,12 +38,15 @@ class Discrepancy:
         Bands over which that error keeps its sign (standard deviation of a Gaussian).
     noise_level_db : float
         Standard deviation of the error of the noise floor itself, dB.
+    transfer : RandomTransfer, optional
+        Flexible modes that the rigid machine does not have.
     """
 
     gain: float = 0.03
     level_db: float = 1.0
     correlation: float = 3.0
     noise_level_db: float = 0.3
+    transfer: RandomTransfer | None = None
 
     def levels(self, generator: np.random.Generator, shape: tuple[int, int, int]) -> FloatArray:
         """Draw smooth errors (n, bands, channels), dB; half of their variance is common to all channels."""
@@ -84,25 +93,47 @@ class Sensing:
             raise DiagnosisError("noise power: must be greater than 0 in every band")
 
     @property
-    def key(self) -> tuple[object, ...]:
-        """Everything it consists of, to be compared."""
-        arrays = (self.transform, self.channels, self.noise, self.degrees_of_freedom)
-        return (self.cuts, *((array.shape, array.tobytes()) for array in arrays))
+    def digest(self) -> str:
+        """SHA-256 over everything it consists of."""
+        found = hashlib.sha256(repr(self.cuts).encode())
+        for array in (self.transform, self.channels, self.noise, self.degrees_of_freedom):
+            found.update(repr(array.shape).encode())
+            found.update(np.ascontiguousarray(array, np.float64).tobytes())
+        return found.hexdigest()
 
-    def powers(self, power: ComplexArray, gains: FloatArray | None = None) -> FloatArray:
-        """Return clean channel powers (n, G, c) of frame powers (n, B, 3, 3), with sensor gains (n, s) if given."""
+    @property
+    def bands(self) -> int:
+        """Number of compared bands G."""
+        return len(self.cuts) - 1
+
+    def powers(self, packed: PackedArray, gains: FloatArray | None = None) -> FloatArray:
+        """Return clean channel powers (n, G, c) of frame powers in feature bands, with sensor gains (n, s) if given.
+
+        Parameters
+        ----------
+        packed : ndarray, shape (n, G or more, 9)
+            Cross-powers of :func:`catalogue.cross_power.pack`; bands beyond the compared ones are left out.
+        gains : ndarray, shape (n, s), optional
+        """
         if gains is None:
             gains = np.ones((1, len(self.transform)))
         matrix = np.einsum("cs,ns,sj->ncj", self.channels, gains, self.transform)
-        grouped = np.add.reduceat(power[:, : self.cuts[-1]], self.cuts[:-1], axis=1)
-        seen = np.einsum("nci,ngij,ncj->ngc", matrix, grouped.real, matrix, optimize=True)
-        clean: FloatArray = np.maximum(seen.astype(np.float64), 0.0)
+        # A quadratic form in the six real numbers of the upper triangle; imaginary parts cancel.
+        six = packed[:, : self.bands, _REAL].astype(np.float64)
+        form = np.stack([(1.0 if i == j else 2.0) * matrix[..., i] * matrix[..., j] for i, j in _UPPER], axis=1)
+        clean: FloatArray = np.maximum(six @ form, 0.0)
         return clean
 
     def levels(self, powers: FloatArray) -> FloatArray:
         """Return dB levels (..., G, c) of powers, clipped below at the noise."""
         clipped: FloatArray = 10.0 * np.log10(np.maximum(powers, self.noise))
         return clipped
+
+
+def grouped(packed: PackedArray, cuts: tuple[int, ...]) -> PackedArray:
+    """Join stored bands (n, B, 9) into feature bands (n, G, 9)."""
+    joined: PackedArray = np.add.reduceat(packed[:, : cuts[-1]], cuts[:-1], axis=1)
+    return joined
 
 
 def rounded_up(values: FloatArray, step_db: float) -> FloatArray:
@@ -121,28 +152,59 @@ def rounded_up(values: FloatArray, step_db: float) -> FloatArray:
     return rounded
 
 
+def rounded_sensing(sensing: Sensing, width: FloatArray, step_db: float) -> Sensing:
+    """Return the sensing that stands for all recordings of about this noise and length.
+
+    The level of each channel's noise is rounded up to whole steps; its course over the bands, relative to white noise,
+    to steps twice as large where it is more than half a decibel off; the length down to whole steps.
+
+    Parameters
+    ----------
+    sensing : Sensing
+    width : ndarray, shape (G or more,)
+        Widths of the feature bands at the machine's own speed, Hz.
+    step_db : float
+        > 0.
+    """
+    width = width[: sensing.bands]
+    seconds = float(np.median(sensing.degrees_of_freedom / (2.0 * width)))
+    shorter = 1.0 / float(rounded_up(np.array(1.0 / seconds), step_db))
+    density = sensing.noise / width[:, None]
+    level = np.median(density, axis=0)
+    course = rounded_up(density / level / 10.0**0.05, 2.0 * step_db)
+    noise = rounded_up(level, step_db) * course * width[:, None]
+    return replace(sensing, noise=noise, degrees_of_freedom=2.0 * np.maximum(1.0, shorter * width))
+
+
 def observe(
-    power: ComplexArray, sensing: Sensing, discrepancy: Discrepancy, copies: IntArray, seed: int = 0
+    packed: PackedArray,
+    sensing: Sensing,
+    discrepancy: Discrepancy,
+    copies: IntArray,
+    seed: int | Sequence[int] = 0,
+    edges_hz: FloatArray | None = None,
 ) -> tuple[FloatArray, IntArray]:
     """Draw feature vectors of catalogue entries as a measurement would show them.
 
     Parameters
     ----------
-    power : ndarray, shape (n, B, 3, 3)
-        Stored cross-powers of the frame's motion.
+    packed : ndarray, shape (n, G or more, 9)
+        Cross-powers of the frame's motion in feature bands, see :func:`catalogue.cross_power.pack`.
     sensing : Sensing
     discrepancy : Discrepancy
     copies : ndarray of int, shape (n,)
         How many times each entry is drawn.
-    seed : int
+    seed : int or sequence of int
         The same seed gives the same draws.
+    edges_hz : ndarray, shape (G + 1 or more,), optional
+        Edges of the feature bands, Hz; needed where the discrepancy has transfer functions.
 
     Returns
     -------
     features : ndarray, shape (sum of copies, G * c)
         dB; band by band, the channels of a band side by side.
     entry : ndarray of int, shape (sum of copies,)
-        Row of `power` each was made from.
+        Row of `packed` each was made from.
 
     Notes
     -----
@@ -150,10 +212,17 @@ def observe(
     (N^2 + 2 P N) / K: noise alone, and its product with the signal. A gamma law of these moments is drawn.
     """
     generator = np.random.default_rng(seed)
-    entry = np.repeat(np.arange(len(power)), copies)
+    entry = np.repeat(np.arange(len(packed)), copies)
+    if len(entry) == 0:
+        return np.empty((0, sensing.noise.size)), entry.astype(np.int64)
     gains = 1.0 + discrepancy.gain * generator.normal(size=(len(entry), len(sensing.transform)))
-    clean = sensing.powers(power[entry], gains)
+    clean = sensing.powers(packed[entry], gains)
     clean *= 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape))
+    if discrepancy.transfer is not None:
+        if edges_hz is None:
+            raise DiagnosisError("transfer functions: need the edges of the bands in Hz")
+        edges = np.asarray(edges_hz)[: sensing.bands + 1]
+        clean *= discrepancy.transfer.draw(generator, len(entry), edges, clean.shape[2])
     shift = discrepancy.noise_level_db * generator.normal(size=(len(entry), 1, clean.shape[2]))
     noise = sensing.noise * 10.0 ** (0.1 * shift)
     cells = 0.5 * sensing.degrees_of_freedom[None, :, None]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -109,18 +110,32 @@ class Tube:
     variance: FloatArray
     nearest: IntArray
 
-    def squared_distance(self, features: FloatArray) -> FloatArray:
-        """Return squared Mahalanobis distances (m, f) of features (m, d) from every fine point."""
-        out = np.empty((len(features), len(self.mean)))
-        for anchor, whitener in enumerate(self.whitener):
+    @cached_property
+    def _points(self) -> tuple[FloatArray, FloatArray]:
+        """Centre (a, d) of every anchor's fine points, and fine points (f, d) whitened about it."""
+        anchors = len(self.whitener)
+        centre, point = np.zeros((anchors, self.mean.shape[1])), np.empty(self.mean.shape)
+        for anchor in range(anchors):
             inside = np.flatnonzero(self.nearest == anchor)
             if len(inside):
                 # Centred before the products, so that no digits are lost far from the origin.
-                centre = self.mean[inside[0]]
-                point = (self.mean[inside] - centre) @ whitener.T
-                row = (features - centre) @ whitener.T
-                square = np.sum(row**2, axis=1)[:, None] + np.sum(point**2, axis=1)[None, :]
-                out[:, inside] = square - 2.0 * row @ point.T
+                centre[anchor] = self.mean[inside[0]]
+                point[inside] = (self.mean[inside] - centre[anchor]) @ self.whitener[anchor].T
+        return centre, point
+
+    def squared_distance(self, features: FloatArray) -> FloatArray:
+        """Return squared Mahalanobis distances (m, f) of features (m, d) from every fine point."""
+        centre, point = self._points
+        if len(features) == 1:
+            row = np.einsum("aij,aj->ai", self.whitener, features[0] - centre)
+            single: FloatArray = np.sum((row[self.nearest] - point) ** 2, axis=1)[None, :]
+            return single
+        out = np.empty((len(features), len(self.mean)))
+        for anchor, whitener in enumerate(self.whitener):
+            inside = np.flatnonzero(self.nearest == anchor)
+            row = (features - centre[anchor]) @ whitener.T
+            square = np.sum(row**2, axis=1)[:, None] + np.sum(point[inside] ** 2, axis=1)[None, :]
+            out[:, inside] = square - 2.0 * row @ point[inside].T
         return np.maximum(out, 0.0)
 
     def distance_at(self, features: FloatArray, point: IntArray) -> FloatArray:
@@ -140,7 +155,14 @@ class Tube:
 
 
 def fit_tube(
-    features: FloatArray, log_clearance: FloatArray, grid: ClearanceGrid, *, cases: int, width: float, ridge: float
+    features: FloatArray,
+    log_clearance: FloatArray,
+    grid: ClearanceGrid,
+    *,
+    cases: int,
+    width: float,
+    ridge: float,
+    weights: FloatArray | None = None,
 ) -> Tube:
     """Fit local lines along ln(clearance) and the covariance of what they leave.
 
@@ -155,6 +177,8 @@ def fit_tube(
         Standard deviation of the Gaussian kernel in ln(clearance).
     ridge : float
         Share of the mean variance added to every variance.
+    weights : ndarray, shape (n,), optional
+        How much each row counts, of mean 1.
 
     Notes
     -----
@@ -164,38 +188,38 @@ def fit_tube(
     """
     n, d = features.shape
     k = log_clearance.shape[1]
-    carries = np.zeros(len(grid.coarse), bool)
-    carries[grid.anchors] = True
-    mean = np.empty((len(grid.coarse), d))
-    local: list[tuple[FloatArray, float]] = []
-    for g, centre in enumerate(grid.coarse):
-        squared = np.sum(((log_clearance - centre) / width) ** 2, axis=1)
-        # The nearest rows always take part: in the corner of a plane the kernel alone may find next to nothing.
-        least = min(n, 3 * (k + 1)) - 1
-        rows = np.flatnonzero(squared <= max(REACH**2, float(np.partition(squared, least)[least])))
-        weight = np.exp(-0.5 * squared[rows]) + 1e-6
-        weight /= weight.sum()
-        offset, inside = log_clearance[rows] - centre, features[rows]
-        design = np.hstack([np.ones((len(rows), 1)), offset])
-        normal = design.T @ (design * weight[:, None])
-        normal[np.diag_indices_from(normal)] += np.r_[0.0, np.full(k, 1e-3 * width**2)]
-        line = np.linalg.solve(normal, design.T @ (inside * weight[:, None]))
-        mean[g] = line[0]
-        if carries[g]:
-            residual = inside - design @ line
-            effective = cases / (n * float(np.sum(weight**2)))
-            unbiased = max(0.3, 1.0 - (1.0 + k) / max(effective, 1.0))
-            local.append(((residual * weight[:, None]).T @ residual / unbiased, effective))
-    fine = grid.weights @ mean
+    shares = np.ones(n) if weights is None else weights
+    offset = log_clearance[None, :, :] - grid.coarse[:, None, :]
+    squared = np.sum((offset / width) ** 2, axis=2)
+    # The nearest rows always take part: in the corner of a plane the kernel alone may find next to nothing.
+    least = min(n, 3 * (k + 1)) - 1
+    reach = np.maximum(REACH**2, np.partition(squared, least, axis=1)[:, least])
+    weight = np.where(squared <= reach[:, None], (np.exp(-0.5 * squared) + 1e-6) * shares, 0.0)
+    weight /= weight.sum(axis=1, keepdims=True)
+    design = np.concatenate([np.ones((*squared.shape, 1)), offset], axis=2)
+    weighted = np.swapaxes(design * weight[:, :, None], 1, 2)
+    normal = weighted @ design
+    normal[:, np.arange(1, k + 1), np.arange(1, k + 1)] += 1e-3 * width**2
+    shift = features.mean(axis=0)
+    centred = features - shift
+    lines = np.linalg.solve(normal, (weighted.reshape(-1, n) @ centred).reshape(len(grid.coarse), k + 1, d))
+    fine = grid.weights @ lines[:, 0] + shift
     residual = features - fine[grid.index(log_clearance)]
-    pooled = residual.T @ residual / n
-    target = _mixed(pooled, np.diag(np.diag(pooled)), cases / (cases + d))
-    whitener = np.empty((len(local), d, d))
-    log_determinant = np.empty(len(local))
-    variance = np.empty((len(local), d))
+    pooled = (residual * shares[:, None]).T @ residual / n
+    spread = cases * float(np.sum(shares)) ** 2 / (n * float(np.sum(shares**2)))
+    target = _mixed(pooled, np.diag(np.diag(pooled)), spread / (spread + d))
+    anchors = len(grid.anchors)
+    whitener = np.empty((anchors, d, d))
+    log_determinant = np.empty(anchors)
+    variance = np.empty((anchors, d))
     identity = np.eye(d)
-    for anchor, (covariance, effective) in enumerate(local):
-        shrunk = _mixed(covariance, target, effective / (effective + d))
+    for anchor, point in enumerate(grid.anchors):
+        rows = np.flatnonzero(weight[point])
+        left = centred[rows] - design[point, rows] @ lines[point]
+        effective = cases / (n * float(np.sum(weight[point] ** 2)))
+        unbiased = max(0.3, 1.0 - (1.0 + k) / max(effective, 1.0))
+        local = (left * weight[point, rows, None]).T @ left / unbiased
+        shrunk = _mixed(local, target, effective / (effective + d))
         shrunk[np.diag_indices(d)] += ridge * float(np.mean(np.diag(shrunk))) + 1e-9
         factor = cholesky(shrunk, lower=True, check_finite=False)
         whitener[anchor] = solve_triangular(factor, identity, lower=True, check_finite=False)

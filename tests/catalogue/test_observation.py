@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from catalogue.cross_power import pack
 from catalogue.errors import DiagnosisError
 from catalogue.feature_bands import feature_vector
-from catalogue.observation import Discrepancy, Sensing, observe, rounded_up
+from catalogue.observation import Discrepancy, Sensing, grouped, observe, rounded_sensing, rounded_up
+from catalogue.transfer import RandomTransfer
 from solver.spectra.sensor import rigid_body, sensor_transform
 
 NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0)
@@ -29,21 +31,26 @@ def entries(count: int = 5, bands: int = 8) -> np.ndarray:
     return power
 
 
+def stored(power: np.ndarray) -> np.ndarray:
+    joined: np.ndarray = grouped(pack(power), CUTS)
+    return joined
+
+
 def test_without_noise_and_discrepancy_it_is_the_feature_vector() -> None:
     power = entries()
-    features, entry = observe(power, BODY, NOTHING, np.ones(5, np.int64))
+    features, entry = observe(stored(power), BODY, NOTHING, np.ones(5, np.int64))
     assert list(entry) == [0, 1, 2, 3, 4]
     assert np.allclose(features, feature_vector(power, CUTS), atol=1e-3)
     corner = Sensing(TRANSFORM[:2], np.eye(2), CUTS, np.full((4, 2), 1e-12), np.full(4, 40.0))
-    features, _ = observe(power, corner, NOTHING, np.ones(5, np.int64))
+    features, _ = observe(stored(power), corner, NOTHING, np.ones(5, np.int64))
     assert np.allclose(features, feature_vector(power, CUTS, TRANSFORM[:2]), atol=1e-3)
 
 
 def test_noise_has_the_stated_mean_and_scatter() -> None:
     power = entries(1)
     noisy = replace(BODY, noise=np.full((4, 3), 20.0))
-    features, _ = observe(power, noisy, NOTHING, np.array([20_000]))
-    clean = noisy.powers(power)[0].ravel()
+    features, _ = observe(stored(power), noisy, NOTHING, np.array([20_000]))
+    clean = noisy.powers(stored(power))[0].ravel()
     measured = 10.0 ** (0.1 * features)
     # Clipping lifts what falls below the noise; with these powers next to nothing does.
     assert np.allclose(measured.mean(axis=0), clean + 20.0, rtol=0.02)
@@ -55,8 +62,8 @@ def test_noise_has_the_stated_mean_and_scatter() -> None:
 def test_gain_errors_of_sensors_leak_into_rotation() -> None:
     power = np.zeros((1, 8, 3, 3), np.complex64)
     power[..., 0, 0] = 1.0  # the frame moves along x only
-    exact, _ = observe(power, BODY, NOTHING, np.array([1]))
-    off, _ = observe(power, BODY, replace(NOTHING, gain=0.03), np.array([500]))
+    exact, _ = observe(stored(power), BODY, NOTHING, np.array([1]))
+    off, _ = observe(stored(power), BODY, replace(NOTHING, gain=0.03), np.array([500]))
     x, theta = slice(0, None, 3), slice(2, None, 3)
     assert exact[:, theta].max() < -110.0
     assert np.median(off[:, theta]) > -32.0
@@ -77,9 +84,9 @@ def test_level_errors_are_smooth_and_as_large_as_stated() -> None:
 
 def test_same_seed_same_draws() -> None:
     power, copies = entries(), np.full(5, 3)
-    first = observe(power, BODY, Discrepancy(), copies, seed=4)
-    again = observe(power, BODY, Discrepancy(), copies, seed=4)
-    other = observe(power, BODY, Discrepancy(), copies, seed=5)
+    first = observe(stored(power), BODY, Discrepancy(), copies, seed=4)
+    again = observe(stored(power), BODY, Discrepancy(), copies, seed=4)
+    other = observe(stored(power), BODY, Discrepancy(), copies, seed=5)
     assert np.array_equal(first[0], again[0])
     assert np.array_equal(first[1], np.repeat(np.arange(5), 3))
     assert not np.array_equal(first[0], other[0])
@@ -101,3 +108,35 @@ def test_refuses_what_does_not_fit_together() -> None:
         replace(BODY, noise=np.ones((3, 3)))
     with pytest.raises(DiagnosisError, match="greater than 0"):
         replace(BODY, noise=np.zeros((4, 3)))
+
+
+def test_rounded_sensing_serves_recordings_of_about_the_same_noise() -> None:
+    width = np.array([1.0, 1.0, 2.0, 3.0])
+    sensing = replace(
+        BODY, noise=0.8e-6 * width[:, None] * np.array([1.0, 2.0, 4.0]), degrees_of_freedom=2.0 * 9.0 * width
+    )
+    step = rounded_sensing(sensing, width, 3.0)
+    for factor in (0.95, 1.05):
+        other = replace(sensing, noise=factor * sensing.noise, degrees_of_freedom=sensing.degrees_of_freedom / factor)
+        assert rounded_sensing(other, width, 3.0).digest == step.digest
+    ratio = step.noise / sensing.noise
+    assert (ratio >= 1.0).all()
+    assert (ratio < 10**0.3).all()
+    assert (step.degrees_of_freedom <= sensing.degrees_of_freedom).all()
+    # A floor that rises towards low bands keeps its course, in steps of 6 dB.
+    rising = sensing.noise * np.array([20.0, 1.0, 1.0, 1.0])[:, None]
+    course = rounded_sensing(replace(sensing, noise=rising), width, 3.0).noise / width[:, None]
+    assert np.allclose(course[0] / course[1], 10**1.8)
+    assert np.allclose(course[1:], (step.noise / width[:, None])[1:])
+
+
+def test_transfer_functions_are_drawn_where_asked_for() -> None:
+    power, edges = stored(entries()), np.array([5.0, 20.0, 200.0, 700.0, 3000.0])
+    plain, _ = observe(power, BODY, NOTHING, np.full(5, 100))
+    bent, _ = observe(power, BODY, replace(NOTHING, transfer=RandomTransfer()), np.full(5, 100), edges_hz=edges)
+    difference = (bent - plain).reshape(500, 4, 3)
+    # Below all modes the frame is rigid; above them it is not.
+    assert np.abs(difference[:, 0]).mean() < 1.0
+    assert difference[:, 2].std() > 2.0
+    with pytest.raises(DiagnosisError, match="edges of the bands"):
+        observe(power, BODY, replace(NOTHING, transfer=RandomTransfer()), np.full(5, 1))

@@ -1,0 +1,95 @@
+"""What curves of hypotheses are worth, by draws they have not learned from: temperatures, tails, and sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import logsumexp
+
+from catalogue.calibration import TEMPERATURES, Tail, fit_temperature, probabilities, row_weights
+from catalogue.conformal import Conformal
+from catalogue.curves import CurveModel
+from catalogue.matching import FloatArray, IntArray, TrainingSet
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was fitted on held-out draws.
+
+    Parameters
+    ----------
+    temperature : float
+        Of the hypothesis probabilities.
+    clearance_temperatures : tuple of float
+        Of the clearance posteriors of hypotheses with one, two, ... clearances.
+    distances, orders : tuple of Tail
+        Per hypothesis: full-space distance, and mean of the largest watched z.
+    conformal : Conformal
+    """
+
+    temperature: float
+    clearance_temperatures: tuple[float, ...]
+    distances: tuple[Tail, ...]
+    orders: tuple[Tail, ...]
+    conformal: Conformal
+
+
+def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]]) -> Calibration:
+    """Calibrate on pairs of what was learned and what was held out of it."""
+    evidence: list[FloatArray] = []
+    truth: list[IntArray] = []
+    distances: list[list[FloatArray]] = []
+    orders: list[list[FloatArray]] = []
+    own: dict[int, list[tuple[FloatArray, IntArray]]] = {}
+    for model, held in pairs:
+        features, index = held.stacked()
+        whitened = features @ model.projection
+        columns = []
+        distances = distances or [[] for _ in held.hypotheses]
+        orders = orders or [[] for _ in held.hypotheses]
+        for h, draws in enumerate(held.hypotheses):
+            likelihood = model.log_likelihood(whitened, h)
+            columns.append(model.log_evidence(likelihood, h))
+            curve = likelihood[index == h]
+            distance, order = model.curves[h].surprise(
+                draws.features, curve.argmax(axis=1).astype(np.int64), model.watched
+            )
+            distances[h].append(distance)
+            orders[h].append(order)
+            if draws.log_clearance.shape[1]:
+                place = model.curves[h].grid.index(draws.log_clearance)
+                own.setdefault(draws.log_clearance.shape[1], []).append((curve, place))
+        evidence.append(np.stack(columns, axis=1))
+        truth.append(index)
+    stacked = np.concatenate(truth)
+    weights = row_weights(stacked)
+    joined = np.concatenate(evidence)
+    temperature = fit_temperature(joined, stacked, weights)
+    return Calibration(
+        temperature,
+        tuple(_clearance_temperature(own.get(k + 1, [])) for k in range(max(own, default=0))),
+        tuple(Tail.of(np.concatenate(values)) for values in distances),
+        tuple(Tail.of(np.concatenate(values)) for values in orders),
+        Conformal.fit(probabilities(joined, temperature), stacked, weights),
+    )
+
+
+def _clearance_temperature(own: Sequence[tuple[FloatArray, IntArray]]) -> float:
+    """Return the temperature with the least mean -ln density at the true clearance of held-out draws."""
+    if not own:
+        return 1.0
+
+    def loss(log_temperature: float) -> float:
+        scale = float(np.exp(-log_temperature))
+        total = 0.0
+        for curve, place in own:
+            scaled = curve * scale
+            total += float(np.sum(logsumexp(scaled, axis=1) - scaled[np.arange(len(place)), place]))
+        return total
+
+    low, high = np.log(TEMPERATURES)
+    found = minimize_scalar(loss, bounds=(float(low), float(high)), method="bounded", options={"xatol": 1e-2})
+    return float(np.exp(found.x))

@@ -1,0 +1,98 @@
+"""Fitted models as files: arrays and a few numbers, published whole, read back or left aside."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from catalogue.calibration import Tail
+from catalogue.conformal import Conformal
+from catalogue.curve_calibration import Calibration
+from catalogue.curves import Curve, CurveModel
+from catalogue.gaussian import FittedGaussian
+from catalogue.tube import ClearanceGrid, Tube
+
+FORMAT = 1
+"""Of the files; others are fitted anew."""
+
+_TYPES = {
+    kind.__name__: kind
+    for kind in (FittedGaussian, CurveModel, Curve, ClearanceGrid, Tube, Calibration, Tail, Conformal)
+}
+
+
+def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
+    """Write a model under its key; False where the folder cannot be written, which only costs time later."""
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    tree = {"format": FORMAT, "key": key, "model": _plain(model, arrays)}
+    content = io.BytesIO()
+    arrays["tree"] = np.frombuffer(json.dumps(tree).encode(), np.uint8)
+    np.savez(content, allow_pickle=False, **arrays)
+    try:
+        folder.mkdir(exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=folder, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content.getbuffer())
+            Path(name).replace(folder / f"{key}.npz")
+        except OSError:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError:
+        return False
+    return True
+
+
+def read_model(folder: Path, key: str) -> FittedGaussian | None:
+    """Read the model of a key; None where there is none, or none that can be read."""
+    try:
+        with np.load(io.BytesIO((folder / f"{key}.npz").read_bytes()), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        tree = json.loads(arrays["tree"].tobytes())
+        if tree["format"] != FORMAT or tree["key"] != key:
+            return None
+        model = _restored(tree["model"], arrays)
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        return None
+    return model if isinstance(model, FittedGaussian) else None
+
+
+def as_read(model: FittedGaussian) -> FittedGaussian:
+    """Return the model as it comes out of a file: order of numbers in memory decides the last digit of their sums."""
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    again = _restored(_plain(model, arrays), arrays)
+    assert isinstance(again, FittedGaussian)
+    return again
+
+
+def _plain(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    """Replace arrays by their names, dataclasses and tuples by plain data."""
+    if isinstance(value, np.ndarray):
+        name = f"a{len(arrays)}"
+        arrays[name] = np.ascontiguousarray(value)
+        return {"array": name}
+    if is_dataclass(value):
+        content = {field.name: _plain(getattr(value, field.name), arrays) for field in fields(value)}
+        return {"type": type(value).__name__, "fields": content}
+    if isinstance(value, tuple):
+        return [_plain(item, arrays) for item in value]
+    return value
+
+
+def _restored(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    if isinstance(value, list):
+        return tuple(_restored(item, arrays) for item in value)
+    if isinstance(value, dict) and "array" in value:
+        return arrays[value["array"]]
+    if isinstance(value, dict):
+        content = {name: _restored(item, arrays) for name, item in value["fields"].items()}
+        return _TYPES[value["type"]](**content)
+    return value
