@@ -72,7 +72,7 @@ class Database:
     def __init__(self, source: Path | str) -> None:
         url = database_url(source)
         self.is_sqlite = url.get_backend_name() == "sqlite"
-        self.name = str(source) if self.is_sqlite else url.render_as_string(hide_password=True)
+        self.name = str(source) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
         options: dict[str, Any] = {} if self.is_sqlite else {"pool_pre_ping": True}
         try:
             self._engine = create_engine(url, **options)

@@ -53,10 +53,11 @@ class CatalogueFileError(CatalogueError):
 
     def __init__(self, path: Path | str, rule: str) -> None:
         self.path, self.rule = Path(path), rule
+        self._shown = str(path)  # an index's URL must keep its slashes
         super().__init__(path, rule)
 
     def __str__(self) -> str:
-        return _one_line(self.path, self.rule)
+        return _one_line(self._shown, self.rule)
 
 
 class CatalogueMismatchError(CatalogueFileError):

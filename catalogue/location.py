@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
@@ -34,7 +34,7 @@ class IndexLocation:
 
     source: Path | str
     instance: str = LOCAL
-    password: str | None = None
+    password: str | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, directory: CatalogueDirectory) -> Self:
@@ -76,7 +76,7 @@ class IndexLocation:
         if url is None:
             return old
         wanted = database_url(url)
-        plain = wanted.set(password=None).render_as_string(hide_password=False)
+        plain = wanted._replace(password=None).render_as_string(hide_password=False)
         password = str(wanted.password) if wanted.password is not None else None
         if old.source == plain:
             return cls(plain, old.instance, password)

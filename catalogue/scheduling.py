@@ -146,7 +146,7 @@ class Scheduler:
                 for task in self._next(executor.capacity - len(flying)):
                     flying[executor.submit(self._compute, task.part)] = task
                 if flying:
-                    finished, _ = wait(flying, timeout=LOOK if self._elsewhere else None, return_when=FIRST_COMPLETED)
+                    finished, _ = wait(flying, timeout=LOOK, return_when=FIRST_COMPLETED)
                 else:
                     finished = set()
                     time.sleep(min(LOOK, self._lease / 4))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,7 @@ from app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
     from catalogue.build import BuildReport
+    from catalogue.cluster import DaskCluster
 
 
 @click.command("build")
@@ -28,10 +31,21 @@ if TYPE_CHECKING:
 )
 @click.option("--workers", type=click.IntRange(1, 1024), help="Processes that compute; by default one a processor.")
 @click.option(
+    "--scheduler", metavar="ADDRESS", help="Compute on a Dask cluster, tcp://host:8786, in place of processes here."
+)
+@click.option(
     "--index", metavar="URL", help="Database for the index, postgresql://user@host/database; remembered in the folder."
 )
 @json_option
-def command(machine: str, catalogue: Path, plan: str, workers: int | None, index: str | None, as_json: bool) -> None:
+def command(
+    machine: str,
+    catalogue: Path,
+    plan: str,
+    workers: int | None,
+    scheduler: str | None,
+    index: str | None,
+    as_json: bool,
+) -> None:
     """Build the catalogue of MACHINE (a shipped machine's name, or a file).
 
     What is there already is kept; the same command again goes on where an interrupted one stopped.
@@ -40,18 +54,24 @@ def command(machine: str, catalogue: Path, plan: str, workers: int | None, index
     from catalogue.plan import resolve_plan
     from solver.machines.machine import resolve_machine
 
-    found = resolve_machine(machine)
-    with ProgressLine("building", "cases") as line:
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--workers is for processes here; a cluster has its own")
+    found, wanted = resolve_machine(machine), resolve_plan(plan)
+    click.echo(f"plan {wanted.name} ({wanted.hash[:12]}): {', '.join(map(str, wanted.hypotheses))}", err=True)
+    with ExitStack() as stack:
+        line = stack.enter_context(ProgressLine("building", "cases"))
+        executor = stack.enter_context(cluster(scheduler)) if scheduler is not None else None
         report = build(
             found,
-            resolve_plan(plan),
+            wanted,
             catalogue,
             workers=workers or processors(),
+            executor=executor,
             index=index,
-            progress=lambda state: line.show(state.done, state.total),
+            progress=lambda state: line.show(state.done, state.total, rate=state.rate, left=state.eta),
         )
     if as_json:
-        print_json(document(report, catalogue))
+        print_json({"plan": {"name": wanted.name, "hash": wanted.hash}} | document(report, catalogue))
     else:
         tell(report, catalogue)
     if report.lost:
@@ -60,6 +80,18 @@ def command(machine: str, catalogue: Path, plan: str, workers: int | None, index
         raise IncompleteBuildError(
             f"{len(report.lost)} cases could not be computed: {report.lost_reason}; the same command tries them again"
         )
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[DaskCluster]:
+    """Connect to a Dask cluster, and leave it in the end."""
+    from catalogue.cluster import DaskCluster
+
+    workers = DaskCluster(address)
+    try:
+        yield workers
+    finally:
+        workers.close(at_once=True)
 
 
 def processors() -> int:

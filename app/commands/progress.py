@@ -43,14 +43,25 @@ class ProgressLine:
         if self._bar is not None:
             self._bar.close()
 
-    def show(self, done: int, total: int) -> None:
-        """Show that `done` of `total` are done."""
+    def show(self, done: int, total: int, *, rate: float | None = None, left: float | None = None) -> None:
+        """Show that `done` of `total` are done.
+
+        Parameters
+        ----------
+        done, total : int
+        rate : float, optional
+            How many a second; a terminal's bar finds its own.
+        left : float, optional
+            Time to go [s].
+        """
         if self._terminal:
             self._draw(done, total)
         elif done != self._done and (
             done == total or self._done < 0 or time.monotonic() - self._told >= SECONDS_BETWEEN_LINES
         ):
-            click.echo(f"{self._label}: {done} of {total} {self._unit}", err=True)
+            pace = f", {rate:.1f} a second" if rate else ""
+            pace += f", {clock(left)} left" if left else ""
+            click.echo(f"{self._label}: {done} of {total} {self._unit}{pace}", err=True)
             self._told = time.monotonic()
             self._done = done
 
@@ -64,3 +75,13 @@ class ProgressLine:
             self._bar = bar
         bar.total = total
         bar.update(done - bar.n)
+
+
+def clock(seconds: float) -> str:
+    """A duration as people read it: 40 s, 3:20 min, 2:05 h."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d} min"
+    return f"{whole // 3600}:{whole % 3600 // 60:02d} h"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from click.testing import CliRunner, Result
 from small_service import spoiled
 
 from app.cli import COMMANDS, main
+from app.commands.progress import clock
 from catalogue.hdf5 import read_arrays
 from solver.machines.machine import parse_machine
 
@@ -241,13 +243,24 @@ def test_verify_refuses_what_is_no_catalogue(tmp_path: Path) -> None:
     assert_refused(invoke("verify", "--catalogue", tmp_path), 2, "is not a catalogue")
 
 
+def test_time_left_is_said_as_people_read_it() -> None:
+    said = [clock(seconds) for seconds in (0.2, 59, 61, 3599.4, 7505)]
+    assert said == ["0 s", "59 s", "1:01 min", "59:59 min", "2:05 h"]
+
+
+def test_cluster_has_its_own_workers(tmp_path: Path) -> None:
+    arguments = ("quick-return", "--catalogue", tmp_path / "c", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1")
+    assert_refused(invoke("build", *arguments), 2, "--workers is for processes here; a cluster has its own")
+
+
 def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
     arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "thorough"]
     with subprocess.Popen([*JOINTPLAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        first = process.stderr.readline()
+        plan, first = process.stderr.readline(), process.stderr.readline()
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 130
+        assert re.fullmatch(r"plan thorough \([0-9a-f]{12}\): healthy, .*\n", plan)
         assert first.startswith("building: 0 of ")
         assert process.stderr.read().splitlines()[-1] == "jointplay: interrupted"
 

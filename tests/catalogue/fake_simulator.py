@@ -4,7 +4,8 @@ Trouble comes through environment variables, so that it reaches worker processes
 ``FAKE_LOG`` (file to which computed keys are appended), ``FAKE_DEADLY`` (beginning of the key whose case kills the
 worker), ``FAKE_RAISES`` (the same, by an exception).
 
-Run as a program it builds a catalogue in the folder that is its argument, and prints a line after every chunk.
+Run as a program it builds a catalogue in the folder that is its argument, and prints a line after every chunk;
+``FAKE_SCHEDULER`` (address of a Dask cluster to compute on), ``FAKE_INDEX`` (URL of the index), ``FAKE_LEASE`` (s).
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ import signal
 import sys
 import time
 
+import fake_simulator
 import numpy as np
 
 from catalogue.build import Progress, build
 from catalogue.chunk import Chunk
+from catalogue.cluster import DaskCluster
 from catalogue.plan import Plan, parse_plan
 from catalogue.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
@@ -69,5 +72,20 @@ def _tell(progress: Progress) -> None:
 
 
 if __name__ == "__main__":
-    report = build(MACHINE, PLAN, sys.argv[1], workers=2, compute=compute, chunk_size=4, progress=_tell)
+    scheduler = os.environ.get("FAKE_SCHEDULER")
+    cluster = DaskCluster(scheduler, wait=60.0) if scheduler else None
+    report = build(
+        MACHINE,
+        PLAN,
+        sys.argv[1],
+        workers=2,
+        executor=cluster,
+        compute=fake_simulator.compute,  # of the module, not of the program: workers import it
+        chunk_size=4,
+        progress=_tell,
+        index=os.environ.get("FAKE_INDEX"),
+        lease=float(os.environ.get("FAKE_LEASE", "60")),
+    )
     print(f"added {report.added} lost {len(report.lost)} workers {report.workers_lost}", flush=True)
+    if cluster is not None:
+        cluster.close()
