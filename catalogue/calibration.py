@@ -148,9 +148,16 @@ class Tail:
         return max(LEAST_P_VALUE, begin * math.exp(-(value - float(self.values[start])) / excess))
 
 
-def combined(first: float, second: float) -> float:
-    """Combine two p-values of the same question, without assuming independence (Bonferroni)."""
-    return min(1.0, 2.0 * min(first, second))
+def combined(first: float, second: float, share: float = 0.5) -> float:
+    """Combine two p-values of the same question, without assuming independence (Bonferroni, weighted).
+
+    Parameters
+    ----------
+    first, second : float
+    share : float
+        Part of the false alarms that the first may cause, in (0, 1).
+    """
+    return min(1.0, first / share, second / (1.0 - share))
 
 
 def row_weights(index: NDArray[np.integer]) -> FloatArray:

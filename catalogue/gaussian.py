@@ -27,6 +27,10 @@ from catalogue.matching import (
 )
 from catalogue.tube import ClearanceGrid, fit_tube
 
+BROADBAND_SHARE = 0.8
+"""Part of the false alarms left to the overall distance: what is broadband, as a second worn joint, shows there alone,
+while foreign forces at low orders are far out where they show at all."""
+
 
 @dataclass(frozen=True)
 class GaussianAlongClearance:
@@ -196,6 +200,7 @@ class FittedGaussian:
             p_value = combined(
                 self.calibration.distances[h].p_value(float(distance[0])),
                 self.calibration.orders[h].p_value(float(order[0])),
+                BROADBAND_SHARE,
             )
             matches.append(
                 HypothesisMatch(

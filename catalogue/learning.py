@@ -64,7 +64,7 @@ class Learning:
         """
         if mode == "trusted":
             return cls(mode, without=without, most=most)
-        robust = replace(Discrepancy(), level_db=2.0, transfer=RandomTransfer())
+        robust = replace(Discrepancy(), level_db=2.0, rigid_level_db=1.0, transfer=RandomTransfer())
         return cls(mode, robust, rows=800, without=without, most=most)
 
 

@@ -38,6 +38,8 @@ class Discrepancy:
         Bands over which that error keeps its sign (standard deviation of a Gaussian).
     noise_level_db : float
         Standard deviation of the error of the noise floor itself, dB.
+    rigid_level_db : float, optional
+        The same in bands up to the lowest flexible mode, where the machine is rigid; `level_db` unless given.
     transfer : RandomTransfer, optional
         Flexible modes that the rigid machine does not have.
     """
@@ -46,9 +48,12 @@ class Discrepancy:
     level_db: float = 1.0
     correlation: float = 3.0
     noise_level_db: float = 0.3
+    rigid_level_db: float | None = None
     transfer: RandomTransfer | None = None
 
-    def levels(self, generator: np.random.Generator, shape: tuple[int, int, int]) -> FloatArray:
+    def levels(
+        self, generator: np.random.Generator, shape: tuple[int, int, int], edges_hz: FloatArray | None = None
+    ) -> FloatArray:
         """Draw smooth errors (n, bands, channels), dB; half of their variance is common to all channels."""
         n, bands, channels = shape
         place = np.arange(bands, dtype=float)
@@ -56,7 +61,10 @@ class Discrepancy:
         factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(bands))
         common = generator.normal(size=(n, 1, bands)) @ factor.T
         own = generator.normal(size=(n, channels, bands)) @ factor.T
-        drawn: FloatArray = self.level_db * np.sqrt(0.5) * np.swapaxes(common + own, 1, 2)
+        size = np.full(bands, self.level_db)
+        if self.rigid_level_db is not None and self.transfer is not None and edges_hz is not None:
+            size[np.asarray(edges_hz)[1 : bands + 1] <= self.transfer.frequency[0]] = self.rigid_level_db
+        drawn: FloatArray = size[:, None] * np.sqrt(0.5) * np.swapaxes(common + own, 1, 2)
         return drawn
 
 
@@ -217,7 +225,7 @@ def observe(
         return np.empty((0, sensing.noise.size)), entry.astype(np.int64)
     gains = 1.0 + discrepancy.gain * generator.normal(size=(len(entry), len(sensing.transform)))
     clean = sensing.powers(packed[entry], gains)
-    clean *= 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape))
+    clean *= 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape, edges_hz))
     if discrepancy.transfer is not None:
         if edges_hz is None:
             raise DiagnosisError("transfer functions: need the edges of the bands in Hz")

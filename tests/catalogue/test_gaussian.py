@@ -163,6 +163,61 @@ def test_two_joints_are_estimated_together() -> None:
     assert np.median(errors) < 0.3
 
 
+def test_three_joints_are_a_hypothesis() -> None:
+    generator = np.random.default_rng(25)
+
+    def triple(clearances: np.ndarray) -> np.ndarray:
+        power = [10.0 ** (0.1 * MODEL.mean(j, c)) for j, c in zip("ABC", clearances.T, strict=True)]
+        scatter = generator.normal(size=(len(clearances), MODEL.length)) @ np.linalg.cholesky(MODEL.covariance).T
+        level: np.ndarray = 10.0 * np.log10(sum(power)) + scatter
+        return level
+
+    clearances = generator.uniform(LOW, HIGH, (400, 3))
+    draws = Draws("A+B+C", ("A", "B", "C"), triple(clearances), clearances, np.arange(400), prior=0.15**2)
+    singles = MODEL.training(DRAWS, generator)
+    matcher = GaussianAlongClearance().fit(TrainingSet((*singles.hypotheses, draws), singles.watched))
+    truth = generator.uniform(LOW + 0.5, HIGH - 0.5, (20, 3))
+    found = [matcher.match(feature).best for feature in triple(truth)]
+    assert sum(best.label == "A+B+C" for best in found) >= 16
+    errors = [
+        np.abs(np.log([c.median for c in best.clearances]) - value)
+        for best, value in zip(found, truth, strict=True)
+        if best.label == "A+B+C"
+    ]
+    # The range of ln(clearance) is 3.5: knowing nothing would be 0.9.
+    assert np.median(errors) < 0.5
+
+
+def test_many_draws_are_split_once_and_few_are_held_out_in_turn() -> None:
+    many = MODEL.training(240, np.random.default_rng(26))
+    split = GaussianAlongClearance().fit(many)
+    in_turn = GaussianAlongClearance(many_cases=1000).fit(many)
+    assert len(split.calibration.distances[0].values) == 60
+    assert len(in_turn.calibration.distances[0].values) == 240
+    features, truth, _ = MODEL.queries(60, np.random.default_rng(27))
+    # Both know about the same: log-losses measured 0.003 apart.
+    losses = [log_loss(fitted.posterior(features), truth) for fitted in (split, in_turn)]
+    assert abs(losses[0] - losses[1]) < 0.05
+
+
+def test_rows_count_as_much_as_their_weights() -> None:
+    generator = np.random.default_rng(28)
+    training = MODEL.training(120, generator)
+    shifted = []
+    for draws in training.hypotheses:
+        wrong = np.arange(120) % 2 == 1
+        features = draws.features + np.where(wrong, 15.0, 0.0)[:, None]
+        weight = np.where(wrong, 1e-6, 1.0)
+        shifted.append(
+            Draws(draws.label, draws.joints, features, draws.log_clearance, draws.entry, draws.prior, weight)
+        )
+    fitted = GaussianAlongClearance().fit(TrainingSet(tuple(shifted), training.watched))
+    feature = MODEL.draw("B", np.array([np.log(3e-4)]), generator)[0]
+    best = fitted.match(feature).best
+    assert best.label == "B"
+    assert best.distance_db < 4.0
+
+
 def test_refuses_what_it_cannot_learn_or_match() -> None:
     training = MODEL.training(40, np.random.default_rng(16))
     with pytest.raises(MatchingError, match="must be 24 finite numbers"):

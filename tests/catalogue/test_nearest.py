@@ -9,10 +9,12 @@ import pytest
 from feature_model import HIGH, LOW, FeatureModel
 
 from catalogue.calibration import Tail, calibration_error, combined, folds
+from catalogue.cosine import ChordDistance, CosineEntry
 from catalogue.errors import MatchingError
 from catalogue.gaussian import GaussianAlongClearance
 from catalogue.matching import FittedMatcher, Matcher
 from catalogue.nearest import DecibelDistance, NearestEntry
+from catalogue.trees import ExtraTrees
 
 MODEL = FeatureModel()
 
@@ -59,8 +61,10 @@ def test_an_unknown_pattern_gets_a_small_p_value() -> None:
     assert np.mean([fitted().match(row).best.p_value for row in features]) > 0.1
 
 
-@pytest.mark.parametrize("matcher", [NearestEntry(), GaussianAlongClearance()], ids=lambda m: m.name)
-def test_both_stand_behind_the_same_interface(matcher: Matcher) -> None:
+@pytest.mark.parametrize(
+    "matcher", [NearestEntry(), GaussianAlongClearance(), CosineEntry(), ExtraTrees(trees=60)], ids=lambda m: m.name
+)
+def test_all_stand_behind_the_same_interface(matcher: Matcher) -> None:
     known = matcher.fit(MODEL.training(40, np.random.default_rng(5)))
     feature = MODEL.draw("C", np.array([np.log(3e-4)]), np.random.default_rng(6))[0]
     result = known.match(feature)
@@ -98,3 +102,37 @@ def test_tail_counts_and_is_never_zero() -> None:
         assert np.log(many.p_value(value)) == pytest.approx(-value / 2.0, rel=0.1)
     assert combined(0.01, 0.5) == 0.02
     assert combined(0.9, 0.8) == 1.0
+    assert combined(0.04, 0.9, 0.8) == pytest.approx(0.05)
+    assert combined(0.9, 0.01, 0.8) == pytest.approx(0.05)
+
+
+def test_chord_is_the_definition_and_block_agrees() -> None:
+    generator = np.random.default_rng(8)
+    first, second = generator.normal(-60.0, 20.0, (7, 30)), generator.normal(-60.0, 20.0, (9, 30))
+    metric = ChordDistance()
+    block = metric.block(first, second)
+    assert block == pytest.approx(np.array([[metric.pair(a, b) for b in second] for a in first]), rel=1e-9)
+    assert np.allclose(block, metric.block(second, first).T)
+    # Neither the mean level nor the range of levels counts.
+    assert metric.pair(first[0], 3.0 * first[0] + 40.0) == pytest.approx(0.0, abs=1e-7)
+    assert metric.pair(first[0], -first[0]) == pytest.approx(2.0)
+    assert np.isfinite(metric.block(np.zeros((1, 4)), np.ones((1, 4)))).all()
+
+
+@pytest.mark.parametrize("matcher", [CosineEntry(), ExtraTrees(trees=100)], ids=lambda m: m.name)
+def test_cross_checks_find_the_joint_and_know_how_sure_they_are(matcher: Matcher) -> None:
+    features, truth, clearance = MODEL.queries(60, np.random.default_rng(9))
+    known = matcher.fit(MODEL.training(160, np.random.default_rng(1)))
+    posterior = known.posterior(features)
+    assert posterior.sum(axis=1) == pytest.approx(np.ones(len(features)))
+    assert (posterior.argmax(axis=1) == truth).mean() > 0.9
+    assert calibration_error(posterior, truth) < 0.08
+    rows = np.flatnonzero(truth > 0)[::12]
+    errors = []
+    for row in rows:
+        result = known.match(features[row])
+        assert result.probability(known.labels[truth[row]]) == pytest.approx(posterior[row, truth[row]])
+        own = next(m for m in result.hypotheses if m.label == known.labels[truth[row]])
+        errors.append(abs(np.log(own.clearances[0].median) - clearance[row]))
+        assert own.clearances[0].low < own.clearances[0].median < own.clearances[0].high
+    assert np.median(errors) < 0.25
