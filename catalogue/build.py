@@ -162,6 +162,7 @@ def build(
         The machine cannot be assembled, or the solver refuses a parameter or a setting of the plan.
     """
     started = time.monotonic()
+    plan = plan.resolved(machine)
     wanted = plan.entries(machine)
     check_assembly(machine)
     layout = CatalogueDirectory(Path(directory))

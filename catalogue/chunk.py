@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import zip_longest
 
 import numpy as np
 
 from catalogue.entry import Entry, Recipe
+from catalogue.guard import mean_difference_db
 from catalogue.keys import content_digest
 from catalogue.shard import OK, Outcome
+from solver.cases.steps import Accuracy
 from solver.machines.machine import Machine, parse_machine
 from solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
 from solver.spectra.band_power import band_matrix
@@ -30,7 +32,7 @@ class Chunk:
         Canonical JSON.
     recipe : Recipe
     entries : tuple of Entry
-        At least one; all of the same hypothesis, stratum and variant, with the same joints and parameter names.
+        At least one; all of the same hypothesis, stratum, variant and speed, with the same joints and parameter names.
     """
 
     machine: str
@@ -54,6 +56,9 @@ class Chunk:
         return Chunk(self.machine, self.recipe, first), Chunk(self.machine, self.recipe, second)
 
 
+FINER: Accuracy = "standard"
+"""Accuracy at which guarded cases are computed again."""
+
 SLACK_REVOLUTIONS = 0.01
 """Simulated beyond the recipe's, so that rounding to samples and to fast transforms costs no window of the estimate."""
 
@@ -69,9 +74,10 @@ def chunked(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: in
     machine : Machine
     recipe : Recipe
     entries : iterable of Entry
-        In the order of the plan; the same cases give the same chunks.
+        Of one plan, any of its cases.
     size : int
-        Most cases of a chunk.
+        Most cases of a chunk. A chunk holds draws of one block of so many, ``0 <= draw < size`` for the first, so that
+        it does not depend on which other cases are missing.
 
     Returns
     -------
@@ -81,14 +87,13 @@ def chunked(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: in
     """
     groups: dict[tuple[object, ...], list[Entry]] = defaultdict(list)
     for entry in entries:
-        kind = (entry.hypothesis, entry.stratum, entry.variant, entry.joints, tuple(sorted(entry.parameters)))
-        groups[kind].append(entry)
+        kind = (entry.hypothesis, entry.stratum, entry.variant, entry.speed, entry.joints)
+        groups[*kind, tuple(sorted(entry.parameters)), entry.draw // size].append(entry)
     content = machine.canonical_json()
-    cut = [
-        [Chunk(content, recipe, tuple(group[start : start + size])) for start in range(0, len(group), size)]
-        for group in groups.values()
-    ]
-    return [chunk for turn in zip_longest(*cut) for chunk in turn if chunk is not None]
+    alike: dict[object, list[Chunk]] = defaultdict(list)
+    for (hypothesis, *_), group in groups.items():
+        alike[hypothesis].append(Chunk(content, recipe, tuple(group)))
+    return [chunk for turn in zip_longest(*alike.values()) for chunk in turn if chunk is not None]
 
 
 @lru_cache(maxsize=2)
@@ -104,11 +109,25 @@ def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
     SolverError
         A parameter or a setting that the solver refuses. What goes wrong numerically is the status of an outcome.
     """
+    outcomes = _simulated(chunk, chunk.entries, chunk.recipe.accuracy)
+    guarded = [i for i, entry in enumerate(chunk.entries) if entry.guarded and outcomes[i].power is not None]
+    if chunk.recipe.accuracy == FINER or not guarded:
+        return tuple(outcomes)
+    finer = _simulated(chunk, [chunk.entries[i] for i in guarded], FINER)
+    for i, found in zip(guarded, finer, strict=True):
+        power, seconds = outcomes[i].power, outcomes[i].seconds + found.seconds
+        if power is not None and found.power is not None:
+            outcomes[i] = replace(outcomes[i], guard_db=mean_difference_db(power, found.power), seconds=seconds)
+    return tuple(outcomes)
+
+
+def _simulated(chunk: Chunk, entries: Sequence[Entry], accuracy: Accuracy) -> list[Outcome]:
     recipe = chunk.recipe
+    machine = entries[0].variant.machine(_machine(chunk.machine))
     revolutions = recipe.revolutions + SLACK_REVOLUTIONS
-    settings = Settings(sample_rate=recipe.sample_rate, accuracy=recipe.accuracy, revolutions=revolutions, motion=False)
-    cases = [Case(entry.fault, entry.parameters) for entry in chunk.entries]
-    return tuple(_outcome(history, recipe) for history in simulate_batch(_machine(chunk.machine), cases, settings))
+    settings = Settings(sample_rate=recipe.sample_rate, accuracy=accuracy, revolutions=revolutions, motion=False)
+    cases = [Case(entry.fault, entry.parameters) for entry in entries]
+    return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings)]
 
 
 def _outcome(history: History, recipe: Recipe) -> Outcome:

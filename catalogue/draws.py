@@ -15,10 +15,12 @@ from solver.machines.fields import Quantity, RuleError, Vector
 from solver.machines.parts import Part
 from solver.machines.units import RATIO
 
-__all__ = ["Distribution", "log_uniform", "rounded_levels", "unit_draws"]
+__all__ = ["Distribution", "log_uniform", "unit_draws"]
 
 #: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
 _CELL = 2.0**-30
+
+_PositiveBounds = Annotated[tuple[float, float], Vector((Quantity(RATIO, above=0.0),) * 2)]
 
 
 class Distribution(Part):
@@ -26,23 +28,25 @@ class Distribution(Part):
 
     Parameters
     ----------
-    uniform : (float, float), optional
-        Bounds of a uniform distribution of the number itself, SI.
-    factor_uniform : (float, float), optional
-        Bounds, > 0, of a uniform distribution of the factor on the machine's own number.
+    uniform, loguniform : (float, float), optional
+        Bounds of a uniform, or log-uniform (> 0), distribution of the number itself, SI.
+    factor_uniform, factor_loguniform : (float, float), optional
+        Bounds, > 0, of a distribution of the factor on the machine's own number.
     lognormal : float, optional
         Standard deviation, > 0, of the natural logarithm of the factor on the machine's own number; its median is 1.
     """
 
     uniform: Annotated[tuple[float, float], Vector((Quantity(RATIO),) * 2)] | None = None
-    factor_uniform: Annotated[tuple[float, float], Vector((Quantity(RATIO, above=0.0),) * 2)] | None = None
+    loguniform: _PositiveBounds | None = None
+    factor_uniform: _PositiveBounds | None = None
+    factor_loguniform: _PositiveBounds | None = None
     lognormal: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
 
     @model_validator(mode="after")
     def _one_in_order(self) -> Self:
         given = {name: getattr(self, name) for name in type(self).model_fields if getattr(self, name) is not None}
         if len(given) != 1:
-            raise RuleError("must give exactly one of uniform, factor_uniform, lognormal")
+            raise RuleError(f"must give exactly one of {', '.join(type(self).model_fields)}")
         for name, value in given.items():
             if isinstance(value, tuple) and value[0] > value[1]:
                 raise RuleError("must be [low, high] with low <= high", (name,), list(value))
@@ -51,17 +55,29 @@ class Distribution(Part):
     @property
     def is_factor(self) -> bool:
         """Whether :meth:`quantile` is a factor on the machine's own number, not the number itself."""
-        return self.uniform is None
+        return self.uniform is None and self.loguniform is None
 
     def quantile(self, u: float) -> float:
         """Number, or factor, below which the fraction `u` (in [0, 1]) of all draws lies."""
         if self.lognormal is not None:
             deviate = float(ndtri(min(max(u, _CELL / 2), 1.0 - _CELL / 2)))
             return math.exp(self.lognormal * deviate)
-        bounds = self.uniform if self.uniform is not None else self.factor_uniform
+        logarithmic = self.loguniform or self.factor_loguniform
+        if logarithmic is not None:
+            return log_uniform(*logarithmic, u)
+        bounds = self.uniform or self.factor_uniform
         assert bounds is not None  # one of them is given, see _one_in_order
         low, high = bounds
         return low + u * (high - low)
+
+    def __str__(self) -> str:
+        """In words: ``x 0.97 to 1.03``."""
+        if self.lognormal is not None:
+            return f"x exp({self.lognormal:g} N(0, 1))"
+        bounds = self.uniform or self.loguniform or self.factor_uniform or self.factor_loguniform
+        assert bounds is not None
+        scale = " (log)" if self.loguniform or self.factor_loguniform else ""
+        return f"{'x ' if self.is_factor else ''}{bounds[0]:g} to {bounds[1]:g}{scale}"
 
 
 def log_uniform(low: float, high: float, u: float) -> float:
@@ -97,10 +113,3 @@ def unit_draws(seed: int, dimensions: int, count: int) -> NDArray[np.float64]:
     exponent = max(0, math.ceil(math.log2(max(count, 1))))
     points: NDArray[np.float64] = sequence.random_base2(exponent)
     return points[:count]
-
-
-def rounded_levels(low: float, high: float, count: int) -> tuple[float, ...]:
-    """`count` log-spaced numbers from `low` to `high`; rounded to 9 digits, so that nested grids share numbers."""
-    if count == 1:
-        return (float(f"{math.sqrt(low * high):.9g}"),)
-    return tuple(float(f"{log_uniform(low, high, i / (count - 1)):.9g}") for i in range(count))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self
 
@@ -144,11 +144,15 @@ class Entry:
     parameters : mapping of str to float
         Numbers of the machine that differ from its file, by path, SI.
     draw : int
-        Number of the draw within its hypothesis, levels and speed, from 0.
+        Number of the draw within its hypothesis, stratum, joints and speed, from 0.
     stratum : {"trusted", "wide"}
         How much of the machine is uncertain.
     variant : Variant
         How the machine differs in kind from its file.
+    speed : float
+        Factor on the drive speed of the machine file that the plan asked for, without the scatter of the draws.
+    guarded : bool
+        Whether the case is computed again more finely, for comparison; two entries that differ in this are equal.
     """
 
     key: str
@@ -159,6 +163,8 @@ class Entry:
     draw: int
     stratum: Stratum = "trusted"
     variant: Variant = AS_FILED
+    speed: float = 1.0
+    guarded: bool = field(default=False, compare=False)
 
     @classmethod
     def of(
@@ -173,11 +179,13 @@ class Entry:
         draw: int,
         stratum: Stratum = "trusted",
         variant: Variant = AS_FILED,
+        speed: float = 1.0,
+        guarded: bool = False,
     ) -> Self:
         """Make an entry with its key."""
         fault = dict(zip(joints, clearances, strict=True))
         key = entry_key(machine.content_key, fault, parameters, recipe.content, solver.__version__, variant.content)
-        return cls(key, hypothesis, joints, clearances, dict(parameters), draw, stratum, variant)
+        return cls(key, hypothesis, joints, clearances, dict(parameters), draw, stratum, variant, speed, guarded)
 
     @property
     def worn(self) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.entry import AS_NEW, HEALTHY, Hypothesis
-from catalogue.errors import PlanError
 from catalogue.feature_bands import FEATURE_ORDERS
 from catalogue.matrix_header import LAWS, STRATA, Block, MatrixHeader
 from catalogue.parameters import MachineNumbers
@@ -71,7 +70,7 @@ def gather(
         Sorted by hypothesis (healthy, as-new, then faults by number of joints and name), stratum, number of the draw:
         so the first draws of a hypothesis stand together, and being the beginning of a Sobol sequence they fill its
         range evenly. Entries without a spectrum stand at the end. A number that only some entries vary has, in the
-        others, the value of the machine's file; NaN if the file has no such number.
+        others, the value of the machine's file; 0 if the file has no such number.
     """
     cuts = scheme.third_octave_groups(FEATURE_ORDERS)
     parts: list[_Part] = []
@@ -219,16 +218,9 @@ _EMPTY: Mapping[str, Numbers] = {
 
 
 def _nominal(machine: Machine, names: Sequence[str]) -> NDArray[np.float64]:
-    """What the machine's file has in the place of each number; NaN where it has none."""
+    """What the machine's file has in the place of each number; 0 where it has none, as of a load that is not there."""
     numbers = MachineNumbers(machine)
-
-    def value(name: str) -> float:
-        try:
-            return numbers.by_path[numbers.targets(name)[0]]
-        except PlanError:
-            return float("nan")
-
-    return np.array([value(name) for name in names], np.float64)
+    return np.array([numbers.nominal(name) for name in names], np.float64)
 
 
 def _order(columns: Mapping[str, Numbers]) -> tuple[NDArray[np.int64], int]:

@@ -66,6 +66,7 @@ def encode_shard(shard: Shard) -> bytes:
         entries.attrs["hypothesis"] = shard.hypothesis.label
         entries.attrs["worn"] = np.array(shard.hypothesis.joints, dtype=_TEXT)
         entries.attrs["stratum"] = shard.stratum
+        entries.attrs["speed"] = shard.speed
         entries.attrs["variant"] = canonical_json(shard.variant.content)
         entries.attrs["joints"] = np.array(shard.joints, dtype=_TEXT)
         entries.attrs["parameter_names"] = np.array(shard.parameter_names, dtype=_TEXT)
@@ -128,6 +129,7 @@ def decode_shard(content: bytes, path: Path) -> Shard:
                 ),
                 hypothesis=Hypothesis(str(entries.attrs["hypothesis"]), tuple(map(str, entries.attrs["worn"]))),
                 stratum=_stratum(str(entries.attrs["stratum"])),
+                speed=float(entries.attrs["speed"]),
                 variant=Variant.from_content(json.loads(entries.attrs["variant"])),
                 joints=tuple(map(str, entries.attrs["joints"])),
                 parameter_names=tuple(map(str, entries.attrs["parameter_names"])),

@@ -199,11 +199,9 @@ class Manifest:
             rule = f"was built by solver {self.solver_version}, this is {solver.__version__}: build into another folder"
             raise CatalogueMismatchError(where, rule)
         self.recipe.check_same(plan.recipe(machine), str(where))
-        if self.plan.uncertain != plan.uncertain:
-            paths = sorted({*self.plan.uncertain, *plan.uncertain})
-            path = next(path for path in paths if self.plan.uncertain.get(path) != plan.uncertain.get(path))
-            rule = f"was drawn with another uncertain.{path}: build into another folder"
-            raise CatalogueMismatchError(where, rule)
+        different = self.plan.difference(plan, machine)
+        if different:
+            raise CatalogueMismatchError(where, f"was drawn with another {different}: build into another folder")
 
     def _difference(self, machine: Machine) -> str:
         if machine.name != self.machine.name:

@@ -3,106 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from importlib import resources
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from catalogue.draws import Distribution, log_uniform, rounded_levels, unit_draws
-from catalogue.entry import Entry, Hypothesis, Recipe
+from catalogue.cases import cases_of
+from catalogue.draws import Distribution
+from catalogue.entry import Entry, Recipe, Stratum
 from catalogue.errors import PlanError
-from catalogue.keys import content_digest, seed_from
-from catalogue.parameters import MachineNumbers, nominal_drive_speed
+from catalogue.keys import content_digest
+from catalogue.parameters import check_drawable, nominal_drive_speed
+from catalogue.plan_parts import Auto, Bands, ClearanceRange, Draws, Fits, Wide
+from catalogue.ranges import default_laws, default_uncertain, default_wide
+from catalogue.variants import LawChoice
 from solver.errors import MachineError
-from solver.machines.fields import Quantity, RuleError, Title, nearest
+from solver.machines.fields import Name, Quantity, RuleError, Title, nearest
 from solver.machines.machine import Machine
 from solver.machines.parts import Part
 from solver.machines.refusals import first_error
-from solver.machines.units import FREQUENCY, LENGTH, RATIO, TIME
+from solver.machines.units import FREQUENCY, RATIO, TIME
 from solver.machines.yamlfile import read_tree
 from solver.spectra.sampling import PASS
 
 __all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text", "resolve_plan"]
 
-Clearance = Annotated[float, Quantity(LENGTH, above=0.0)]
-Count = Annotated[int, Field(ge=1, le=100_000, strict=True)]
-Family = Literal["healthy", "singles", "pairs", "as-new"]
-
-DEFAULT_UNCERTAIN: Mapping[str, Distribution] = {
-    "drive.speed": Distribution(factor_uniform=(0.97, 1.03)),
-    "contact.friction": Distribution(uniform=(0.01, 0.15)),
-    "contact.stiffness": Distribution(lognormal=0.6),
-    "contact.damping": Distribution(lognormal=1.2),
-}
-"""What is uncertain about a machine unless a plan says otherwise. Contact numbers scatter widely because they stand for
-the contact law, too: real contacts are neither linear nor evenly damped (docs/diagnosis.md, section 5)."""
-
-
-class ClearanceRange(Part):
-    """Log-spaced levels of radial clearance: ``count`` of them from ``low`` to ``high`` [m], both included.
-
-    With ``jitter`` (0 to 1) every draw lies off its level, uniformly within this fraction of the distance to the
-    neighbours (in the logarithm); 1 fills the range without gaps, and overshoots its ends by half a distance.
-    """
-
-    low: Clearance = 1e-5
-    high: Clearance = 1e-3
-    count: Annotated[int, Field(ge=1, le=1000, strict=True)] = 24
-    jitter: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-
-    @model_validator(mode="after")
-    def _rising(self) -> Self:
-        if self.high > 0.1:
-            raise RuleError("must not be larger than 0.1 m", ("high",), self.high)
-        if not (self.low < self.high or (self.low == self.high and self.count == 1)):
-            raise RuleError("must be greater than low", ("high",), self.high)
-        return self
-
-    @property
-    def levels(self) -> tuple[float, ...]:
-        """The levels [m], rising."""
-        return rounded_levels(self.low, self.high, self.count)
-
-    @property
-    def spacing(self) -> float:
-        """Distance of two levels in the natural logarithm; 0 for a single one."""
-        return math.log(self.high / self.low) / (self.count - 1) if self.count > 1 else 0.0
-
-    def moved(self, level: float, u: float) -> float:
-        """The clearance drawn at `level` by the number `u` in [0, 1)."""
-        return level * math.exp(self.jitter * self.spacing * (u - 0.5)) if self.jitter else level
-
-
-class PairGrid(Part):
-    """Levels a joint and draws a cell for pairs of worn joints; the range is that of the singles."""
-
-    count: Annotated[int, Field(ge=1, le=100, strict=True)] = 10
-    draws: Count = 4
-
-
-class AsNewFits(Part):
-    """As-new machine: every turning joint has a clearance, log-uniform between ``low`` and ``high`` [m]."""
-
-    low: Clearance = 3e-6
-    high: Clearance = 2e-5
-    draws: Count = 96
-
-    @model_validator(mode="after")
-    def _rising(self) -> Self:
-        if not self.low < self.high:
-            raise RuleError("must be greater than low", ("high",), self.high)
-        return self
-
-
-class Bands(Part):
-    """Bands of the stored spectra: on each of the first ``orders``, then ``per_octave``, up to ``f_max`` [Hz]."""
-
-    orders: Annotated[int, Field(ge=1, le=1000, strict=True)] = 40
-    per_octave: Annotated[int, Field(ge=1, le=96, strict=True)] = 12
-    f_max: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 4000.0
+Family = Literal["healthy", "as-new", "singles", "pairs"]
 
 
 class Plan(Part):
@@ -112,24 +40,31 @@ class Plan(Part):
     ----------
     name : str
         For people.
-    hypotheses : tuple of {"healthy", "singles", "pairs", "as-new"}
-        Families of hypotheses: no clearance at all; one worn turning joint; two of them; small play in every joint.
+    hypotheses : tuple of {"healthy", "as-new", "singles", "pairs"}
+        Families of hypotheses: no clearance at all; play of new fits in every turning joint; one worn joint; two.
+    sets : tuple of tuple of str
+        Further hypotheses: chosen sets of worn joints.
+    draws : Draws
+        Draws of each hypothesis.
     clearance : ClearanceRange
-        Levels of the worn joint of a single.
-    draws : int
-        Draws of the uncertain numbers at each level of a single.
-    healthy_draws : int
-        Draws of the healthy machine.
-    pairs : PairGrid
-        Levels and draws of pairs.
-    as_new : AsNewFits
-        Fits and draws of the as-new machine.
+        Of worn joints.
+    fits : Fits
+        Play of joints as new.
+    uncertain : mapping of str to Distribution, optional
+        What is uncertain even of a machine whose data can be trusted, by path in the machine file or short path
+        (:class:`~catalogue.parameters.MachineNumbers`); None, or "auto" in a file, is
+        :func:`~catalogue.ranges.default_uncertain`.
+    laws : mapping of {"own", "linear", "hertz"} to float, optional
+        Weights of the contact laws that are drawn; None, or "auto" in a file, is
+        :func:`~catalogue.ranges.default_laws`.
+    wide : Wide
+        Draws of a machine whose own data are uncertain, too.
     speeds : tuple of float
-        Factors on the machine's drive speed; every case is drawn at every one of them.
+        Factors on the machine's drive speed; every hypothesis is drawn at every one of them.
+    guard : int
+        One draw in so many is computed again at accuracy "standard", and the difference kept; 0 for none.
     seed : int
         Seed of all draws.
-    uncertain : mapping of str to Distribution
-        What is uncertain, by path in the machine file; ``contact.friction`` and its like mean all turning joints.
     accuracy : {"draft", "standard", "reference"}
         Accuracy of the simulation. For a catalogue, draws are worth more than small steps.
     sample_rate : float
@@ -144,14 +79,16 @@ class Plan(Part):
 
     name: Title = "unnamed"
     hypotheses: tuple[Family, ...] = ("healthy", "singles")
+    sets: tuple[Annotated[tuple[Name, ...], Field(min_length=1)], ...] = ()
+    draws: Draws = Draws()
     clearance: ClearanceRange = ClearanceRange()
-    draws: Count = 8
-    healthy_draws: Count = 96
-    pairs: PairGrid = PairGrid()
-    as_new: AsNewFits = AsNewFits()
+    fits: Fits = Fits()
+    uncertain: Annotated[Mapping[str, Distribution] | None, Auto] = None
+    laws: Annotated[Mapping[LawChoice, Annotated[float, Quantity(RATIO, above=0.0)]] | None, Auto] = None
+    wide: Wide = Wide()
     speeds: tuple[Annotated[float, Quantity(RATIO, above=0.0)], ...] = (1.0,)
+    guard: Annotated[int, Field(ge=0, le=1_000_000, strict=True)] = 50
     seed: Annotated[int, Field(ge=0, le=2**63 - 1, strict=True)] = 1
-    uncertain: Mapping[str, Distribution] = Field(default_factory=lambda: dict(DEFAULT_UNCERTAIN))
     accuracy: Literal["draft", "standard", "reference"] = "draft"
     sample_rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 10_000.0
     revolutions: Annotated[float, Field(ge=3.0, le=1e5)] = 5.0
@@ -164,6 +101,11 @@ class Plan(Part):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
                 raise RuleError("must name at least one, and each once", (name,), list(values))
+        for i, chosen in enumerate(self.sets):
+            if len(set(chosen)) != len(chosen):
+                raise RuleError("must name each joint once", ("sets", i), list(chosen))
+        if self.laws is not None and not self.laws:
+            raise RuleError("must name at least one", ("laws",), {})
         highest = self.bands.f_max * max(self.speeds)
         if not self.sample_rate >= highest / PASS:
             rule = f"must be at least {highest / PASS:g} Hz: bands reach {highest:g} Hz at the highest speed"
@@ -201,90 +143,65 @@ class Plan(Part):
             nominal_drive_speed=speed,
         )
 
-    def entries(self, machine: Machine) -> tuple[Entry, ...]:
-        """Every case of this plan for `machine`, grouped by hypothesis, rising in clearance, then by draw.
+    def resolved(self, machine: Machine) -> Plan:
+        """The plan with what it leaves to the machine ("auto") written out; what a catalogue stores."""
+        laws = self.law_weights(machine)
+        wide = self.wide
+        if wide.uncertain is None:
+            wide = wide.model_copy(update={"uncertain": default_wide(machine) if wide.draws else {}})
+        uncertain = default_uncertain(machine, laws) if self.uncertain is None else self.uncertain
+        return self.model_copy(update={"laws": laws, "uncertain": uncertain, "wide": wide})
 
-        The draws of a case follow from the plan's seed, the hypothesis, its levels and the number of the draw alone;
-        so a plan with more draws, levels or hypotheses contains the cases of the smaller one.
+    def difference(self, other: Plan, machine: Machine) -> str:
+        """What is drawn differently in two plans for a machine, so that their draws do not mix; empty if nothing is."""
+        ours, theirs = self.resolved(machine), other.resolved(machine)
+        if ours.clearance != theirs.clearance:
+            return "clearance"
+        if (ours.fits.low, ours.fits.high) != (theirs.fits.low, theirs.fits.high):
+            return "fits"
+        if ours.laws != theirs.laws:
+            return "laws"
+        strata: tuple[Stratum, ...] = ("trusted", "wide") if ours.wide.draws and theirs.wide.draws else ("trusted",)
+        for stratum in strata:
+            first, second = ours.spread(machine, stratum), theirs.spread(machine, stratum)
+            for path in sorted({*first, *second}):
+                if first.get(path) != second.get(path):
+                    return f"{'wide.' if stratum == 'wide' else ''}uncertain.{path}"
+        return ""
+
+    def law_weights(self, machine: Machine) -> Mapping[LawChoice, float]:
+        """Weights of the contact laws that are drawn."""
+        return default_laws(machine) if self.laws is None else self.laws
+
+    def spread(self, machine: Machine, stratum: Stratum) -> dict[str, Distribution]:
+        """What is uncertain in a stratum, by path."""
+        plan = self.resolved(machine)
+        assert plan.uncertain is not None
+        assert plan.wide.uncertain is not None
+        return {**plan.uncertain, **plan.wide.uncertain} if stratum == "wide" else dict(plan.uncertain)
+
+    def further_fits(self, draws: int) -> int:
+        """How many draws with fits in the joints that are not worn go with `draws` of a faulty hypothesis."""
+        return math.ceil(self.fits.in_faulty * draws - 1e-9)
+
+    def entries(self, machine: Machine) -> tuple[Entry, ...]:
+        """Every case of this plan for `machine`: by hypothesis, stratum, speed, then by draw.
+
+        Draw i of a hypothesis, stratum and speed is point i of one space-filling sequence over clearances, contact law
+        and all that is uncertain; it does not depend on what else the plan asks for. So a plan with more draws or
+        hypotheses contains the cases of the smaller one, and any number of first draws covers everything evenly.
 
         Raises
         ------
         PlanError
-            A path of `uncertain` that the machine does not have; a machine without a constant drive speed.
+            A path of `uncertain` that the machine does not have or cannot vary; a set with a joint that it does not
+            have; a machine without a constant drive speed.
         """
-        recipe, numbers = self.recipe(machine), MachineNumbers(machine)
-        entries: list[Entry] = []
-        for family in self.hypotheses:
-            for joints, levels, draws in self._cells(family, tuple(sorted(machine.turning_joints))):
-                hypothesis = Hypothesis.as_new() if family == "as-new" else Hypothesis.of(joints)
-                for speed in self.speeds:
-                    entries += self._drawn(machine, recipe, numbers, hypothesis, joints, levels, speed, draws)
-        check_labels({entry.hypothesis for entry in entries}, machine.name)
-        return tuple({entry.key: entry for entry in entries}.values())  # without scatter, draws repeat
-
-    def _cells(
-        self, family: Family, turning: tuple[str, ...]
-    ) -> Iterator[tuple[tuple[str, ...], tuple[float, ...], int]]:
-        """Joints, their levels and the number of draws of every cell of a family; joints in alphabetical order."""
-        if family == "healthy":
-            yield (), (), self.healthy_draws
-        elif family == "singles":
-            for joint, level in product(turning, self.clearance.levels):
-                yield (joint,), (level,), self.draws
-        elif family == "pairs":
-            levels = rounded_levels(self.clearance.low, self.clearance.high, self.pairs.count)
-            for index, first in enumerate(turning):
-                for second, low, high in product(turning[index + 1 :], levels, levels):
-                    yield (first, second), (low, high), self.pairs.draws
-        elif turning:
-            yield turning, (), self.as_new.draws
-
-    def _drawn(
-        self,
-        machine: Machine,
-        recipe: Recipe,
-        numbers: MachineNumbers,
-        hypothesis: Hypothesis,
-        joints: tuple[str, ...],
-        levels: tuple[float, ...],
-        speed: float,
-        draws: int,
-    ) -> Iterator[Entry]:
-        paths = sorted(self.uncertain)
-        seed = seed_from(self.seed, hypothesis.label, levels, float(speed))
-        # The first numbers of a point move the clearances, used or not: switching the jitter on changes nothing else.
-        points = unit_draws(seed, max(1, len(joints) + len(paths)), draws)
-        for draw, point in enumerate(points.tolist()):
-            moves, rest = point[: len(joints)], point[len(joints) :]
-            if not levels:
-                clearances = tuple(log_uniform(self.as_new.low, self.as_new.high, u) for u in moves)
-            else:
-                clearances = tuple(self.clearance.moved(c, u) for c, u in zip(levels, moves, strict=True))
-            quantiles = {path: self.uncertain[path].quantile(u) for path, u in zip(paths, rest, strict=False)}
-            yield Entry.of(
-                machine,
-                recipe,
-                hypothesis=hypothesis,
-                joints=joints,
-                clearances=clearances,
-                parameters=numbers.drawn(self.uncertain, quantiles, speed),
-                draw=draw,
-            )
-
-
-def check_labels(hypotheses: Iterable[Hypothesis], machine: str) -> None:
-    """Refuse two hypotheses of one name, as of the joints A and B and of a joint whose name is A+B.
-
-    Raises
-    ------
-    PlanError
-        Names them.
-    """
-    known: dict[str, tuple[str, ...]] = {}
-    for hypothesis in hypotheses:
-        if known.setdefault(hypothesis.label, hypothesis.joints) != hypothesis.joints:
-            rule = f"names two hypotheses of machine {machine}: rename a joint"
-            raise PlanError("plan", "hypotheses", hypothesis.label, rule)
+        plan = self.resolved(machine)
+        strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
+        for stratum in strata:
+            check_drawable(machine, frozenset(plan.spread(machine, stratum)))
+        return tuple({entry.key: entry for entry in cases_of(plan, machine)}.values())  # without scatter, draws repeat
 
 
 def parse_plan(content: str | Mapping[str, object], source: str = "plan") -> Plan:

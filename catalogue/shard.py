@@ -91,6 +91,8 @@ class Shard:
     hypothesis : Hypothesis
     stratum : {"trusted", "wide"}
     variant : Variant
+    speed : float
+        Factor on the drive speed that the plan asked for.
     joints : tuple of str
         Joints with clearance, in alphabetical order.
     parameter_names : tuple of str
@@ -114,6 +116,7 @@ class Shard:
     hypothesis: Hypothesis
     stratum: Stratum
     variant: Variant
+    speed: float
     joints: tuple[str, ...]
     parameter_names: tuple[str, ...]
     key: tuple[str, ...]
@@ -143,6 +146,7 @@ class Shard:
             hypothesis=entries[0].hypothesis,
             stratum=entries[0].stratum,
             variant=entries[0].variant,
+            speed=entries[0].speed,
             joints=joints,
             parameter_names=names,
             key=tuple(entry.key for entry in entries),
@@ -178,4 +182,6 @@ class Shard:
             draw=int(self.draw[position]),
             stratum=self.stratum,
             variant=self.variant,
+            speed=self.speed,
+            guarded=not np.isnan(self.guard_db[position]),
         )

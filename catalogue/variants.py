@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, Self, get_args
 
-__all__ = ["AS_FILED", "LawChoice", "Variant"]
+from solver.machines.drives import Ripple, RotationDrive
+from solver.machines.joints import Contact, TurningJoint
+from solver.machines.machine import Machine
+from solver.machines.parts import Load
+
+__all__ = ["AS_FILED", "LawChoice", "ProcessLoad", "Variant", "output_load"]
 
 LawChoice = Literal["own", "linear", "hertz"]
 """Contact law of the turning joints: as the machine file has it, or another one fitted to it."""
+
+EQUAL_PENETRATION = 40e-6
+"""Penetration [m] at which a fitted law is as stiff as the one it stands for (docs/catalogue.md)."""
+
+HYSTERESIS = 3.0
+"""Hysteresis [s/m] of a Hertzian contact that stands for a linear one."""
+
+DAMPING_RATIO = 0.1
+"""Damping ratio of a linear contact that stands for another one, at the lighter link's mass."""
 
 
 @dataclass(frozen=True)
@@ -20,14 +36,23 @@ class Variant:
     ----------
     law : {"own", "linear", "hertz"}
         Contact law of the turning joints.
+    ripple : tuple of int
+        Orders of additional ripple of the drive, each a sine and a cosine of amplitude 0, so that a case can give them
+        any amplitude and phase.
+    load : str
+        Link that carries an additional load of size 0, see :func:`output_load`; empty for none.
     """
 
     law: LawChoice = "own"
+    ripple: tuple[int, ...] = ()
+    load: str = ""
 
     @property
     def content(self) -> dict[str, Any]:
         """What differs from the machine file, as plain data; empty if nothing does. :meth:`from_content` reads it."""
-        return {} if self.law == "own" else {"law": self.law}
+        law = {} if self.law == "own" else {"law": self.law}
+        ripple = {"ripple": list(self.ripple)} if self.ripple else {}
+        return {**law, **ripple, **({"load": self.load} if self.load else {})}
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Self:
@@ -40,11 +65,92 @@ class Variant:
         ValueError
             A law that is not known.
         """
-        variant = cls(**content)
+        variant = cls(**{**content, "ripple": tuple(map(int, content.get("ripple", ())))})
         if variant.law not in get_args(LawChoice):
             raise ValueError(f"law {variant.law!r} is not known")
         return variant
 
+    def machine(self, base: Machine) -> Machine:
+        """The machine of this variant; kept, so that asking again costs nothing."""
+        return _machine(base, self)
+
 
 AS_FILED = Variant()
 """The machine as its file has it."""
+
+
+@dataclass(frozen=True)
+class ProcessLoad:
+    """Where a load of the process acts on a machine.
+
+    Parameters
+    ----------
+    link : str
+        The link that does the work.
+    at : (float, float)
+        Point of it [m], in the drawing.
+    direction : (float, float)
+        Unit vector of the force; (0, 0) for a torque.
+    arm : float
+        Length [m] that makes a torque of a force; 0 for a force.
+    """
+
+    link: str
+    at: tuple[float, float]
+    direction: tuple[float, float]
+    arm: float = 0.0
+
+
+def output_load(machine: Machine) -> ProcessLoad | None:
+    """Where the process loads a machine: along a slide on the frame, else as a torque on a link that turns on it.
+
+    Returns
+    -------
+    ProcessLoad or None
+        None if nothing but the driven link moves on the frame.
+    """
+    driven = getattr(machine.drive, "joint", "")
+    turning: list[ProcessLoad] = []
+    for name, joint in machine.joints.items():
+        if machine.frame not in joint.links or name == driven:
+            continue
+        link = next(link for link in joint.links if link != machine.frame)
+        if not isinstance(joint, TurningJoint):
+            return ProcessLoad(link, joint.at, joint.direction)
+        arm = max(math.dist(joint.at, other.at) for other in machine.joints.values() if link in other.links)
+        turning.append(ProcessLoad(link, joint.at, (0.0, 0.0), arm or 1.0))
+    return turning[0] if turning else None
+
+
+@lru_cache(maxsize=64)
+def _machine(base: Machine, variant: Variant) -> Machine:
+    changes: dict[str, Any] = {}
+    if variant.law != "own":
+        changes["joints"] = {
+            name: joint.model_copy(update={"contact": _contact(base, joint, variant.law)})
+            if isinstance(joint, TurningJoint)
+            else joint
+            for name, joint in base.joints.items()
+        }
+    if variant.ripple and isinstance(base.drive, RotationDrive):
+        terms = [Ripple(order=o, amplitude=0.0, phase=p) for o in variant.ripple for p in (0.0, math.pi / 2)]
+        changes["drive"] = base.drive.model_copy(update={"ripple": (*base.drive.ripple, *terms)})
+    load = output_load(base) if variant.load else None
+    if load is not None:
+        changes["loads"] = (*base.loads, Load(link=variant.load, at=load.at))
+    return base.model_copy(update=changes) if changes else base
+
+
+def _contact(machine: Machine, joint: TurningJoint, law: LawChoice) -> Contact:
+    """The contact of a joint under another law, as stiff at :data:`EQUAL_PENETRATION`, its friction kept."""
+    own = joint.contact
+    same = own.law == law
+    if same:
+        return own
+    friction = {"friction": own.friction, "viscous": own.viscous, "friction_velocity": own.friction_velocity}
+    if law == "hertz":
+        secant = own.stiffness * EQUAL_PENETRATION ** ((own.exponent or 1.0) - 1.5)
+        return Contact(law="hertz", stiffness=secant, hysteresis=HYSTERESIS, **friction)
+    stiffness = own.stiffness * EQUAL_PENETRATION ** ((own.exponent or 1.0) - 1.0)
+    mass = min(machine.links[link].mass or 1.0 for link in joint.links)
+    return Contact(stiffness=stiffness, damping=2 * DAMPING_RATIO * math.sqrt(stiffness * mass), **friction)

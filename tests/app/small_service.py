@@ -14,9 +14,9 @@ from app.settings import Settings
 
 PLAN = {
     "name": "tests",
-    "clearance": {"low": "30 um", "high": "0.8 mm", "count": 12, "jitter": 1.0},
-    "draws": 6,
-    "healthy_draws": 36,
+    "clearance": {"low": "30 um", "high": "0.8 mm"},
+    "draws": {"healthy": 36, "single": 72},
+    "laws": {"own": 1},
     "seconds": 1.0,
 }
 

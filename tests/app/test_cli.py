@@ -227,7 +227,7 @@ def test_a_short_simulation_says_that_it_has_no_spectra(tmp_path: Path) -> None:
 def test_build_and_verify(shelf: Path, tmp_path: Path) -> None:
     plan = tmp_path / "plan.yaml"
     plan.write_text(
-        "{clearance: {low: 30 um, high: 0.8 mm, count: 12, jitter: 1.0}, draws: 6, healthy_draws: 36, seconds: 1}"
+        "{clearance: {low: 30 um, high: 0.8 mm}, draws: {single: 72, healthy: 36}, laws: {own: 1}, seconds: 1}"
     )
     result = invoke("build", "slider-crank", "--catalogue", shelf / "slider-crank", "--plan", plan, "--json")
     assert result.exit_code == 0, result.stderr

@@ -13,9 +13,8 @@ from solver.machines.machine import shipped_machine
 
 PLAN = {
     "name": "tests",
-    "clearance": {"low": "40 um", "high": "0.8 mm", "count": 10, "jitter": 1.0},
-    "draws": 7,
-    "healthy_draws": 36,
+    "clearance": {"low": "40 um", "high": "0.8 mm"},
+    "draws": {"healthy": 36, "single": 72},
     "seconds": 1.0,
 }
 

@@ -30,9 +30,9 @@ MACHINE = shipped_machine("slider-crank")
 PLAN: Plan = parse_plan(
     {
         "name": "small",
-        "clearance": {"low": "50 um", "high": "0.5 mm", "count": 3},
-        "draws": 4,
-        "healthy_draws": 6,
+        "clearance": {"low": "50 um", "high": "0.5 mm"},
+        "draws": {"healthy": 6, "single": 12},
+        "laws": {"own": 1},
         "bands": {"orders": 5, "per_octave": 3, "f_max": "500 Hz"},
     }
 )

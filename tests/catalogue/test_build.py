@@ -73,9 +73,15 @@ def test_two_builds_give_the_same_bytes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "larger",
     [
-        {"draws": 6},
-        {"clearance": {"low": "50 um", "high": "0.5 mm", "count": 5}},
-        {"hypotheses": ["healthy", "singles", "pairs", "as-new"], "pairs": {"count": 2, "draws": 1}},
+        {"draws": {"healthy": 6, "single": 18}},
+        {"draws": {"healthy": 6, "single": 12, "larger": 3}, "sets": [["A", "B", "O"]]},
+        {
+            "hypotheses": ["healthy", "singles", "pairs", "as-new"],
+            "draws": {"healthy": 6, "single": 12, "pair": 4, "as_new": 3},
+        },
+        {"wide": {"draws": 0.5}},
+        {"fits": {"in_faulty": 0.25}},
+        {"speeds": [1, 1.25]},
     ],
 )
 def test_a_larger_plan_adds_what_is_missing(
@@ -91,11 +97,11 @@ def test_a_larger_plan_adds_what_is_missing(
     assert (report.added, report.present) == (total - len(KEYS), len(KEYS))
     assert len((tmp_path / "log").read_text().split()) == total
     assert all((directory / "shards" / name).read_bytes() == content for name, content in before.items())
-    assert Catalogue.open(directory).plan == plan
+    assert Catalogue.open(directory).plan == plan.resolved(MACHINE)
     assert_complete(directory, plan)
     smaller = quick_build(directory)
     assert (smaller.added, smaller.present) == (0, len(KEYS))
-    assert Catalogue.open(directory).plan == plan
+    assert Catalogue.open(directory).plan == plan.resolved(MACHINE)
 
 
 def test_interrupt_leaves_what_is_done(tmp_path: Path) -> None:
@@ -293,7 +299,7 @@ def test_readers_read_while_a_build_goes_on(tmp_path: Path) -> None:
 
 def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path, with_draws(1))
-    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.joints and entry.draw == 2)
+    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.joints and entry.draw == 7)
     monkeypatch.setenv("FAKE_RAISES", victim)
     report = quick_build(tmp_path)
     assert report.lost == (victim,)
@@ -301,7 +307,7 @@ def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monk
     assert report.added + report.present == len(KEYS) - 1
     with Index(tmp_path / "index.sqlite") as index:
         lost = [chunk for chunk in index.chunks() if chunk.status is ChunkStatus.LOST]
-        assert [(chunk.entries, chunk.message) for chunk in lost] == [(3, f"{victim[:12]}: {report.lost_reason}")]
+        assert [(chunk.entries, chunk.message) for chunk in lost] == [(4, f"{victim[:12]}: {report.lost_reason}")]
     monkeypatch.undo()
     assert quick_build(tmp_path).added == 1
     assert_complete(tmp_path)
@@ -367,4 +373,4 @@ def test_caller_may_bring_an_executor(tmp_path: Path) -> None:
 
 
 def with_draws(draws: int) -> Plan:
-    return parse_plan({**PLAN.content, "draws": draws})
+    return parse_plan({**PLAN.content, "draws": {"healthy": 6, "single": 3 * draws}})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from catalogue.build import build
 from catalogue.chunk import Chunk, chunked, simulate_chunk
+from catalogue.guard import mean_difference_db
 from catalogue.plan import parse_plan
 from catalogue.store import Catalogue
 from solver.errors import AssemblyError
@@ -19,9 +21,10 @@ from solver.spectra.band_power import band_matrix
 MACHINE = shipped_machine("slider-crank")
 PLAN = parse_plan(
     {
-        "clearance": {"low": "0.1 mm", "high": "0.4 mm", "count": 2},
-        "draws": 2,
-        "healthy_draws": 2,
+        "clearance": {"low": "0.1 mm", "high": "0.4 mm"},
+        "draws": {"healthy": 2, "single": 4},
+        "laws": {"own": 1},
+        "guard": 3,
         "seconds": 0,
         "revolutions": 4,
         "bands": {"f_max": "1 kHz"},
@@ -41,7 +44,7 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
 
 def test_all_hypotheses_have_spectra(catalogue: Catalogue) -> None:
     assert catalogue.hypotheses == ("healthy", "A", "B", "O")
-    assert len(catalogue.entries) == 2 + 3 * 2 * 2
+    assert len(catalogue.entries) == 2 + 3 * 4
     assert set(catalogue.entries.segments) == {2}  # windows of three revolutions, one apart, in four
     auto = np.einsum("nbii->nbi", catalogue.power()).real
     assert (auto >= 0).all()
@@ -79,11 +82,61 @@ def test_chunks_share_joints_and_take_turns() -> None:
     entries = PLAN.entries(MACHINE)
     chunks = chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)
     assert [chunk.joints for chunk in chunks] == [(), ("A",), ("B",), ("O",), ("A",), ("B",), ("O",)]
+    assert [[entry.draw for entry in chunk.entries] for chunk in chunks[1:5:3]] == [[0, 1, 2], [3]]
     assert sorted(entry.key for chunk in chunks for entry in chunk.entries) == sorted(entry.key for entry in entries)
     assert [chunk.id for chunk in chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)] == [chunk.id for chunk in chunks]
     first, second = chunks[1].halves()
     assert first.entries + second.entries == chunks[1].entries
     assert len({chunks[1].id, first.id, second.id}) == 3
+
+
+def test_chunks_do_not_depend_on_what_is_missing() -> None:
+    """Blocks of draws are absolute, so that two builders, or a larger plan, cut the same chunks."""
+    recipe, entries = PLAN.recipe(MACHINE), PLAN.entries(MACHINE)
+    missing = [entry for entry in entries if not (entry.joints == ("A",) and entry.draw < 2)]
+    ids = {chunk.id for chunk in chunked(MACHINE, recipe, entries, 2)}
+    assert {chunk.id for chunk in chunked(MACHINE, recipe, missing, 2)} < ids
+
+
+def test_chunks_have_one_law_one_stratum_and_one_speed() -> None:
+    tree = {**PLAN.content, "laws": {"own": 1, "hertz": 1}, "wide": {"draws": 1}, "speeds": [1, 1.1]}
+    tree |= {"draws": {"healthy": 8, "single": 8}, "fits": {"in_faulty": 0.5}}
+    plan = parse_plan(tree)
+    entries = plan.entries(MACHINE)
+    chunks = chunked(MACHINE, plan.recipe(MACHINE), entries, 64)
+    kinds = [{(e.hypothesis, e.stratum, e.variant, e.speed, e.joints) for e in chunk.entries} for chunk in chunks]
+    assert all(len(kind) == 1 for kind in kinds)
+    assert len(set.union(*kinds)) == len(kinds)
+    assert sum(len(chunk.entries) for chunk in chunks) == len(entries)
+    chunk = next(c for c in chunks if c.entries[0].variant.law == "hertz" and c.entries[0].stratum == "wide")
+    assert all(outcome.status == "ok" for outcome in simulate_chunk(chunk))
+
+
+def test_guarded_cases_are_compared_with_finer_steps(catalogue: Catalogue) -> None:
+    """The guard is the difference from the same case at accuracy standard, and only some cases have it."""
+    table = catalogue.entries
+    assert (np.isfinite(table.guard_db) == (table.draw % 3 == 0)).all()
+    wanted = next(entry for entry in PLAN.entries(MACHINE) if entry.joints == ("A",) and entry.guarded)
+    finer = Chunk(MACHINE.canonical_json(), replace(PLAN.recipe(MACHINE), accuracy="standard"), (wanted,))
+    (outcome,) = simulate_chunk(finer)
+    stored = catalogue.entry(wanted.key)
+    assert outcome.guard_db is None
+    assert outcome.power is not None
+    assert stored.power is not None
+    assert stored.guard_db == pytest.approx(mean_difference_db(stored.power, outcome.power), rel=1e-6)
+    assert 0 < stored.guard_db < 6  # chaotic cases differ by their own scatter, which is some 2 dB
+
+
+def test_mean_difference_of_levels() -> None:
+    power = np.einsum("b,ij->bij", [1.0, 1e-3, 1e-12], np.eye(3)).astype(np.complex64)
+    assert mean_difference_db(power, power) == 0
+    assert mean_difference_db(power, 10 * power) == pytest.approx(10, rel=1e-6)
+    other = power.copy()
+    other[2] *= 100  # rounding: 120 dB below the largest band
+    assert mean_difference_db(power, other) == 0
+    other[1, 0, 0] *= 100
+    assert mean_difference_db(power, other) == pytest.approx(20 / 6, rel=1e-6)  # one of six levels that count
+    assert mean_difference_db(0 * power, 0 * power) == 0
 
 
 def test_outcomes_are_in_the_order_of_the_entries() -> None:

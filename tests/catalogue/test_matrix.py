@@ -31,8 +31,7 @@ ALL = parse_plan(
     {
         **PLAN.content,
         "hypotheses": ["healthy", "singles", "pairs", "as-new"],
-        "pairs": {"count": 2, "draws": 2},
-        "as_new": {"draws": 3},
+        "draws": {**PLAN.content["draws"], "pair": 8, "as_new": 3},
         "speeds": [1.0, 1.5],
         "bands": {"orders": 24, "per_octave": 12, "f_max": "500 Hz"},
     }
@@ -133,7 +132,7 @@ def test_one_matrix_stays_and_who_has_an_old_one_keeps_it(tmp_path: Path) -> Non
     layout = CatalogueDirectory(tmp_path)
     before = Catalogue.open(tmp_path).matrix
     packed = before.packed(before.all_rows[:3]).copy()
-    quick_build(tmp_path, parse_plan({**PLAN.content, "draws": 5}))
+    quick_build(tmp_path, parse_plan({**PLAN.content, "draws": {"healthy": 6, "single": 15}}))
     after = Catalogue.open(tmp_path)
     assert [path.name for path in layout.matrices.iterdir()] == [after.id[:16]]
     assert before.id != after.matrix.id
@@ -147,7 +146,7 @@ def test_content_does_not_depend_on_how_it_is_divided(tmp_path: Path) -> None:
     one, other = Catalogue.open(tmp_path / "a"), Catalogue.open(tmp_path / "b")
     assert one.id != other.id
     assert one.matrix.content == other.matrix.content
-    quick_build(tmp_path / "b", parse_plan({**PLAN.content, "draws": 5}))
+    quick_build(tmp_path / "b", parse_plan({**PLAN.content, "draws": {"healthy": 6, "single": 15}}))
     assert Catalogue.open(tmp_path / "b").matrix.content != one.matrix.content
 
 
@@ -159,7 +158,7 @@ def test_catalogue_is_what_the_last_build_left_until_the_next_comes_to_its_end(t
     total = quick_build(tmp_path).added
     before = Catalogue.open(tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        quick_build(tmp_path, parse_plan({**PLAN.content, "draws": 8}), progress=stop)
+        quick_build(tmp_path, parse_plan({**PLAN.content, "draws": {"healthy": 6, "single": 24}}), progress=stop)
     assert len(CatalogueDirectory(tmp_path).shard_names()) > len(before.manifest.seal.shards)  # type: ignore[union-attr]
     between = Catalogue.open(tmp_path)
     assert between.id == before.id

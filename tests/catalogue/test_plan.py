@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +15,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalogue.draws import Distribution, rounded_levels, unit_draws
+from catalogue.draws import Distribution, unit_draws
+from catalogue.entry import Entry
 from catalogue.errors import PlanError
+from catalogue.parameters import MachineNumbers
 from catalogue.plan import Plan, load_plan, parse_plan, preset, preset_names, resolve_plan
+from catalogue.plan_text import plan_lines
+from catalogue.ranges import STIFFNESS_SCATTER
+from catalogue.variants import Variant
 from solver.cases.history import Case
 from solver.cases.parameters import full_paths
 from solver.machines.fault import FaultState
 from solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_text
+from solver.simulation.simulate import Settings, simulate_batch
 
 QUICK_RETURN = shipped_machine("quick-return")
+MOUNTS = {
+    path: number
+    for path, number in MachineNumbers(QUICK_RETURN).by_path.items()
+    if re.search(r"supports\.\d\.(stiff|damp)", path)
+}
+
+
+TREE: dict[str, Any] = {"laws": {"own": 1}, "draws": {"healthy": 3, "as_new": 3, "single": 6, "pair": 4, "larger": 5}}
 
 
 def keys(plan: Plan, machine: Machine = QUICK_RETURN) -> list[str]:
@@ -28,19 +45,31 @@ def keys(plan: Plan, machine: Machine = QUICK_RETURN) -> list[str]:
 
 
 def plan_of(**changes: Any) -> Plan:
-    return parse_plan({"draws": 2, "healthy_draws": 3, "clearance": {"count": 3}, **changes})
+    return parse_plan({**TREE, **changes})
 
 
-def test_quick_preset_holds_every_single_at_24_clearances() -> None:
-    entries = preset("quick").entries(QUICK_RETURN)
-    counts: dict[str, int] = {}
-    for entry in entries:
-        counts[entry.hypothesis.label] = counts.get(entry.hypothesis.label, 0) + 1
-    assert counts == {"healthy": 96, "as-new": 96, "A": 192, "C": 192, "E": 192, "F": 192, "O": 192}
-    clearances = sorted({entry.clearances[0] for entry in entries if len(entry.joints) == 1})
-    assert len(clearances) == 24
-    assert (clearances[0], clearances[-1]) == (1e-5, 1e-3)
-    assert np.allclose(np.diff(np.log(clearances)), math.log(100) / 23)
+def draws(**counts: int) -> dict[str, int]:
+    return {**TREE["draws"], **counts}
+
+
+def counted(entries: Iterable[Entry]) -> dict[str, int]:
+    return dict(Counter(entry.hypothesis.label for entry in entries))
+
+
+def test_presets_hold_what_they_say() -> None:
+    quick = preset("quick").entries(QUICK_RETURN)
+    assert counted(quick) == {"healthy": 128, "as-new": 128, **dict.fromkeys("ACEFO", 192)}
+    standard = preset("standard").entries(QUICK_RETURN)
+    pairs = ["+".join(pair) for pair in itertools.combinations("ACEFO", 2)]
+    # Half as many again in which the machine's own data are uncertain.
+    assert counted(standard) == {"healthy": 288, "as-new": 288, **dict.fromkeys(["A", "C", "E", "F", "O", *pairs], 576)}
+    assert Counter(entry.stratum for entry in standard) == {
+        "trusted": len(standard) * 2 // 3,
+        "wide": len(standard) // 3,
+    }
+    worn = [entry.clearances[0] for entry in quick if len(entry.worn) == 1]
+    assert 3e-5 <= min(worn) < 3.1e-5
+    assert 0.98e-3 < max(worn) <= 1e-3
 
 
 def test_each_preset_contains_the_smaller_one() -> None:
@@ -52,7 +81,7 @@ def test_each_preset_contains_the_smaller_one() -> None:
 
 
 def test_entries_are_unique_and_the_same_every_time() -> None:
-    plan = plan_of(hypotheses=["healthy", "singles", "pairs", "as-new"], pairs={"count": 2, "draws": 1})
+    plan = plan_of(hypotheses=["healthy", "singles", "pairs", "as-new"], sets=[["A", "C", "E"]])
     first = keys(plan)
     assert first == keys(parse_plan(plan.content))
     assert len(set(first)) == len(first)
@@ -66,16 +95,19 @@ def test_entries_do_not_depend_on_the_order_of_the_machine_file() -> None:
 @pytest.mark.parametrize(
     "larger",
     [
-        {"draws": 7},
-        {"healthy_draws": 11},
-        {"clearance": {"count": 5}},
+        {"draws": draws(single=70)},
+        {"draws": draws(healthy=11)},
         {"hypotheses": ["healthy", "singles", "pairs"]},
+        {"sets": [["C", "A", "F"]]},
         {"speeds": [1.0, 0.5]},
+        {"wide": {"draws": 0.5}},
+        {"fits": {"in_faulty": 0.5}},
     ],
 )
 def test_more_of_anything_extends(larger: dict[str, Any]) -> None:
     small, large = keys(plan_of()), keys(plan_of(**larger))
     assert set(small) < set(large)
+    assert not plan_of().difference(plan_of(**larger), QUICK_RETURN)
 
 
 @pytest.mark.parametrize("other", [{"seed": 2}, {"sample_rate": 14000}, {"uncertain": {}}, {"bands": {"orders": 30}}])
@@ -83,14 +115,28 @@ def test_other_numbers_are_other_entries(other: dict[str, Any]) -> None:
     assert not set(keys(plan_of())) & set(keys(plan_of(**other)))
 
 
-def test_without_scatter_draws_do_not_repeat() -> None:
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"clearance": {"low": "40 um"}}, "clearance"),
+        ({"fits": {"high": "30 um"}}, "fits"),
+        ({"laws": "auto"}, "laws"),
+        ({"uncertain": {"contact.friction": {"uniform": [0, 1]}}}, "uncertain.contact.damping"),
+        ({"wide": {"draws": 0.5, "uncertain": {"frame.mass": {"lognormal": 1}}}}, "wide.uncertain.frame.inertia"),
+    ],
+)
+def test_what_is_drawn_differently_is_named(change: dict[str, Any], name: str) -> None:
+    assert plan_of(wide={"draws": 1}).difference(plan_of(**change), QUICK_RETURN) == name
+
+
+def test_without_scatter_draws_of_the_healthy_machine_do_not_repeat() -> None:
     entries = plan_of(uncertain={}).entries(QUICK_RETURN)
-    assert len(entries) == 1 + 5 * 3
+    assert counted(entries) == {"healthy": 1, **dict.fromkeys("ACEFO", 6)}
     assert all(not entry.parameters for entry in entries)
 
 
 def test_drawn_numbers_have_their_distributions() -> None:
-    entries = plan_of(draws=64, healthy_draws=1, clearance={"count": 4}).entries(QUICK_RETURN)[1:]
+    entries = plan_of(draws=draws(single=256), hypotheses=["singles"]).entries(QUICK_RETURN)
     numbers = {path: np.array([e.parameters[path] for e in entries]) for path in entries[0].parameters}
     speed = numbers["drive.speed"] / QUICK_RETURN.drive.speed  # type: ignore[union-attr, operator]
     assert 0.97 <= speed.min() < 0.971
@@ -98,14 +144,112 @@ def test_drawn_numbers_have_their_distributions() -> None:
     assert abs(np.median(numbers["contact.friction"]) - 0.08) < 0.003
     logs = np.log(numbers["contact.stiffness"] / 1e7)
     assert abs(logs.mean()) < 0.02
-    assert abs(logs.std() - 0.6) < 0.03
+    assert abs(logs.std() - STIFFNESS_SCATTER) < 0.03
+    clearances = np.log([e.clearances[0] for e in entries])
+    counts = np.histogram(clearances, 32, (math.log(3e-5), math.log(1e-3)))[0]
+    assert (counts == len(entries) / 32).all()  # 256 points of a Sobol sequence, a fault each
 
 
 def test_numbers_of_one_draw_are_not_tied_to_each_other() -> None:
-    entries = plan_of(draws=32, healthy_draws=1, clearance={"count": 8}).entries(QUICK_RETURN)[1:]
-    table = np.array([[*e.clearances, *e.parameters.values()] for e in entries])
-    off_diagonal = np.corrcoef(np.log(table).T) - np.eye(table.shape[1])
-    assert np.abs(off_diagonal).max() < 0.08
+    entries = plan_of(draws=draws(pair=256), hypotheses=["pairs"], wide={"draws": 1}).entries(QUICK_RETURN)
+    for stratum in ("trusted", "wide"):
+        some = [e for e in entries if e.worn == ("C", "F") and e.stratum == stratum]
+        columns = [[*np.log(e.clearances), *e.parameters.values()] for e in some]
+        # Both supports, and both components of a load, share a factor.
+        table = np.unique(np.round(np.array(columns) / np.abs(columns).max(axis=0), 12), axis=1)
+        off_diagonal = np.abs(np.corrcoef(table.T) - np.eye(table.shape[1]))
+        assert off_diagonal.max() < 0.15 or stratum == "wide"
+
+
+def test_laws_are_drawn_by_their_weights() -> None:
+    entries = plan_of(laws={"own": 3, "hertz": 1}, draws=draws(single=256), hypotheses=["singles"]).entries(
+        QUICK_RETURN
+    )
+    laws = Counter(entry.variant.law for entry in entries)
+    assert laws == {"own": 960, "hertz": 320}
+    for entry in entries:
+        drawn = {path for path in entry.parameters if path.startswith("contact.")} - {"contact.friction"}
+        damping = "contact.hysteresis" if entry.variant.law == "hertz" else "contact.damping"
+        assert drawn == {"contact.stiffness", damping}
+    healthy = parse_plan({"hypotheses": ["healthy"]}).entries(QUICK_RETURN)
+    assert {entry.variant.law for entry in healthy} == {"own"}  # no contact, no law
+    assert set(healthy[0].parameters) == {"drive.speed"}
+
+
+def test_a_fitted_law_is_as_stiff_at_a_usual_penetration() -> None:
+    machine = Variant("hertz").machine(QUICK_RETURN)
+    contact, own = machine.joints["A"].contact, QUICK_RETURN.joints["A"].contact  # type: ignore[union-attr]
+    assert (contact.law, contact.friction) == ("hertz", own.friction)
+    assert contact.stiffness * 40e-6**1.5 == pytest.approx(own.stiffness * 40e-6)
+    back = Variant("linear").machine(machine).joints["A"].contact  # type: ignore[union-attr]
+    assert back.stiffness == pytest.approx(own.stiffness)
+    assert Variant("linear").machine(QUICK_RETURN) == QUICK_RETURN
+
+
+def test_wide_draws_vary_the_machine_by_common_factors() -> None:
+    entries = plan_of(hypotheses=["singles"], wide={"draws": 1}).entries(QUICK_RETURN)
+    wide = [entry for entry in entries if entry.stratum == "wide"]
+    assert len(wide) == len(entries) // 2
+    assert wide[0].variant == Variant("own", (1, 2), "ram")
+    for entry in wide:
+        numbers = entry.parameters
+        factors = {path: numbers[path] / nominal for path, nominal in MOUNTS.items()}
+        assert factors["supports.0.stiffness.0"] == factors["supports.1.stiffness.0"]
+        assert factors["supports.0.stiffness.0"] != factors["supports.0.stiffness.1"]
+        assert 0.7 <= factors["supports.0.stiffness.1"] <= 1.3
+        assert 0.5 <= factors["supports.1.damping.1"] <= 2
+        assert abs(numbers["loads.0.force.0"]) <= 2.5 * 9.81 * 4.5
+        assert {f"drive.ripple.{i}.amplitude" for i in range(4)} < set(numbers)
+    assert not {
+        path for entry in entries if entry.stratum == "trusted" for path in entry.parameters if "supports" in path
+    }
+
+
+def test_a_drawn_ripple_and_load_are_those_of_a_file() -> None:
+    """A variant with numbers of a case moves as a machine file that says the same."""
+    tree = QUICK_RETURN.model_dump()
+    tree["drive"]["ripple"] = [{"order": 2, "amplitude": 0.01, "phase": 0.7}]
+    tree["loads"] = [{"link": "ram", "at": tree["joints"]["G2"]["at"], "force": [30.0, 0.0]}]
+    settings = Settings(sample_rate=2000.0, duration=0.3)
+    filed = simulate_batch(parse_machine(tree), [Case()], settings)[0]
+    numbers = MachineNumbers(Variant("own", (2,), "ram").machine(QUICK_RETURN))
+    values = {"ripple.2.sin": 0.01 * math.cos(0.7), "ripple.2.cos": 0.01 * math.sin(0.7), "load": 30.0}
+    parameters = {
+        target.path: value * target.share for path, value in values.items() for target in numbers.targets(path)
+    }
+    drawn = simulate_batch(Variant("own", (2,), "ram").machine(QUICK_RETURN), [Case(parameters=parameters)], settings)[
+        0
+    ]
+    scale = np.abs(filed.displacement).max(axis=0)
+    assert np.allclose(drawn.displacement, filed.displacement, rtol=0, atol=1e-6 * scale)
+
+
+def test_faulty_draws_with_fits_open_the_other_joints() -> None:
+    entries = plan_of(hypotheses=["healthy", "singles", "as-new"], fits={"in_faulty": 0.5}).entries(QUICK_RETURN)
+    more = [entry for entry in entries if entry.worn and len(entry.joints) == 5]
+    assert len(more) == 5 * 3
+    for entry in more:
+        sizes = dict(zip(entry.joints, entry.clearances, strict=True))
+        assert sizes.pop(entry.worn[0]) >= 3e-5
+        assert 3e-6 <= min(sizes.values()) < max(sizes.values()) <= 2e-5
+
+
+def test_a_plan_is_shown_in_words() -> None:
+    lines = plan_lines(preset("standard"), QUICK_RETURN)
+    resolved = preset("standard").resolved(QUICK_RETURN)
+    assert lines[0] == f"plan standard, {resolved.hash[:12]}: 9216 cases (6144 trusted, 3072 wide)"
+    assert lines[1] == "hypotheses: healthy, as-new, 5 of a single, 10 of a pair"
+    assert lines[4] == "contact laws: own 1, hertz 1"
+    assert "drive.speed x 0.97 to 1.03" in lines[5]
+    assert "load -110 to 110" in lines[6]
+    assert "drive.speed" not in lines[6]
+    assert not any("wide draws" in line for line in plan_lines(preset("quick"), QUICK_RETURN))
+
+
+def test_one_draw_in_so_many_is_guarded() -> None:
+    entries = plan_of(draws=draws(single=101), hypotheses=["singles"]).entries(QUICK_RETURN)
+    assert {entry.draw for entry in entries if entry.guarded} == {0, 50, 100}
+    assert not any(entry.guarded for entry in plan_of(guard=0).entries(QUICK_RETURN))
 
 
 def test_factor_on_unequal_joints_keeps_their_ratio() -> None:
@@ -113,7 +257,7 @@ def test_factor_on_unequal_joints_keeps_their_ratio() -> None:
     tree = parse_machine(text).model_dump()
     tree["joints"]["A"]["contact"]["stiffness"] = 3e7
     machine = parse_machine(tree)
-    entry = plan_of().entries(machine)[0]
+    entry = plan_of(hypotheses=["singles"]).entries(machine)[0]
     stiff, soft = (entry.parameters[f"joints.{joint}.contact.stiffness"] for joint in "AC")
     assert stiff / soft == pytest.approx(3.0)
     assert "contact.stiffness" not in entry.parameters
@@ -138,29 +282,24 @@ def test_numbers_of_a_contact_law() -> None:
         plan_of(uncertain=uncertain).entries(QUICK_RETURN)
 
 
-def test_jitter_fills_the_gaps_between_levels_and_nothing_else_changes() -> None:
-    exact = plan_of(draws=16).entries(QUICK_RETURN)
-    moved = plan_of(draws=16, clearance={"count": 3, "jitter": 1.0}).entries(QUICK_RETURN)
-    assert [e.parameters for e in exact] == [e.parameters for e in moved]
-    spacing = math.log(10.0)
-    for a, b in zip(exact, moved, strict=True):
-        for level, clearance in zip(a.clearances, b.clearances, strict=True):
-            assert abs(math.log(clearance / level)) <= spacing / 2
-    distinct = {e.clearances for e in moved if e.hypothesis.label == "A"}
-    assert len(distinct) == 3 * 16
-
-
-def test_pairs_cover_their_grid_and_as_new_stays_in_its_range() -> None:
-    plan = plan_of(hypotheses=["pairs", "as-new"], pairs={"count": 3, "draws": 1}, as_new={"draws": 40})
-    entries = plan.entries(QUICK_RETURN)
-    pairs = [e for e in entries if e.hypothesis.label != "as-new"]
-    assert {e.hypothesis.label for e in pairs} == {"+".join(p) for p in itertools.combinations("ACEFO", 2)}
-    assert len({e.clearances for e in pairs if e.hypothesis.label == "A+F"}) == 9
-    fits = np.array([e.clearances for e in entries if e.hypothesis.label == "as-new"])
-    assert fits.shape == (40, 5)
+def test_as_new_stays_in_its_range() -> None:
+    entries = plan_of(hypotheses=["as-new"], draws=draws(as_new=64)).entries(QUICK_RETURN)
+    fits = np.array([e.clearances for e in entries])
+    assert fits.shape == (64, 5)
     assert fits.min() >= 3e-6
     assert fits.max() <= 2e-5
-    assert np.abs(np.corrcoef(np.log(fits).T) - np.eye(5)).max() < 0.35
+    assert np.abs(np.corrcoef(np.log(fits).T) - np.eye(5)).max() < 0.25
+
+
+def test_chosen_sets_are_lists_of_joints() -> None:
+    plan = plan_of(hypotheses=["healthy"], sets=[["F", "A", "C"], ["O", "E"]])
+    entries = plan.entries(QUICK_RETURN)
+    assert counted(entries) == {"healthy": 3, "A+C+F": 5, "E+O": 4}
+    assert {entry.worn for entry in entries} == {(), ("A", "C", "F"), ("E", "O")}
+    with pytest.raises(
+        PlanError, match=r"^plan: sets\.0: Z: is no turning joint of machine quick-return; these are A, C"
+    ):
+        plan_of(sets=[["A", "Z"]]).entries(QUICK_RETURN)
 
 
 def test_recipe_covers_the_asked_time_and_revolutions() -> None:
@@ -170,23 +309,30 @@ def test_recipe_covers_the_asked_time_and_revolutions() -> None:
 
 
 def test_plan_reads_back_and_hash_ignores_the_name() -> None:
-    plan = plan_of(name="a", clearance={"low": "20 um", "high": "0.4 mm", "count": 7}, speeds=[0.5, 1])
+    plan = plan_of(name="a", clearance={"low": "20 um", "high": "0.4 mm"}, speeds=[0.5, 1])
     assert parse_plan(plan.content) == plan
     assert parse_plan({**plan.content, "name": "b"}).hash == plan.hash
-    assert parse_plan({**plan.content, "draws": 9}).hash != plan.hash
+    assert parse_plan({**plan.content, "draws": {"single": 9}}).hash != plan.hash
+    resolved = preset("standard").resolved(QUICK_RETURN)
+    assert parse_plan(resolved.content) == resolved
+    assert resolved.resolved(QUICK_RETURN) == resolved
+    assert keys(resolved) == keys(preset("standard"))
 
 
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("draw: 3", 'my.yaml: draw: 3: unknown key; did you mean "draws"?'),
-        ("draws: 0", "my.yaml: draws: 0: must be greater than or equal to 1"),
-        ("draws: 2.5", "my.yaml: draws: 2.5: must be a valid integer"),
+        ("draw: {}", 'my.yaml: draw: {}: unknown key; did you mean "draws"?'),
+        ("draws: {single: 0}", "my.yaml: draws.single: 0: must be greater than or equal to 1"),
+        ("draws: {single: 2.5}", "my.yaml: draws.single: 2.5: must be a valid integer"),
         ("clearance: {low: 2 mm}", "my.yaml: clearance.high: 0.001: must be greater than low"),
+        ("sets: [[A, A]]", "my.yaml: sets.0: [A, A]: must name each joint once"),
+        ("laws: {}", "my.yaml: laws: {}: must name at least one"),
+        ("wide: {draws: 2}", "my.yaml: wide.draws: 2: must be less than or equal to 1"),
         ("clearance: {low: -1 um}", "my.yaml: clearance.low: -1 um: must be greater than 0"),
         ("clearance: {high: 2 m}", "my.yaml: clearance.high: 2: must not be larger than 0.1 m"),
         ("clearance: {lo: 1 um}", 'my.yaml: clearance.lo: 1 um: unknown key; did you mean "low"?'),
-        ("hypotheses: [single]", "my.yaml: hypotheses.0: single: must be healthy, singles, pairs or as-new"),
+        ("hypotheses: [single]", "my.yaml: hypotheses.0: single: must be healthy, as-new, singles or pairs"),
         ("hypotheses: []", "my.yaml: hypotheses: []: must name at least one, and each once"),
         ("speeds: [1, 1]", "my.yaml: speeds: [1, 1]: must name at least one, and each once"),
         (
@@ -195,7 +341,8 @@ def test_plan_reads_back_and_hash_ignores_the_name() -> None:
         ),
         (
             "uncertain: {contact.friction: {}}",
-            "my.yaml: uncertain.contact.friction: {}: must give exactly one of uniform, factor_uniform, lognormal",
+            "my.yaml: uncertain.contact.friction: {}: must give exactly one of "
+            "uniform, loguniform, factor_uniform, factor_loguniform, lognormal",
         ),
         (
             "sample_rate: 5 kHz",
@@ -211,6 +358,14 @@ def test_refusals_are_one_line(tmp_path: Path, text: str, line: str, monkeypatch
     with pytest.raises(PlanError) as caught:
         load_plan("my.yaml")
     assert str(caught.value) == line
+
+
+@pytest.mark.parametrize("path", ["drive.ripple.0.phase", "joints.A.at.0", "sensors.0.at.0"])
+def test_numbers_that_no_equation_holds_are_refused(path: str) -> None:
+    tree = QUICK_RETURN.model_dump()
+    tree["drive"]["ripple"] = [{"order": 1, "amplitude": 0.01, "phase": 0.5}]
+    with pytest.raises(PlanError, match=rf"^plan: uncertain\.{path}: no equation of this machine holds such a number$"):
+        plan_of(uncertain={path: {"uniform": [0, 1]}}).entries(parse_machine(tree))
 
 
 def test_paths_the_machine_does_not_have_are_refused() -> None:
@@ -253,14 +408,15 @@ def test_draws_fill_the_range_evenly() -> None:
         assert len({int(32 * u) for u in column}) == 32
 
 
-def test_nested_levels_share_their_numbers() -> None:
-    assert set(rounded_levels(1e-5, 1e-3, 5)) <= set(rounded_levels(1e-5, 1e-3, 9))
-    assert rounded_levels(1e-5, 1e-3, 1) == (1e-4,)
-
-
 def test_quantiles() -> None:
     assert Distribution(uniform=(2.0, 4.0)).quantile(0.25) == 2.5
     assert Distribution(factor_uniform=(0.9, 1.1)).quantile(1.0) == pytest.approx(1.1)
+    assert Distribution(loguniform=(1.0, 100.0)).quantile(0.5) == pytest.approx(10.0)
+    assert Distribution(factor_loguniform=(0.5, 2.0)).quantile(0.5) == pytest.approx(1.0)
+    assert [Distribution(loguniform=(1, 9)).is_factor, Distribution(factor_loguniform=(1, 9)).is_factor] == [
+        False,
+        True,
+    ]
     assert Distribution(lognormal=0.4).quantile(0.5) == pytest.approx(1.0)
     assert Distribution(lognormal=0.4).quantile(0.8413447460685429) == pytest.approx(math.exp(0.4))
     assert 0 < Distribution(lognormal=0.4).quantile(0.0) < 1 < Distribution(lognormal=0.4).quantile(1.0) < math.inf

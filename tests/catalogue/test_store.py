@@ -20,6 +20,7 @@ from catalogue.cross_power import pack, unpack
 from catalogue.directory import publish, sha256_of
 from catalogue.entry import Hypothesis
 from catalogue.errors import CatalogueFileError, EntryNotFoundError
+from catalogue.parameters import MachineNumbers
 from catalogue.plan import parse_plan
 from catalogue.shard import Outcome, Shard
 from catalogue.store import Catalogue
@@ -30,8 +31,7 @@ ALL = parse_plan(
     {
         **PLAN.content,
         "hypotheses": ["healthy", "singles", "pairs", "as-new"],
-        "pairs": {"count": 2, "draws": 2},
-        "as_new": {"draws": 3},
+        "draws": {**PLAN.content["draws"], "pair": 8, "as_new": 3},
     }
 )
 
@@ -50,7 +50,7 @@ def catalogue(directory: Path) -> Catalogue:
 
 def test_says_what_it_is_of(catalogue: Catalogue, directory: Path) -> None:
     assert catalogue.machine.content_key == MACHINE.content_key
-    assert catalogue.plan == ALL
+    assert catalogue.plan == ALL.resolved(MACHINE)
     assert catalogue.recipe == ALL.recipe(MACHINE)
     assert catalogue.scheme == catalogue.recipe.scheme
     assert catalogue.path == directory
@@ -61,6 +61,7 @@ def test_says_what_it_is_of(catalogue: Catalogue, directory: Path) -> None:
 def test_entries_are_those_of_the_plan_in_a_stated_order(catalogue: Catalogue) -> None:
     table = catalogue.entries
     wanted = {entry.key: entry for entry in ALL.entries(MACHINE)}
+    filed = {path: MachineNumbers(MACHINE).nominal(path) for path in table.parameters}
     assert set(table.key) == {key for key in wanted if not diverges(key)}
     for row, key in enumerate(table.key.tolist()):
         entry = wanted[key]
@@ -69,7 +70,8 @@ def test_entries_are_those_of_the_plan_in_a_stated_order(catalogue: Catalogue) -
         assert table.worn_of(row) == entry.worn
         assert (table.stratum[row], table.law[row]) == ("trusted", "own")
         assert tuple(table.clearance[row][table.clearance[row] > 0]) == entry.clearances
-        assert {path: numbers[row] for path, numbers in table.parameters.items()} == dict(entry.parameters)
+        numbers = {path: column[row] for path, column in table.parameters.items()}
+        assert numbers == {**filed, **entry.parameters}
         assert table.draw[row] == entry.draw
     labels = list(dict.fromkeys(table.hypothesis.tolist()))
     assert tuple(labels) == catalogue.hypotheses  # each in one block
