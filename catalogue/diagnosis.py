@@ -16,24 +16,25 @@ from catalogue.answer import (
     EffortSpent,
     GoodnessOfFit,
     MatcherIdentity,
+    ModeAsked,
     ModeUsed,
     Provenance,
 )
-from catalogue.comparison import NOISE_STEP_DB, canonical_sensing, measured_levels, watched
+from catalogue.comparison import NOISE_STEP_DB, exact_sensing, measured_levels, watched
 from catalogue.errors import DiagnosisError
 from catalogue.evidence import edge_warnings, evidence, hypothesis_shown, speed_warnings
 from catalogue.features import PreparedMeasurement, prepare
 from catalogue.gaussian import GaussianAlongClearance
-from catalogue.learning import Learning, MatcherCache
-from catalogue.matching import Matcher, MatchResult
+from catalogue.learning import Learning
+from catalogue.libraries import library_of
+from catalogue.library import ModelLibrary
+from catalogue.matching import Matcher
 from catalogue.measurement import Measurement
-from catalogue.modes import Mode, ModeAsked, chosen, judged
-from catalogue.nearest import NearestEntry
 from catalogue.store import Catalogue
+from catalogue.synthesis import Recorded, Synthesis, refine
+from catalogue.verdict import judged
 
 __all__ = ["Question", "answer", "diagnose"]
-
-_CACHE = MatcherCache()
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,9 @@ class Question:
     Parameters
     ----------
     effort : {"fast", "standard", "thorough"}
-        ``fast`` compares with the nearest entries, ``standard`` is the full method, ``thorough`` simulates anew around
-        the most probable hypotheses where that can change the answer.
+        ``fast`` looks the answer up in a model for about this noise, ``standard`` refits what that leaves open to the
+        noise of the recording, ``thorough`` also simulates anew around the most probable hypotheses where that can
+        change the answer.
     mode : {"auto", "trusted", "robust"}
         Whether the machine is taken to be as simulated, or to differ from it in whatever the catalogue varies;
         ``auto`` trusts the model unless it does not explain the recording.
@@ -86,7 +88,7 @@ def diagnose(
     coverage: float = 0.95,
     budget: float = 3.5,
     matcher: Matcher | None = None,
-    cache: MatcherCache = _CACHE,
+    library: ModelLibrary | None = None,
 ) -> Diagnosis:
     """Say which joints are worn, by how much, and how sure that is.
 
@@ -104,8 +106,8 @@ def diagnose(
         Sensor of each column, for columns not named like their sensor.
     matcher : Matcher, optional
         In place of the one that `effort` stands for.
-    cache : MatcherCache, optional
-        Keeps what was learned for the next recording.
+    library : ModelLibrary, optional
+        Keeps what was learned for the next recording; the catalogue's own unless given.
 
     Returns
     -------
@@ -120,7 +122,7 @@ def diagnose(
     """
     question = Question(effort, mode, coverage, budget)
     prepared = prepare(measurement, catalogue.machine, mapping, speed, catalogue.scheme)
-    return answer(prepared, measurement.sha256, catalogue, question, mapping=mapping, matcher=matcher, cache=cache)
+    return answer(prepared, measurement.sha256, catalogue, question, mapping=mapping, matcher=matcher, library=library)
 
 
 def answer(
@@ -131,8 +133,9 @@ def answer(
     *,
     mapping: Mapping[str, str] | None = None,
     matcher: Matcher | None = None,
-    learning: Learning | None = None,
-    cache: MatcherCache = _CACHE,
+    library: ModelLibrary | None = None,
+    without: tuple[str, ...] = (),
+    most: int = Learning.most,
 ) -> Diagnosis:
     """Diagnose a recording that has been prepared.
 
@@ -144,31 +147,58 @@ def answer(
     catalogue : Catalogue
         The one it was prepared for.
     question : Question
-    mapping, matcher, cache
+    mapping, matcher, library
         As for :func:`diagnose`.
-    learning : Learning, optional
-        What is learned from.
+    without : tuple of str
+        Hypotheses that are left out.
+    most : int
+        Entries of a hypothesis that are learned from, at most.
 
     Raises
     ------
     DiagnosisError
         The catalogue holds too little.
     """
-    method = matcher or (NearestEntry() if question.effort == "fast" else GaussianAlongClearance())
-    sensing = canonical_sensing(prepared, catalogue)
+    library = library or library_of(catalogue)
+    sensing = exact_sensing(prepared)
     feature = measured_levels(prepared, sensing)
-
-    def match(mode: Mode) -> MatchResult:
-        return cache.fitted(catalogue, sensing, watched(prepared), method, learning or Learning()).match(feature)
-
-    choice = chosen(match, question.mode, question.coverage)
-    result = choice.result
-    warnings = [*prepared.warnings, *speed_warnings(prepared, catalogue), *edge_warnings(result, catalogue)]
-    used: Effort = "standard" if question.effort == "thorough" else question.effort
-    if used != question.effort:
-        warnings.append(f"effort {question.effort} does no more than {used} yet: {used} was used")
-    spent = EffortSpent(simulations=0, generations=0, note="")
+    result = library.answer(
+        sensing,
+        feature,
+        watched(prepared),
+        question.effort,
+        question.mode,
+        speed=prepared.drive_speed,
+        matcher=matcher,
+        without=without,
+        most=most,
+    )
     p_value, verdict = judged(result, question.coverage)
+    trusted_p = p_value if result.mode == "trusted" else result.trusted_p_value
+    spent = EffortSpent(simulations=0, generations=0, note="")
+    if question.effort == "thorough" and matcher is None:
+        if verdict == "unknown":
+            spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
+        else:
+            refined = refine(
+                Recorded(feature, sensing, prepared.drive_speed),
+                catalogue,
+                result,
+                result.set(question.coverage).labels,
+                mode=result.mode,
+                settings=Synthesis(budget=question.budget),
+            )
+            result = refined.result
+            spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
+            p_value, verdict = judged(result, question.coverage)
+    candidates = result.set(question.coverage)
+    method = matcher or GaussianAlongClearance()
+    warnings = [
+        *prepared.warnings,
+        *speed_warnings(prepared, catalogue),
+        *edge_warnings(result, catalogue),
+        *result.notes,
+    ]
     provenance = Provenance(
         measurement=prepared.name,
         measurement_sha256=sha256,
@@ -185,14 +215,14 @@ def answer(
         "machine": catalogue.machine.name,
         "catalogue": catalogue.path.name,
         "drive_speed_rpm": prepared.drive_speed * 30.0 / math.pi,
-        "effort": used,
+        "effort": question.effort,
         "effort_spent": spent,
-        "mode": ModeUsed(asked=question.mode, used=choice.used, trusted_p_value=choice.trusted_p_value),
+        "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=trusted_p),
         "verdict": verdict,
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
         "joint_probabilities": result.joint_probabilities(),
-        "candidate_set": result.candidate_set(question.coverage),
-        "coverage": question.coverage,
+        "candidate_set": candidates.labels,
+        "coverage": candidates.coverage,
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
         "evidence": evidence(prepared, result.best, feature),
         "warnings": tuple(dict.fromkeys(warnings)),

@@ -124,6 +124,11 @@ class CatalogueDirectory:
         """Folder of the matrix of one state of the catalogue."""
         return self.matrices / catalogue_id[:16]
 
+    @property
+    def models(self) -> Path:
+        """Folder of models fitted to it; made from the matrix, so it can be lost."""
+        return self.root / "models"
+
     def remove_other_matrices(self, catalogue_id: str) -> None:
         """Delete the matrices of earlier states; whoever has one mapped keeps it."""
         if self.matrices.is_dir():

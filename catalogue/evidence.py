@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from catalogue.answer import BandEvidence, Evidence, Hypothesis, JointClearance
 from catalogue.features import PreparedMeasurement
 from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
@@ -55,9 +53,8 @@ def evidence(prepared: PreparedMeasurement, best: HypothesisMatch, feature: Floa
 
 def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[str]:
     """Warn of a drive speed the catalogue has not seen."""
-    speeds = np.abs(catalogue.entries.drive_speed) * 30.0 / math.pi
+    low, high = (bound * 30.0 / math.pi for bound in catalogue.matrix.ranges.speed)
     rpm = prepared.drive_speed * 30.0 / math.pi
-    low, high = float(speeds.min()), float(speeds.max())
     if 0.999 * low <= rpm <= 1.001 * high:
         return []
     return [f"drive speed {rpm:.4g} rpm lies outside the catalogue's {low:.4g} to {high:.4g} rpm"]
@@ -65,10 +62,10 @@ def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[
 
 def edge_warnings(result: MatchResult, catalogue: Catalogue) -> list[str]:
     """Warn of clearances at the ends of what the catalogue holds."""
-    worn = catalogue.entries.clearance[catalogue.entries.clearance > 0.0]
-    if not worn.size or not result.best.clearances:
+    span = catalogue.matrix.ranges.clearance.get(result.best.label)
+    if span is None:
         return []
-    low, high = math.log(float(worn.min())), math.log(float(worn.max()))
+    low, high = math.log(span[0]), math.log(span[1])
     margin = EDGE * (high - low)
     warnings = []
     for found in result.best.clearances:

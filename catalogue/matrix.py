@@ -50,6 +50,7 @@ class FeatureMatrix:
         self, header: MatrixHeader, columns: Columns, nominal_speed: float, speeds: tuple[float, ...] = (1.0,)
     ) -> None:
         self._header, self._columns = header, columns
+        self.nominal_speed = nominal_speed
         self._speeds = abs(nominal_speed) * np.array(sorted(speeds))
 
     @classmethod
@@ -121,6 +122,11 @@ class FeatureMatrix:
     def edges(self) -> tuple[float, ...]:
         """Edges of the groups [orders], (G + 1,)."""
         return tuple(self._header.edges[cut] for cut in self._header.cuts)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Turning joints of the machine in alphabetical order, the columns of :meth:`clearance`."""
+        return self._header.joints
 
     @cached_property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
@@ -196,6 +202,10 @@ class FeatureMatrix:
         x, y [(m/s2)^2] and theta [(rad/s2)^2] at the frame's centre of gravity; raises as :meth:`packed`.
         """
         return unpack(self.packed(rows))
+
+    def clearance(self, rows: IntArray) -> NDArray[np.float64]:
+        """Radial clearances of some rows, (m, joints), m."""
+        return np.asarray(self._columns.column("clearance")[rows], dtype=np.float64)
 
     def table(self, rows: IntArray) -> EntryTable:
         """What the entries of some rows are."""

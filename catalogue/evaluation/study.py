@@ -18,7 +18,8 @@ from catalogue.evaluation.protocols import Protocol, protocols_of
 from catalogue.evaluation.recordings import Recordings, recorded
 from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.features import prepare
-from catalogue.learning import Learning, MatcherCache
+from catalogue.learning import Learning
+from catalogue.library import ModelLibrary
 from catalogue.matching import Matcher
 from catalogue.nearest import NearestEntry
 from catalogue.store import Catalogue
@@ -233,9 +234,12 @@ class _Run:
         return found
 
     def answers(self, protocol: Protocol, told: Callable[[], None]) -> _Found:
-        truths, cache, found = self.truths(protocol), MatcherCache(), _Found({setup: [] for setup in self.setups})
+        truths, library, found = (
+            self.truths(protocol),
+            ModelLibrary(self.catalogue.matrix),
+            _Found({setup: [] for setup in self.setups}),
+        )
         without = self.without(protocol, self.hypotheses(protocol))
-        learning = Learning(without=without) if self.most is None else Learning(without=without, most=self.most)
         for index, signal in self.recordings.ideal(protocol, truths):
             told()
             if signal is None:
@@ -257,8 +261,9 @@ class _Run:
                     self.catalogue,
                     question,
                     matcher=method() if method is not None else None,
-                    learning=learning,
-                    cache=cache,
+                    library=library,
+                    without=without,
+                    most=Learning.most if self.most is None else self.most,
                 )
                 found.answers[setup].append(Answered.of(truths[index], got, time.perf_counter() - begin))
         if not any(found.answers.values()):

@@ -1,0 +1,316 @@
+"""Analysis by synthesis: simulate anew around the most probable hypotheses, until they fit as well as they can.
+
+A catalogue's draws lie some way off every recording. Around the nearest draws of each hypothesis new cases are drawn,
+the best are kept, and the next ones are drawn where those lie (a cross-entropy search). What counts for a hypothesis is
+how well its best cases fit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from catalogue.answer import Mode
+from catalogue.chunk import chunked, simulate_chunk
+from catalogue.cross_power import pack
+from catalogue.entry import Entry
+from catalogue.errors import DiagnosisError
+from catalogue.keys import seed_from
+from catalogue.learning import prior
+from catalogue.matching import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult, ranked
+from catalogue.observation import Sensing, grouped
+from catalogue.population import Population
+from catalogue.store import Catalogue
+
+__all__ = ["Recorded", "Refined", "Synthesis", "refine"]
+
+
+NORMAL_90 = 1.645
+"""Half the width of a central 90 % interval, in standard deviations."""
+
+LEAST_WIDTH = 0.5
+"""Least width of a clearance's interval, as a part of the catalogue's own: few cases agree by chance, too."""
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """Settings of the search.
+
+    Parameters
+    ----------
+    budget : float
+        Seconds that may be spent, > 0; the first generation is always simulated.
+    certain : float
+        Nothing is simulated where one hypothesis alone is in the candidate set and has more probability than this.
+    hypotheses : int
+        How many are simulated, the most probable first.
+    least : float
+        Probability below which none is.
+    size, elite : int
+        Cases of a hypothesis in each generation, and how many of all its cases are kept.
+    generations : int
+        At most.
+    level_db : float
+        Standard deviation of the levels that no simulation explains.
+    degrees_of_freedom : float
+        Of the Student-t score of a level: a few odd bands, as chaotic motion has them, do not decide.
+    temperature, clearance_temperature : float
+        Scores are divided by these, for the probabilities and for the clearances: neighbouring bands are not
+        independent. Both were found on held-out recordings (docs/diagnosis.md).
+    seed : int
+        Of everything drawn.
+    """
+
+    budget: float = 3.5
+    certain: float = 0.9
+    hypotheses: int = 3
+    least: float = 1e-3
+    size: int = 16
+    elite: int = 6
+    generations: int = 5
+    level_db: float = 1.0
+    degrees_of_freedom: float = 8.0
+    temperature: float = 8.0
+    clearance_temperature: float = 12.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a recording is compared by.
+
+    Parameters
+    ----------
+    feature : ndarray, shape (d,)
+        Levels, dB.
+    sensing : Sensing
+        What its sensors see of a motion of the frame.
+    drive_speed : float
+        Measured, rad/s, > 0.
+    """
+
+    feature: FloatArray
+    sensing: Sensing
+    drive_speed: float
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What simulating anew gave.
+
+    Parameters
+    ----------
+    result : MatchResult
+    simulations, generations : int
+    seconds : float
+    changed : bool
+        Whether another hypothesis is the most probable one now.
+    cut_short : bool
+        Whether the budget ended the search.
+    reason : str
+        What was done, or why nothing was, in words.
+    """
+
+    result: MatchResult
+    simulations: int
+    generations: int
+    seconds: float
+    changed: bool
+    cut_short: bool
+    reason: str
+
+
+def refine(
+    recorded: Recorded,
+    catalogue: Catalogue,
+    result: MatchResult,
+    candidates: Sequence[str],
+    *,
+    mode: Mode = "trusted",
+    settings: Synthesis | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Refined:
+    """Simulate around the most probable hypotheses where that can change the answer.
+
+    Parameters
+    ----------
+    recorded : Recorded
+    catalogue : Catalogue
+    result : MatchResult
+        The catalogue's own answer.
+    candidates : sequence of str
+        Labels of its candidate set.
+    mode : {"trusted", "robust"}
+        In the robust mode the machine's own data are varied, too, as far as the catalogue varies them.
+    settings : Synthesis, optional
+    clock : callable, optional
+        Tells the time in seconds.
+
+    Returns
+    -------
+    Refined
+        The same for the same arguments, unless the budget cuts the search short.
+    """
+    settings = settings or Synthesis()
+    if result.best.probability > settings.certain and len(candidates) <= 1:
+        return _unchanged(result, f"certain already: {result.best.label} has more than {settings.certain:g}")
+    tried = [each for each in result.hypotheses if each.probability >= settings.least][: settings.hypotheses]
+    if len(tried) < 2:
+        return _unchanged(result, "only one hypothesis is probable at all")
+    begin = clock()
+    searches = [_Search.of(recorded, catalogue, match, mode, settings) for match in tried]
+    generation, cut_short, before = 0, False, begin
+    for generation in range(1, settings.generations + 1):
+        _simulate(recorded, catalogue, searches, settings)
+        now = clock()
+        if generation < settings.generations and now - begin + (now - before) > settings.budget:
+            cut_short = True
+            break
+        before = now
+    refined = _combined(result, searches, settings, whole=not cut_short)
+    changed = refined.best.label != result.best.label
+    count = sum(len(search.scores) for search in searches)
+    said = f"{count} cases around {', '.join(search.match.label for search in searches)} in {generation} generations"
+    if cut_short:
+        said += f", cut short by the budget of {settings.budget:g} s"
+    if changed:
+        said += f": {refined.best.label} in place of {result.best.label}"
+    return Refined(refined, count, generation, clock() - begin, changed, cut_short, said)
+
+
+def _unchanged(result: MatchResult, reason: str) -> Refined:
+    return Refined(result, 0, 0, 0.0, False, False, reason)
+
+
+@dataclass
+class _Search:
+    """One hypothesis: where its cases are drawn, and how well those simulated so far fit."""
+
+    match: HypothesisMatch
+    population: Population
+    generator: np.random.Generator
+    cases: list[Entry]
+    scores: list[float]
+    levels: list[FloatArray]
+
+    @classmethod
+    def of(
+        cls, recorded: Recorded, catalogue: Catalogue, match: HypothesisMatch, mode: Mode, settings: Synthesis
+    ) -> _Search:
+        entries = _entries(catalogue, match.label, mode)
+        rows = [row for row, _ in entries]
+        powers = recorded.sensing.powers(catalogue.matrix.packed(np.array(rows, np.int64)))
+        levels = recorded.sensing.levels(powers + recorded.sensing.noise).reshape(len(rows), -1)
+        order = np.argsort(np.mean((levels - recorded.feature) ** 2, axis=1), kind="stable")
+        near = [entries[place][1] for place in order[: settings.size]]
+        seed = seed_from("synthesis", settings.seed, match.label)
+        population = Population.of([entry for _, entry in entries], near)
+        return cls(match, population, np.random.default_rng(seed), [], [], [])
+
+    def best(self, count: int) -> list[int]:
+        order = np.argsort(-np.array(self.scores), kind="stable")[:count]
+        return [int(place) for place in order]
+
+
+def _entries(catalogue: Catalogue, label: str, mode: Mode) -> list[tuple[int, Entry]]:
+    """Entries of a hypothesis with the rows of their spectra."""
+    table = catalogue.entries
+    wanted = table.hypothesis == label
+    if mode == "trusted" and bool(np.any(wanted & (table.stratum == "trusted"))):
+        wanted &= table.stratum == "trusted"
+    row_of = {str(table.key[row]): int(row) for row in np.flatnonzero(wanted)}
+    planned = [entry for entry in catalogue.plan.entries(catalogue.machine) if entry.key in row_of]
+    if len(planned) < 3:
+        raise DiagnosisError(f"catalogue {catalogue.path}: its plan does not hold hypothesis {label} any more")
+    return [(row_of[entry.key], entry) for entry in planned]
+
+
+def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Search], settings: Synthesis) -> None:
+    """Draw and simulate one generation of all hypotheses, those of one model together."""
+    drawn: list[tuple[_Search, Entry]] = []
+    for search in searches:
+        elite = [search.cases[place] for place in search.best(settings.elite)]
+        for parent, clearances, parameters in search.population.drawn(elite, settings.size, search.generator):
+            speed = np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed)
+            case = Entry.of(
+                catalogue.machine,
+                catalogue.recipe,
+                hypothesis=parent.hypothesis,
+                joints=parent.joints,
+                clearances=clearances,
+                parameters={**parameters, "drive.speed": float(speed)},
+                draw=parent.draw,
+                stratum=parent.stratum,
+                variant=parent.variant,
+            )
+            drawn.append((search, case))
+    found = {}
+    for chunk in chunked(catalogue.machine, catalogue.recipe, [case for _, case in drawn], len(drawn)):
+        for entry, outcome in zip(chunk.entries, simulate_chunk(chunk), strict=True):
+            found[entry.key] = outcome
+    for search, case in drawn:
+        power = found[case.key].power
+        if power is None:
+            score, levels = -np.inf, np.zeros_like(recorded.feature)
+        else:
+            score, levels = _score(recorded, np.asarray(power), settings)
+        search.cases.append(case)
+        search.scores.append(score)
+        search.levels.append(levels)
+
+
+def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[float, FloatArray]:
+    """Log density of the recording given one simulated case, and that case's levels (d,)."""
+    sensing = recorded.sensing
+    clean, noise = sensing.powers(grouped(pack(power[None]), sensing.cuts))[0], sensing.noise
+    levels = sensing.levels(clean + noise).ravel()
+    cells = 0.5 * sensing.degrees_of_freedom[:, None]
+    # Of a level in dB, from the relative variance of the power (see catalogue.observation.observe).
+    scatter = (10.0 / np.log(10.0)) ** 2 * (noise**2 + 2.0 * clean * noise) / (cells * (clean + noise) ** 2)
+    variance = settings.level_db**2 + scatter.ravel()
+    nu = settings.degrees_of_freedom
+    z = (recorded.feature - levels) ** 2 / variance
+    return float(-0.5 * np.sum((nu + 1.0) * np.log1p(z / nu) + np.log(variance))), levels
+
+
+def _combined(result: MatchResult, searches: Sequence[_Search], settings: Synthesis, *, whole: bool) -> MatchResult:
+    """Share the probability of the simulated hypotheses out anew, by how well their best cases fit.
+
+    After the `whole` search that replaces what the catalogue said of them; before, it is multiplied with it.
+    """
+    total = sum(search.match.probability for search in searches)
+    evidence = []
+    for search in searches:
+        scores = np.array([search.scores[place] for place in search.best(settings.elite)])
+        fit = (logsumexp(scores) - np.log(len(scores))) / settings.temperature
+        evidence.append(fit + np.log(prior(search.match.joints) if whole else search.match.probability))
+    share = np.exp(np.array(evidence) - logsumexp(evidence)) if np.isfinite(evidence).all() else None
+    if share is None:
+        return result
+    anew: Mapping[str, HypothesisMatch] = {
+        search.match.label: _refitted(search, float(total * part), settings)
+        for search, part in zip(searches, share, strict=True)
+    }
+    matches = [anew.get(match.label, match) for match in result.hypotheses]
+    return replace(result, hypotheses=ranked(matches).hypotheses)
+
+
+def _refitted(search: _Search, probability: float, settings: Synthesis) -> HypothesisMatch:
+    """Clearances of a hypothesis from all of its cases, and predicted levels from the best."""
+    scores = np.array(search.scores)
+    weights = np.exp((scores - scores.max()) / settings.clearance_temperature)
+    weights /= weights.sum()
+    estimates = []
+    for found in search.match.clearances:
+        logs = np.log([case.fault[found.joint] for case in search.cases])
+        middle = float(weights @ logs)
+        half = NORMAL_90 * float(np.sqrt(weights @ (logs - middle) ** 2))
+        half = max(half, 0.5 * LEAST_WIDTH * float(np.log(found.high / found.low)))
+        low, median, high = np.exp([middle - half, middle, middle + half])
+        estimates.append(ClearanceEstimate(found.joint, float(median), float(low), float(high)))
+    predicted = np.mean([search.levels[place] for place in search.best(settings.elite)], axis=0)
+    return replace(search.match, probability=probability, clearances=tuple(estimates), predicted=predicted)

@@ -1,0 +1,154 @@
+"""Analysis by synthesis: what simulating anew around uncertain hypotheses gives, and what it costs."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from catalogue.comparison import exact_sensing, measured_levels, watched
+from catalogue.diagnosis import Question, answer
+from catalogue.entry import Entry, Hypothesis
+from catalogue.evaluation.protocols import PROTOCOLS
+from catalogue.evaluation.recordings import Recordings, recorded
+from catalogue.evaluation.truth import Truth, draw_truth
+from catalogue.features import PreparedMeasurement, prepare
+from catalogue.libraries import library_of
+from catalogue.matching import MatchResult, ranked
+from catalogue.population import Population
+from catalogue.store import Catalogue
+from catalogue.synthesis import Recorded, Refined, Synthesis, refine
+
+SHORT = replace(PROTOCOLS["matched"], seconds=1.0)
+
+
+def prepared_of(catalogue: Catalogue, truth: Truth) -> PreparedMeasurement:
+    ((_, ideal),) = Recordings().ideal(SHORT, [truth])
+    assert ideal is not None
+    return prepare(recorded(SHORT, truth, ideal), catalogue.machine, scheme=catalogue.scheme)
+
+
+def asked(catalogue: Catalogue, joint: str, number: int) -> tuple[Truth, Recorded, MatchResult]:
+    """A recording of one worn joint, and an answer that leaves all hypotheses equally probable."""
+    truth = draw_truth(catalogue.machine, Hypothesis.of([joint]), SHORT, 5, number)
+    prepared = prepared_of(catalogue, truth)
+    sensing = exact_sensing(prepared)
+    feature = measured_levels(prepared, sensing)
+    answered = library_of(catalogue).answer(sensing, feature, watched(prepared))
+    matches = [replace(match, probability=0.25) for match in answered.hypotheses]
+    order = sorted(matches, key=lambda match: match.label != joint, reverse=True)  # the true one is the last of them
+    return truth, Recorded(feature, sensing, prepared.drive_speed), ranked(order)
+
+
+@pytest.fixture(scope="module")
+def doubtful(small_catalogue: Catalogue) -> tuple[Truth, Recorded, MatchResult]:
+    return asked(small_catalogue, "B", 0)
+
+
+def refined(
+    catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], settings: Synthesis, *, seed: int = 0
+) -> Refined:
+    _, record, result = doubtful
+    # Time stands still: the budget cuts nothing, so that the answer is the same on any computer.
+    settings = replace(settings, hypotheses=4, seed=seed)
+    return refine(record, catalogue, result, ["A", "B"], settings=settings, clock=lambda: 0.0)
+
+
+@pytest.mark.parametrize(("joint", "number"), [("A", 1), ("B", 0), ("O", 2)])
+def test_simulating_anew_finds_joint_and_clearance(small_catalogue: Catalogue, joint: str, number: int) -> None:
+    case = asked(small_catalogue, joint, number)
+    found = refined(small_catalogue, case, Synthesis())
+    assert found.result.best.label == joint
+    assert found.result.best.probability > 0.9
+    assert sum(match.probability for match in found.result.hypotheses) == pytest.approx(1.0)
+    assert found.changed
+    # Sixteen cases of each hypothesis in a generation; of the healthy machine one, where nothing of it is drawn.
+    assert 3 * 16 * 5 < found.simulations <= 4 * 16 * 5
+    assert found.generations == 5
+    # Recordings of ten revolutions; the worst of these three is 9 % off.
+    (clearance,) = found.result.best.clearances
+    assert clearance.median == pytest.approx(case[0].clearances[joint], rel=0.13)
+    (before,) = next(match.clearances for match in case[2].hypotheses if match.label == joint)
+    assert clearance.low < clearance.median < clearance.high
+    assert np.log(clearance.high / clearance.low) >= 0.5 * np.log(before.high / before.low) - 1e-9
+
+
+def test_the_same_question_has_the_same_answer(
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
+) -> None:
+    short = Synthesis(generations=2)
+    first, again, other = (refined(small_catalogue, doubtful, short, seed=seed) for seed in (0, 0, 1))
+    assert first.reason == again.reason
+    for one, two in zip(first.result.hypotheses, again.result.hypotheses, strict=True):
+        assert one.probability == two.probability
+        assert one.clearances == two.clearances
+    assert first.result.best.clearances != other.result.best.clearances
+
+
+def test_a_budget_ends_the_search_between_generations(
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
+) -> None:
+    _, record, result = doubtful
+    ticks = itertools.count(0.0, 1.0)  # every generation takes one second of this clock
+    found = refine(
+        record,
+        small_catalogue,
+        result,
+        ["A", "B"],
+        settings=Synthesis(budget=3.5, hypotheses=2),
+        clock=lambda: next(ticks),
+    )
+    assert found.cut_short
+    assert found.generations == 3
+    assert "cut short by the budget of 3.5 s" in found.reason
+
+
+def test_nothing_is_simulated_where_it_cannot_change_the_answer(
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
+) -> None:
+    _, record, result = doubtful
+    sure = MatchResult(
+        tuple(
+            replace(match, probability=probability)
+            for match, probability in zip(result.hypotheses, (0.97, 0.01, 0.01, 0.01), strict=True)
+        )
+    )
+    found = refine(record, small_catalogue, sure, [sure.best.label])
+    assert found.simulations == 0
+    assert found.result is sure
+    assert "certain already" in found.reason
+    truth = draw_truth(small_catalogue.machine, Hypothesis.of(["A"]), SHORT, 5, 1)
+    prepared = prepared_of(small_catalogue, truth)
+    thorough = answer(prepared, "0" * 64, small_catalogue, Question(effort="thorough"))
+    assert thorough.effort == "thorough"
+    assert thorough.effort_spent.simulations == 0
+    assert thorough.effort_spent.note
+
+
+def entries_of(catalogue: Catalogue, joint: str) -> list[Entry]:
+    return [entry for entry in catalogue.plan.entries(catalogue.machine) if entry.hypothesis.joints == (joint,)]
+
+
+def test_cases_are_drawn_where_the_best_ones_lie(small_catalogue: Catalogue) -> None:
+    entries = entries_of(small_catalogue, "B")
+    population = Population.of(entries, entries[:5])
+    start = list(population.drawn([], 16, np.random.default_rng(1)))
+    assert [(case.key, clearances) for case, clearances, _ in start] == [
+        (entry.key, entry.clearances) for entry in entries[:5]
+    ]
+    elite = sorted(entries, key=lambda entry: abs(np.log(entry.clearances[0] / 2e-4)))[:6]
+    drawn = list(population.drawn(elite, 400, np.random.default_rng(1)))
+    assert len(drawn) == 400
+    logs = np.log([clearances[0] for _, clearances, _ in drawn])
+    own = np.log([entry.clearances[0] for entry in elite])
+    everything = np.log([entry.clearances[0] for entry in entries])
+    expected = np.hypot(1.2 * own.std(ddof=1), 0.05 * everything.std())
+    assert logs.mean() == pytest.approx(own.mean(), abs=3 * expected / 20)
+    assert logs.std() == pytest.approx(expected, rel=0.15)
+    for name in ("contact.friction", "contact.stiffness"):
+        values = [parameters[name] for _, _, parameters in drawn]
+        # Cut off at the catalogue's draws, but for the rounding of a logarithm.
+        assert min(entry.parameters[name] for entry in entries) <= min(values) * (1.0 + 1e-12)
+        assert max(values) <= max(entry.parameters[name] for entry in entries) * (1.0 + 1e-12)
