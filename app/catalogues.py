@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import Counter
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -130,12 +129,12 @@ def describe_open(catalogue: Catalogue, name: str) -> CatalogueDetail:
         machine=machine.name,
         machine_content_key=machine.content_key,
         hypotheses=list(catalogue.hypotheses),
-        entries=len(catalogue.entries.key),
+        entries=len(catalogue.matrix),
         turning_joints=list(machine.turning_joints),
         sensors=[
             SensorItem(name=sensor.name, at_m=sensor.at, direction=sensor.direction) for sensor in machine.sensors
         ],
         nominal_speed_rpm=abs(speed) * 30 / pi if isinstance(speed, float) else None,
         plan=catalogue.plan.model_dump(mode="json"),
-        statuses=dict(Counter(str(status) for status in catalogue.entries.status)),
+        statuses=catalogue.matrix.statuses(),
     )

@@ -15,7 +15,7 @@ from filelock import FileLock, Timeout
 
 from catalogue.errors import CatalogueBusyError, CatalogueFileError
 
-__all__ = ["CatalogueDirectory", "publish", "sha256_of", "sync_folder"]
+__all__ = ["CatalogueDirectory", "publish", "replacing", "sha256_of", "sync_folder"]
 
 _TEMPORARY = ".tmp-"
 
@@ -72,6 +72,25 @@ def publish(path: Path, content: bytes) -> None:
         sync_folder(path.parent)
     except OSError as error:
         raise CatalogueFileError(path, f"cannot be written ({error.strerror or error})") from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file to be written, which takes the name `path` when the block ends well, and goes if it does not.
+
+    Raises
+    ------
+    CatalogueFileError
+        It cannot be written.
+    """
+    temporary = _temporary_beside(path)
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise CatalogueFileError(path, f"cannot be written ({error.strerror or error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)

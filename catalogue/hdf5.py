@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -23,7 +23,7 @@ from catalogue.keys import canonical_json
 from catalogue.shard import Shard, ShardHeader
 from catalogue.variants import Variant
 
-__all__ = ["SCHEMA_VERSION", "decode_shard", "encode_shard", "read_arrays", "write_arrays"]
+__all__ = ["SCHEMA_VERSION", "decode_shard", "encode_shard", "read_arrays", "write_arrays", "write_growing"]
 
 SCHEMA_VERSION = 2
 """Of shard files and of the catalogue folder; a change that older programs cannot read raises it."""
@@ -179,12 +179,7 @@ def write_arrays(
     """
     with _LOCK, h5py.File.in_memory(track_order=True) as file:
         for name, array in arrays.items():
-            if np.asarray(array).dtype.kind in "UO":
-                dataset = file.create_dataset(name, data=np.asarray(array, dtype=object), dtype=_TEXT)
-            else:
-                large = np.asarray(array).nbytes > 65536
-                options: dict[str, Any] = {"compression": "gzip", "shuffle": True} if large else {}
-                dataset = file.create_dataset(name, data=array, **options)
+            dataset = _dataset(file, name, array)
             if units and name in units:
                 dataset.attrs["unit"] = units[name]
         for name, value in (attributes or {}).items():
@@ -192,6 +187,59 @@ def write_arrays(
         file.flush()
         image: bytes = file.id.get_file_image()
     publish(Path(path), image)
+
+
+def write_growing(
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    shapes: Mapping[str, tuple[int, ...]],
+    parts: Iterable[Mapping[str, NDArray[np.float32]]],
+    *,
+    units: Mapping[str, str],
+    attributes: Mapping[str, str],
+) -> None:
+    """Write named arrays, some of which are too large for memory.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it must not exist.
+    arrays : mapping of str to ndarray
+        Written at once.
+    shapes : mapping of str to tuple of int
+        Of the large ones, float32.
+    parts : iterable of mapping of str to ndarray
+        Rows of the large ones, one part below the other.
+    units, attributes : mapping of str to str
+        As for :func:`write_arrays`.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    with _LOCK, h5py.File(path, "x") as file:
+        for name, array in arrays.items():
+            _dataset(file, name, array)
+        large = {name: file.create_dataset(name, shape, np.float32) for name, shape in shapes.items()}
+        row = 0
+        for part in parts:
+            count = max(len(rows) for rows in part.values())
+            for name, rows in part.items():
+                large[name][row : row + count] = rows
+            row += count
+        for name, unit in units.items():
+            file[name].attrs["unit"] = unit
+        for name, value in attributes.items():
+            file.attrs[name] = value
+
+
+def _dataset(file: h5py.File, name: str, array: NDArray[Any]) -> h5py.Dataset:
+    if np.asarray(array).dtype.kind in "UO":
+        return file.create_dataset(name, data=np.asarray(array, dtype=object), dtype=_TEXT)
+    large = np.asarray(array).nbytes > 65536
+    options: dict[str, Any] = {"compression": "gzip", "shuffle": True} if large else {}
+    return file.create_dataset(name, data=array, **options)
 
 
 def read_arrays(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import platform
-import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib import metadata
@@ -56,8 +55,6 @@ class Manifest:
         Computer and system of the first build.
     created : str
         RFC 3339, UTC.
-    instance : str
-        A UUID: this folder, as opposed to others of the same machine and plan.
     seal : Seal, optional
         What it consisted of at the end of the last build or check; None before the first.
     """
@@ -69,7 +66,6 @@ class Manifest:
     versions: Mapping[str, str]
     platform: str
     created: str
-    instance: str = field(default_factory=lambda: str(uuid.uuid4()))
     seal: Seal | None = None
 
     @classmethod
@@ -135,7 +131,6 @@ class Manifest:
                 versions=dict(content["versions"]),
                 platform=str(content["platform"]),
                 created=str(content["created"]),
-                instance=str(content["instance"]),
                 seal=None if seal is None else Seal.from_plain(seal),
             )
         except (KeyError, TypeError, ValueError, MachineError, PlanError) as error:
@@ -155,7 +150,6 @@ class Manifest:
             "versions": dict(self.versions),
             "platform": self.platform,
             "created": self.created,
-            "instance": self.instance,
             "machine": json.loads(self.machine_content),
             "seal": None if self.seal is None else self.seal.plain,
         }

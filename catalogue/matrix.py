@@ -8,6 +8,7 @@ and a query only what it touches.
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from functools import cached_property
 from typing import IO, TYPE_CHECKING, Self
 
@@ -134,6 +135,11 @@ class FeatureMatrix:
         return tuple(dict.fromkeys(block.hypothesis for block in self._header.blocks))
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of all hypotheses it has cases of, with or without spectrum."""
+        return tuple(hypothesis.label for hypothesis in self._header.hypotheses)
+
+    @property
     def failed_rows(self) -> IntArray:
         """Rows of the entries that have no spectrum."""
         return np.arange(self._header.count, self._header.total)
@@ -150,6 +156,11 @@ class FeatureMatrix:
 
     def __len__(self) -> int:
         return self._header.count
+
+    def statuses(self) -> dict[str, int]:
+        """Number of entries by status; "ok" are those that have a spectrum."""
+        failed = [status for status, _ in self._header.remarks.values() if status != OK]
+        return {OK: len(self), **dict(sorted(Counter(failed).items()))}
 
     def rows(
         self, label: str, stratum: Stratum | None = None, *, draws: int | None = None, speed: float | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ from catalogue.directory import CatalogueDirectory
 from catalogue.manifest import Manifest
 from catalogue.matrix import FeatureMatrix
 from catalogue.seal import Seal, SealedShard
+from catalogue.shard import OK
 from catalogue.store import Catalogue
 
 __all__ = ["seal"]
@@ -61,6 +61,6 @@ def _seal(catalogue: Catalogue, matrix: FeatureMatrix, names: Sequence[str]) -> 
         content=matrix.content,
         shards=tuple(SealedShard(*shard) for shard in zip(names, sizes, counts, strict=True)),
         hypotheses={hypothesis.label: len(matrix.rows(hypothesis.label)) for hypothesis in matrix.hypotheses},
-        failed=dict(sorted(Counter(catalogue.failed.status.tolist()).items())),
+        failed={status: count for status, count in matrix.statuses().items() if status != OK},
         guard=None if guard is None else {"entries": guard.count, "mean_db": guard.mean_db, "p90_db": guard.p90_db},
     )

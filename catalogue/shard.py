@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.cross_power import pack
+from catalogue.cross_power import pack, unpack
 from catalogue.entry import Entry, Hypothesis, Recipe, Stratum
 from catalogue.variants import Variant
 
@@ -164,6 +164,21 @@ class Shard:
             guard_db=np.array([outcome.guard_db for outcome in outcomes], np.float64),  # None becomes NaN
             power=np.array(power, np.float32).reshape(-1, bands, 9),
             spread_db=np.array(spread, np.float32).reshape(-1, bands, 3),
+        )
+
+    def outcome(self, position: int) -> Outcome:
+        """What became of the case at a position; the processor time is not known."""
+        row, guard = int(self.row[position]), float(self.guard_db[position])
+        return Outcome(
+            status=self.status[position],
+            message=self.message[position],
+            drive_speed=float(self.drive_speed[position]),
+            transient=float(self.transient[position]),
+            segments=int(self.segments[position]),
+            seconds=0.0,
+            power=unpack(self.power[row]) if row >= 0 else None,
+            spread_db=self.spread_db[row] if row >= 0 else None,
+            guard_db=None if np.isnan(guard) else guard,
         )
 
     @property

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from catalogue.cross_power import unpack
 from catalogue.directory import CatalogueDirectory, sha256_of
-from catalogue.entry import Recipe
+from catalogue.entry import Entry, Recipe
 from catalogue.errors import CatalogueFileError, EntryNotFoundError
 from catalogue.hdf5 import decode_shard
 from catalogue.manifest import Manifest
 from catalogue.matrix import FeatureMatrix
 from catalogue.plan import Plan
-from catalogue.shard import Shard
+from catalogue.shard import Outcome, Shard
 from catalogue.stored_entry import StoredEntry
 from catalogue.table import EntryTable
 from solver.machines.machine import Machine
@@ -196,29 +196,51 @@ class Catalogue:
         found = self.matrix.find(key) if len(key) >= 8 else ()
         if len(found) != 1:
             raise EntryNotFoundError(key)
-        number, position = self.matrix.places(np.array(found))[0].tolist()
-        shard = self._kept(self._shard_names[number])
-        entry, spectrum = shard.entry(position), int(shard.row[position])
-        guard = float(shard.guard_db[position])
+        entry, outcome = next(self.cases(np.array(found)))
         return StoredEntry(
             key=entry.key,
             hypothesis=entry.hypothesis.label,
-            status=shard.status[position],
-            message=shard.message[position],
+            status=outcome.status,
+            message=outcome.message,
             clearances=dict(entry.fault),
             parameters=entry.parameters,
             draw=entry.draw,
-            drive_speed=float(shard.drive_speed[position]),
-            segments=int(shard.segments[position]),
-            transient=float(shard.transient[position]),
-            guard_db=None if np.isnan(guard) else guard,
+            drive_speed=outcome.drive_speed,
+            segments=outcome.segments,
+            transient=outcome.transient,
+            guard_db=outcome.guard_db,
             worn=entry.worn,
             stratum=entry.stratum,
             law=entry.variant.law,
             scheme=self.scheme,
-            power=unpack(shard.power[spectrum]) if spectrum >= 0 else None,
-            spread_db=shard.spread_db[spectrum] if spectrum >= 0 else None,
+            power=None if outcome.power is None else outcome.power.astype(np.complex64),
+            spread_db=None if outcome.spread_db is None else outcome.spread_db.astype(np.float32),
         )
+
+    def cases(self, rows: NDArray[np.int64]) -> Iterator[tuple[Entry, Outcome]]:
+        """Cases of some rows of :attr:`matrix` in full, in the order of the rows; only their shards are read.
+
+        Raises
+        ------
+        CatalogueFileError
+            A shard is missing, does not match its checksum, or cannot be read.
+        """
+        for number, position in self.matrix.places(rows).tolist():
+            shard = self._kept(self._shard_names[number])
+            yield shard.entry(position), shard.outcome(position)
+
+    def parts(self, rows: NDArray[np.int64]) -> Iterator[tuple[Shard, NDArray[np.int64]]]:
+        """Shards that hold cases of some rows, and their positions there; rows of a shard must follow each other.
+
+        Raises
+        ------
+        CatalogueFileError
+            As :meth:`cases`.
+        """
+        places = self.matrix.places(rows)
+        for run in np.split(places, np.flatnonzero(np.diff(places[:, 0])) + 1):
+            if len(run):
+                yield self._read(self._shard_names[int(run[0, 0])]), run[:, 1]
 
     @cached_property
     def _spectra(self) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:

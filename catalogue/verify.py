@@ -6,24 +6,18 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-
-from catalogue.cross_power import pack, unpack
 from catalogue.directory import CatalogueDirectory, sha256_of
-from catalogue.entry import Entry
-from catalogue.errors import CatalogueError, CatalogueFileError, CatalogueMismatchError
+from catalogue.errors import CatalogueFileError, CatalogueMismatchError
 from catalogue.hdf5 import decode_shard
 from catalogue.index import EntriesPresentError, Index
-from catalogue.keys import entry_key
 from catalogue.location import IndexLocation
 from catalogue.manifest import Manifest
 from catalogue.matrix_files import MappedColumns
 from catalogue.sealing import seal
 from catalogue.shard import OK, Shard
-from solver.errors import MachineError
-from solver.machines.machine import parse_machine
+from catalogue.shard_checks import check_shard
 
-__all__ = ["Finding", "VerifyReport", "verify"]
+__all__ = ["Finding", "VerifyReport", "reindex", "verify"]
 
 
 @dataclass(frozen=True)
@@ -98,18 +92,30 @@ def verify(directory: str | Path) -> VerifyReport:
     CatalogueBusyError
         A build is running there.
     """
+    return _checked_alone(directory, again=False)
+
+
+def reindex(directory: str | Path) -> VerifyReport:
+    """Throw the index and the feature matrix of a catalogue away and make them again from its shards.
+
+    Everything is checked on the way, as by :func:`verify`, whose parameters, results and errors these are.
+    """
+    return _checked_alone(directory, again=True)
+
+
+def _checked_alone(directory: str | Path, *, again: bool) -> VerifyReport:
     layout = CatalogueDirectory(Path(directory))
     if not layout.manifest.exists() and not layout.shards.is_dir():
         raise CatalogueFileError(layout.root, "is not a catalogue: it has no manifest.json and no shards")
     with layout.locked():
-        return _Check(layout).run()
+        return _Check(layout, again=again).run()
 
 
 class _Check:
     """One check under way."""
 
-    def __init__(self, layout: CatalogueDirectory) -> None:
-        self._layout = layout
+    def __init__(self, layout: CatalogueDirectory, *, again: bool) -> None:
+        self._layout, self._again = layout, again
         self._findings: list[Finding] = []
 
     def run(self) -> VerifyReport:
@@ -117,6 +123,8 @@ class _Check:
         if leftovers:
             self._note(self._layout.root, f"{leftovers} unfinished files of an interrupted build", "deleted")
         manifest = self._manifest()
+        if self._again:
+            self._forget()
         sound: dict[str, Shard] = {}
         sizes: dict[str, int] = {}
         for name in self._layout.shard_names():
@@ -133,6 +141,17 @@ class _Check:
         keys = {key: status for shard in sound.values() for key, status in zip(shard.key, shard.status, strict=True)}
         failed = sum(status != OK for status in keys.values())
         return VerifyReport(len(sound), len(keys), failed, tuple(self._findings), lost)
+
+    def _forget(self) -> None:
+        """Throw away what is made from the shards."""
+        location = IndexLocation.of(self._layout)
+        if location.is_file:
+            for ending in ("", "-wal", "-shm"):
+                Path(f"{self._layout.index}{ending}").unlink(missing_ok=True)
+        else:
+            with location.open() as index:
+                index.remove_shards(list(index.shards()))
+        self._layout.remove_folder(self._layout.matrices)
 
     def _note(self, path: Path, what: str, action: str) -> None:
         self._findings.append(Finding(path, what, action))
@@ -164,7 +183,7 @@ class _Check:
             if sha256_of(content) != name:
                 raise CatalogueFileError(path, "does not match its checksum")
             shard = decode_shard(content, path)
-            _check_content(shard, path)
+            check_shard(shard, path)
             if manifest is None:
                 manifest = Manifest.of_shard(shard.header, datetime.now(UTC).isoformat(timespec="seconds"))
                 manifest.write(self._layout)
@@ -197,7 +216,7 @@ class _Check:
             self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}, made again from the shards")
             index, is_new = location.open(), True
         else:
-            if is_new and sound:
+            if is_new and sound and not self._again:
                 self._note(path, "is missing", "made again from the shards")
         with index:
             known, before = index.shards(), index.places()
@@ -207,7 +226,7 @@ class _Check:
                     self._note(self._layout.shard(name), "is missing", "its entries were taken out of the index")
             new = sorted(set(sound) - set(known))
             wrong = [name for name in sound if name in known and not _agrees(name, sound[name], before)]
-            if new and not is_new:
+            if new and not (is_new or self._again):
                 self._note(path, f"did not know {len(new)} shards", "entered them")
             if wrong:
                 self._note(path, f"did not agree with {len(wrong)} shards", "entered them again")
@@ -233,7 +252,7 @@ class _Check:
             columns = MappedColumns.open(self._layout, manifest.root_of(names))
             if columns is not None:
                 columns.check()
-            elif manifest.seal is not None and manifest.seal.names == names:
+            elif manifest.seal is not None and manifest.seal.names == names and not self._again:
                 self._note(path, "is missing", "made again from the shards")
         except CatalogueFileError as error:
             self._note(error.path, error.rule.split(":")[0], "made again from the shards")
@@ -246,43 +265,3 @@ class _Check:
 def _agrees(name: str, shard: Shard, places: dict[str, tuple[str, int]]) -> bool:
     """Whether the index has every entry of a shard there, or in another shard that holds it, too."""
     return all(key in places and (places[key][0] != name or places[key][1] == i) for i, key in enumerate(shard.key))
-
-
-def _check_content(shard: Shard, path: Path) -> None:
-    """Refuse a shard whose numbers cannot be, whatever its checksum says."""
-    count, spectra = shard.count, shard.power.shape[0]
-    bands = shard.header.recipe.scheme.count
-    if shard.power.shape != (spectra, bands, 9) or shard.spread_db.shape != (spectra, bands, 3):
-        raise CatalogueFileError(path, "has spectra of another shape than its bands ask for")
-    columns = ("status", "message", "clearance", "parameters", "draw", "segments", "row", "drive_speed")
-    if any(len(getattr(shard, column)) != count for column in (*columns, "transient", "guard_db")):
-        raise CatalogueFileError(path, "has columns of different lengths")
-    if not (np.isfinite(shard.power).all() and np.isfinite(shard.spread_db).all() and (shard.spread_db >= 0).all()):
-        raise CatalogueFileError(path, "holds a number that is not finite, or a negative spread")
-    if not (shard.power[..., :3] >= 0).all():
-        raise CatalogueFileError(path, "holds a negative power")
-    if not np.array_equal(pack(unpack(shard.power)), shard.power):
-        raise CatalogueFileError(path, "holds cross-powers that do not read back")
-    good = np.array([status == OK for status in shard.status], dtype=bool)
-    if not np.array_equal(np.sort(shard.row[good]), np.arange(spectra)) or (shard.row[~good] != -1).any():
-        raise CatalogueFileError(path, "has entries whose spectrum is missing")
-    _check_keys(shard, path)
-
-
-def _check_keys(shard: Shard, path: Path) -> None:
-    """Make every key again from what it stands for."""
-    try:
-        machine = parse_machine(shard.header.machine, str(path))
-        for position in range(shard.count):
-            entry: Entry = shard.entry(position)
-            content = shard.header.recipe.content
-            version, variant = shard.header.solver_version, entry.variant.content
-            key = entry_key(machine.content_key, entry.fault, entry.parameters, content, version, variant)
-            if key != entry.key:
-                raise CatalogueFileError(path, f"entry {entry.key[:12]} does not match its key")
-    except MachineError as error:
-        raise CatalogueFileError(path, f"has a machine that cannot be read ({error.rule})") from None
-    except CatalogueFileError:
-        raise
-    except CatalogueError as error:
-        raise CatalogueFileError(path, f"holds a number that is not finite ({error})") from None

@@ -175,6 +175,10 @@ def existing_catalogue(path: Path) -> Path:
     return path
 
 
+catalogue_option = click.option(
+    "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
+)
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 

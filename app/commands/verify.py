@@ -3,26 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import existing_catalogue, json_option, print_json
+from app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
+
+if TYPE_CHECKING:
+    from catalogue.verify import VerifyReport
 
 
 @click.command("verify")
-@click.option(
-    "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
-)
+@catalogue_option
 @json_option
 def command(catalogue: Path, as_json: bool) -> None:
     """Check every stored spectrum against its checksum and the index against the files; repair the index.
 
     Exit status 1 means that spectra are lost: building again computes them.
     """
-    from app.errors import DamagedCatalogueError
     from catalogue.verify import verify
 
-    report = verify(existing_catalogue(catalogue))
+    tell(verify(existing_catalogue(catalogue)), catalogue, "in order", as_json=as_json)
+
+
+def tell(report: VerifyReport, catalogue: Path, sound: str, *, as_json: bool) -> None:
+    """Print what a check found.
+
+    Parameters
+    ----------
+    report : VerifyReport
+    catalogue : Path
+        Its folder.
+    sound : str
+        What is said when nothing was wrong.
+    as_json : bool
+
+    Raises
+    ------
+    DamagedCatalogueError
+        Cases are lost.
+    """
+    from app.errors import DamagedCatalogueError
+
     if as_json:
         print_json(
             {
@@ -41,7 +63,7 @@ def command(catalogue: Path, as_json: bool) -> None:
     else:
         for finding in report.findings:
             click.echo(str(finding))
-        state = "in order" if report.is_sound else "repaired"
+        state = sound if report.is_sound else "repaired"
         click.echo(
             f"{catalogue}: {state}: {report.entries} cases in {report.shards} files, {report.failed} without a spectrum"
         )

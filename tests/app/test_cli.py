@@ -239,8 +239,10 @@ def test_build_and_verify(shelf: Path, tmp_path: Path) -> None:
     assert "in order: 252 cases" in verified.stdout
 
 
-def test_verify_refuses_what_is_no_catalogue(tmp_path: Path) -> None:
-    assert_refused(invoke("verify", "--catalogue", tmp_path), 2, "is not a catalogue")
+@pytest.mark.parametrize("command", ["verify", "reindex", "regenerate", "export"])
+def test_commands_refuse_what_is_no_catalogue(command: str, tmp_path: Path) -> None:
+    more = ["--out", tmp_path / "x.csv"] if command == "export" else []
+    assert_refused(invoke(command, "--catalogue", tmp_path, *more), 2, "is not a catalogue")
 
 
 def test_time_left_is_said_as_people_read_it() -> None:

@@ -19,7 +19,7 @@ from catalogue.hdf5 import decode_shard, encode_shard
 from catalogue.plan import parse_plan
 from catalogue.shard import Shard
 from catalogue.store import Catalogue
-from catalogue.verify import verify
+from catalogue.verify import reindex, verify
 
 TOTAL = len(PLAN.entries(MACHINE))
 
@@ -106,6 +106,29 @@ def test_deleted_index_is_made_again_the_same(directory: Path, built: Path) -> N
     assert [(finding.path.name, finding.what) for finding in report.findings] == [("index.sqlite", "is missing")]
     assert dump(directory / "index.sqlite") == before
     assert verify(directory).is_sound
+    assert rebuilt(directory, built)
+
+
+def test_reindex_makes_everything_that_follows_from_the_shards_again(directory: Path) -> None:
+    before, catalogue = dump(directory / "index.sqlite"), Catalogue.open(directory)
+    folder = CatalogueDirectory(directory).matrix(catalogue.id)
+    matrix = {path.name: path.read_bytes() for path in folder.iterdir()}
+    (folder / "power.npy").write_bytes(b"nonsense")
+    (folder / "draw.npy").unlink()
+    (directory / "index.sqlite").write_bytes(b"nonsense")
+    report = reindex(directory)
+    assert (report.findings, report.entries, report.lost_entries) == ((), TOTAL, 0)
+    assert dump(directory / "index.sqlite") == before
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == matrix
+    assert Catalogue.open(directory).id == catalogue.id
+    assert reindex(directory).is_sound and verify(directory).is_sound
+
+
+def test_reindex_puts_damaged_shards_aside(directory: Path, built: Path) -> None:
+    victim = sorted((directory / "shards").iterdir())[2]
+    victim.write_bytes(victim.read_bytes()[:-3])
+    report = reindex(directory)
+    assert [(finding.path, finding.what) for finding in report.findings] == [(victim, "does not match its checksum")]
     assert rebuilt(directory, built)
 
 

@@ -1,0 +1,73 @@
+"""Commands that check, remake and export a catalogue."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from test_cli import assert_refused, invoke
+
+from catalogue.directory import CatalogueDirectory
+from catalogue.store import Catalogue
+
+
+@pytest.fixture
+def folder(shelf: Path, tmp_path: Path) -> Path:
+    copy = tmp_path / "c"
+    shutil.copytree(shelf / "slider-crank", copy)
+    return copy
+
+
+def test_reindex(folder: Path) -> None:
+    shutil.rmtree(CatalogueDirectory(folder).matrices)
+    result = invoke("reindex", "--catalogue", folder)
+    assert result.exit_code == 0
+    assert f"{folder}: index and matrix made again: " in result.stdout
+    assert CatalogueDirectory(folder).matrices.is_dir()
+    shown = json.loads(invoke("reindex", "--catalogue", folder, "--json").stdout)
+    assert (shown["sound"], shown["lost_entries"], shown["findings"]) == (True, 0, [])
+
+
+def test_damaged_matrix_is_one_line_that_says_what_to_do(folder: Path) -> None:
+    catalogue = Catalogue.open(folder)
+    path = CatalogueDirectory(folder).matrix(catalogue.id) / "clearance.npy"
+    content = path.read_bytes()
+    path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    out = folder.parent / "x.csv"
+    assert_refused(
+        invoke("export", "--catalogue", folder, "--out", out), 1, "`jointplay reindex` makes the matrix again"
+    )
+    assert not out.exists()
+    assert invoke("reindex", "--catalogue", folder).exit_code == 0
+    assert invoke("export", "--catalogue", folder, "--out", out).exit_code == 0
+
+
+def test_regenerate(folder: Path) -> None:
+    result = invoke("regenerate", "--catalogue", folder, "--sample", "4", "--workers", "1")
+    assert result.exit_code == 0
+    assert f"{folder}: 4 of 4 cases identical, mean difference 0.00 dB" in result.stdout
+    shown = json.loads(invoke("regenerate", "--catalogue", folder, "--sample", "3", "--workers", "1", "--json").stdout)
+    assert (len(shown["cases"]), shown["identical"], shown["changed"], shown["agrees"]) == (3, 3, 0, True)
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.h5", "x.npz"])
+def test_export(folder: Path, name: str) -> None:
+    out = folder.parent / name
+    shown = json.loads(invoke("export", "--catalogue", folder, "--out", out, "--json").stdout)
+    catalogue = Catalogue.open(folder)
+    assert shown["cases"] == len(catalogue.entries) + len(catalogue.failed)
+    assert shown["size_bytes"] == out.stat().st_size
+    if name == "x.csv":
+        with open(out, encoding="utf-8", newline="") as file:
+            assert len(list(csv.reader(file))) == shown["cases"] + 1
+
+
+def test_export_refuses(folder: Path) -> None:
+    export = ("export", "--catalogue", folder)
+    assert_refused(invoke(*export, "--out", folder / "x.txt"), 2, "must end in .h5, .csv or .npz")
+    assert_refused(invoke(*export, "--out", folder / "no" / "x.h5"), 2, "does not exist")
+    refused = invoke(*export, "--out", folder / "x.h5", "--hypothesis", "Z")
+    assert_refused(refused, 2, "--hypothesis Z: is not one of healthy, A, B, O")
