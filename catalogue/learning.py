@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-import threading
 import zlib
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from catalogue.errors import DiagnosisError
-from catalogue.matching import BoolArray, Draws, FittedMatcher, FloatArray, IntArray, Matcher, Mode, TrainingSet
+from catalogue.matching import BoolArray, Draws, FloatArray, IntArray, Mode, TrainingSet
 from catalogue.observation import Discrepancy, Sensing, observe
-from catalogue.spectra import Spectra, SpectraInMemory
-from catalogue.store import Catalogue
+from catalogue.spectra import Spectra
 from catalogue.transfer import RandomTransfer
 
 PRIOR_OF_ANOTHER_JOINT = 0.15
@@ -143,38 +139,3 @@ def _log_clearance(matrix: Spectra, joints: Sequence[str], rows: IntArray) -> Fl
     columns = [matrix.joints.index(joint) for joint in joints]
     found: FloatArray = np.log(matrix.clearance(rows)[:, columns])
     return found
-
-
-class MatcherCache:
-    """The matchers fitted last, by everything that went into them; safe to share between threads.
-
-    Parameters
-    ----------
-    size : int
-        How many are kept (a few MB each).
-    """
-
-    def __init__(self, size: int = 16) -> None:
-        self._size = size
-        self._lock = threading.Lock()
-        self._known: OrderedDict[tuple[object, ...], FittedMatcher] = OrderedDict()
-
-    def fitted(
-        self, catalogue: Catalogue, sensing: Sensing, watched: BoolArray, matcher: Matcher, learning: Learning
-    ) -> FittedMatcher:
-        """Return the matcher fitted to this catalogue and sensing; fits it if it is not known."""
-        key = (catalogue.id, sensing.digest, watched.tobytes(), matcher, learning)
-        with self._lock:
-            if key in self._known:
-                self._known.move_to_end(key)
-                return self._known[key]
-        # Fitted outside the lock: two threads may fit the same, which costs time but nothing else.
-        # On one thread: the matrices are small, and threads that wait for each other cost eleven times the time of the
-        # sums they share (measured on two busy cores: 11 s against 1 s).
-        with threadpool_limits(limits=1, user_api="blas"):
-            fitted = matcher.fit(training_set(SpectraInMemory(catalogue), sensing, watched, learning))
-        with self._lock:
-            self._known[key] = fitted
-            while len(self._known) > self._size:
-                self._known.popitem(last=False)
-        return fitted

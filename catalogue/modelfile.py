@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import tempfile
 import zipfile
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -17,11 +15,16 @@ from catalogue.calibration import Tail
 from catalogue.conformal import Conformal
 from catalogue.curve_calibration import Calibration
 from catalogue.curves import Curve, CurveModel
+from catalogue.directory import publish
+from catalogue.errors import CatalogueFileError
 from catalogue.gaussian import FittedGaussian
 from catalogue.tube import ClearanceGrid, Tube
 
 FORMAT = 1
 """Of the files; others are fitted anew."""
+
+KEPT = 16
+"""Models of a catalogue that are kept as files (some 30 MB each with 17 hypotheses)."""
 
 _TYPES = {
     kind.__name__: kind
@@ -37,18 +40,19 @@ def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
     arrays["tree"] = np.frombuffer(json.dumps(tree).encode(), np.uint8)
     np.savez(content, allow_pickle=False, **arrays)
     try:
-        folder.mkdir(exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=folder, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content.getbuffer())
-            Path(name).replace(folder / f"{key}.npz")
-        except OSError:
-            Path(name).unlink(missing_ok=True)
-            raise
-    except OSError:
+        folder.mkdir(parents=True, exist_ok=True)
+        publish(folder / f"{key}.npz", content.getvalue())
+        _prune(folder)
+    except (OSError, CatalogueFileError):
         return False
     return True
+
+
+def _prune(folder: Path) -> None:
+    """Remove the models written first, beyond :data:`KEPT`; so those of former states of a catalogue go, too."""
+    files = sorted(folder.glob("*.npz"), key=lambda file: (file.stat().st_mtime, file.name))
+    for file in files[:-KEPT]:
+        file.unlink(missing_ok=True)
 
 
 def read_model(folder: Path, key: str) -> FittedGaussian | None:

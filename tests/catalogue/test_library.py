@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from catalogue.library import ModelLibrary
 from catalogue.matching import MatchResult
 from catalogue.modelfile import read_model, write_model
 from catalogue.nearest import NearestEntry
-from catalogue.observation import Discrepancy, observe
+from catalogue.observation import Discrepancy, Sensing, observe
+from catalogue.store import Catalogue
 
 MODEL = SpectraModel(220, wide=60)
 LIBRARY = ModelLibrary(MODEL)
@@ -142,6 +144,30 @@ def test_what_is_drawn_for_a_hypothesis_does_not_depend_on_the_others() -> None:
     part = training_set(MODEL, sensing(), WATCHED, Learning(without=("A",)))
     known = {draws.label: draws.features for draws in whole.hypotheses}
     assert all(np.array_equal(known[draws.label], draws.features) for draws in part.hypotheses)
+
+
+def test_a_catalogue_is_matched_by_its_own_matrix(small_catalogue: Catalogue, tmp_path: Path) -> None:
+    matrix = small_catalogue.matrix
+    groups = len(matrix.cuts) - 1
+    own = Sensing(np.eye(3), np.eye(3), matrix.cuts, np.full((groups, 3), 1e-3), np.full(groups, 20.0))
+    row = matrix.rows("A")[-1]
+    features, _ = observe(matrix.packed(np.array([row])), own, Discrepancy(0.0, 0.0, 3.0, 0.0), np.array([1]))
+    library = ModelLibrary(matrix, tmp_path)
+    answer = library.answer(own, features[0], np.arange(3 * groups) < 30, "fast", "trusted")
+    assert answer.best.label == "A"
+    truth = float(matrix.clearance(np.array([row]))[0, matrix.joints.index("A")])
+    assert answer.best.clearances[0].median == pytest.approx(truth, rel=0.5)
+
+
+def test_few_models_are_kept_as_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("catalogue.modelfile.KEPT", 2)
+    fitted = LIBRARY.fitted(sensing(), WATCHED, Learning.of("trusted"))
+    assert isinstance(fitted, FittedGaussian)
+    for k, name in enumerate(("a", "b", "c")):
+        assert write_model(tmp_path, name, fitted)
+        os.utime(tmp_path / f"{name}.npz", (k, k))
+    assert write_model(tmp_path, "d", fitted)
+    assert sorted(file.stem for file in tmp_path.glob("*.npz")) == ["c", "d"]
 
 
 def test_refuses_unknown_settings_and_empty_catalogues() -> None:
