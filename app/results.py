@@ -23,7 +23,7 @@ class DiagnosisOut(BaseModel):
     machine: str
     catalogue: str = Field(description="Id of the catalogue as it was then; one that has grown has another.")
     drive_speed_rpm: float
-    effort: Effort = Field(description="As used; a warning says if that is less than was asked for.")
+    effort: Effort = Field(description="How much was computed.")
     effort_spent: EffortSpent = Field(description="What was simulated for this answer alone.")
     mode: ModeUsed = Field(description="How far the model of the machine was believed.")
     verdict: Verdict

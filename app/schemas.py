@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
 Effort = Literal["fast", "standard", "thorough"]
+Mode = Literal["auto", "trusted", "robust"]
 
 
 class Shape(BaseModel):
@@ -132,6 +133,14 @@ class DiagnosisRequest(Shape):
         Field(default=None, description='Drive speed: "600 rpm", or a number in rad/s. Estimated when not given.'),
     ]
     effort: Annotated[Effort, Field(default="standard", description="How much to compute.")]
+    mode: Annotated[
+        Mode,
+        Field(
+            default="auto",
+            description="Whether the machine is as simulated (trusted) or may differ from it (robust); auto trusts the"
+            " model unless that does not explain the measurement.",
+        ),
+    ]
     mapping: Annotated[
         dict[str, str],
         Field(

@@ -47,6 +47,7 @@ class Service:
             offer.stamp,
             speed,
             request.effort,
+            request.mode,
             dict(request.mapping),
         )
         return await run_in_threadpool(

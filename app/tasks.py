@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from catalogue.answer import Effort
+    from catalogue.answer import Effort, ModeAsked
     from catalogue.measurement import Measurement
     from catalogue.store import Catalogue
 
@@ -48,6 +48,7 @@ def diagnose(
     stamp: str,
     speed: float | None,
     effort: Effort,
+    mode: ModeAsked,
     mapping: Mapping[str, str],
 ) -> dict[str, Any]:
     """Diagnose a recording and return the contract's members as JSON values.
@@ -64,13 +65,17 @@ def diagnose(
         Drive speed [rad/s].
     effort : str
         fast, standard or thorough.
+    mode : str
+        auto, trusted or robust.
     mapping : Mapping
         Column to sensor.
     """
     from catalogue.diagnosis import diagnose as ranked
 
     measurement = read(path, name, sample_rate)
-    result = ranked(measurement, opened(catalogue, stamp), speed=speed, effort=effort, mapping=mapping or None)
+    result = ranked(
+        measurement, opened(catalogue, stamp), speed=speed, effort=effort, mode=mode, mapping=mapping or None
+    )
     document: dict[str, Any] = result.model_dump(mode="json")
     return document
 

@@ -84,6 +84,17 @@ def fit_sentence(result: Mapping[str, Any]) -> str:
     return f"goodness of fit: p = {p_value:.2g}"
 
 
+def mode_sentence(result: Mapping[str, Any]) -> str:
+    """Return how far the model of the machine was believed, and why."""
+    mode = result["mode"]
+    if mode["used"] == "trusted":
+        return "The machine is taken to be as simulated (trusted)."
+    reason = ""
+    if mode["asked"] == "auto":
+        reason = f": as simulated it does not explain the recording, p = {mode['trusted_p_value']:.2g}"
+    return f"The machine is taken to differ from its model (robust){reason}."
+
+
 def enumerate_words(words: Sequence[str]) -> str:
     """Return words joined by commas and an "and"."""
     if len(words) < 2:

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from catalogue.recipe_steps import RecipeStep
+
 Effort = Literal["fast", "standard", "thorough"]
 Verdict = Literal["fault", "healthy", "unknown"]
 Mode = Literal["trusted", "robust"]
@@ -135,7 +137,7 @@ class Provenance(_Frozen):
     solver_version, catalogue_solver_version : str
         Of this program, and of the one the catalogue was built with.
     matcher : MatcherIdentity
-    recipes : tuple of str
+    recipe : tuple of RecipeStep
         What was done to the recording, in order.
     """
 
@@ -146,7 +148,7 @@ class Provenance(_Frozen):
     solver_version: str
     catalogue_solver_version: str
     matcher: MatcherIdentity
-    recipes: tuple[str, ...]
+    recipe: tuple[RecipeStep, ...]
 
 
 class Diagnosis(_Frozen):

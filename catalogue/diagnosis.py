@@ -20,7 +20,7 @@ from catalogue.answer import (
     ModeUsed,
     Provenance,
 )
-from catalogue.comparison import NOISE_STEP_DB, exact_sensing, measured_levels, watched
+from catalogue.comparison import exact_sensing, measured_levels, watched
 from catalogue.errors import DiagnosisError
 from catalogue.evidence import edge_warnings, evidence, hypothesis_shown, speed_warnings
 from catalogue.features import PreparedMeasurement, prepare
@@ -207,7 +207,7 @@ def answer(
         solver_version=solver.__version__,
         catalogue_solver_version=catalogue.manifest.solver_version,
         matcher=MatcherIdentity(name=method.name, version=method.version),
-        recipes=_recipes(prepared),
+        recipe=prepared.steps,
     )
     asked = [question.effort, question.mode, question.coverage, *([question.budget] * (question.effort == "thorough"))]
     content = {
@@ -230,11 +230,6 @@ def answer(
     }
     unsigned = Diagnosis.model_validate({**content, "hash": ""})
     return unsigned.model_copy(update={"hash": _digest(unsigned.model_dump(mode="json", exclude={"hash"}))})
-
-
-def _recipes(prepared: PreparedMeasurement) -> tuple[str, ...]:
-    rounding = f"rounded up to steps of {NOISE_STEP_DB:g} dB"
-    return (*(str(step) for step in prepared.steps), f"noise put on the catalogue: {rounding}")
 
 
 def _digest(content: object) -> str:

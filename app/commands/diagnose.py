@@ -13,7 +13,7 @@ from app.commands.parameters import Pairs, Quantity, each_once, existing_catalog
 from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from catalogue.answer import Effort
+    from catalogue.answer import Effort, ModeAsked
 
 
 @click.command("diagnose")
@@ -31,6 +31,16 @@ if TYPE_CHECKING:
     show_default=True,
     help="How much to compute.",
 )
+@click.option(
+    "--mode",
+    type=click.Choice(["auto", "trusted", "robust"]),
+    default="auto",
+    show_default=True,
+    help="Whether the machine is as simulated, or may differ from it.",
+)
+@click.option(
+    "--budget", type=Quantity("TIME"), default=3.5, show_default=True, help="Seconds that effort thorough may simulate."
+)
 @click.option("--sample-rate", type=Quantity("FREQUENCY"), help='Of a recording without times, such as "10 kHz".')
 @click.option(
     "--map", "mapping", type=Pairs("COLUMN=SENSOR"), multiple=True, help="Column of a sensor; may be repeated."
@@ -45,6 +55,8 @@ def command(
     catalogue: Path,
     speed: float | None,
     effort: Effort,
+    mode: ModeAsked,
+    budget: float,
     sample_rate: float | None,
     mapping: Sequence[tuple[str, str]],
     units: Sequence[tuple[str, str]],
@@ -63,7 +75,9 @@ def command(
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
     opened = Catalogue.open(existing_catalogue(catalogue))
     recording = read_measurement(measurement, sample_rate=sample_rate, units=given_units or None)
-    diagnosis = diagnose(recording, opened, speed=speed, effort=effort, mapping=sensors or None)
+    diagnosis = diagnose(
+        recording, opened, speed=speed, effort=effort, mode=mode, mapping=sensors or None, budget=budget
+    )
     result = diagnosis.model_dump(mode="json")
     if plot is not None:
         from app.plots import plot_diagnosis
@@ -82,9 +96,12 @@ def report(result: Mapping[str, Any]) -> str:
     parts = [
         words.sentence(result),
         f"drive speed {result['drive_speed_rpm']:.6g} rpm; {words.fit_sentence(result)}",
+        words.mode_sentence(result),
         indented(ranking(result)),
         words.set_sentence(result),
     ]
+    if result["effort_spent"]["note"]:
+        parts.append(f"simulated anew: {result['effort_spent']['note']}")
     parts += [f"warning: {line}" for line in result["warnings"]]
     return "\n".join(parts)
 

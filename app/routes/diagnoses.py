@@ -25,7 +25,7 @@ from app.uploads import MULTIPART, media_type, received_form
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
 JSON_TYPE = "application/json"
-FIELDS = frozenset({"measurement", "catalogue", "speed", "effort", "mapping", "sample_rate"})
+FIELDS = frozenset({"measurement", "catalogue", "speed", "effort", "mode", "mapping", "sample_rate"})
 TEXT = {"type": "string"}
 FORM = {
     "type": "object",
@@ -38,6 +38,7 @@ FORM = {
         "catalogue": TEXT,
         "speed": TEXT,
         "effort": TEXT,
+        "mode": TEXT,
         "mapping": {"type": "string", "description": "A JSON object: measurement column to sensor."},
     },
 }

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from catalogue.answer import Effort, ModeAsked
+from catalogue.cosine import CosineEntry
 from catalogue.diagnosis import Question, answer
 from catalogue.entry import Hypothesis
 from catalogue.errors import DiagnosisError, MeasurementError
@@ -23,12 +24,18 @@ from catalogue.library import ModelLibrary
 from catalogue.matching import Matcher
 from catalogue.nearest import NearestEntry
 from catalogue.store import Catalogue
+from catalogue.trees import ExtraTrees
 
 __all__ = ["METHODS", "Row", "Setup", "Study", "evaluate", "setups_of"]
 
 GAUSSIAN = "gaussian"
 
-METHODS: Mapping[str, Callable[[], Matcher] | None] = {GAUSSIAN: None, "nearest": NearestEntry}
+METHODS: Mapping[str, Callable[[], Matcher] | None] = {
+    GAUSSIAN: None,
+    "cosine": CosineEntry,
+    "nearest": NearestEntry,
+    "extra-trees": ExtraTrees,
+}
 """Methods by name: the one that a diagnosis uses by itself, and cross-checks."""
 
 

@@ -291,6 +291,11 @@ def test_diagnose_finds_the_worn_joint(shelf: Path, recording: Path, tmp_path: P
     document = json.loads(invoke("diagnose", recording, "--catalogue", catalogue, "--json").stdout)
     assert document["verdict"] == "fault"
     assert document["hypotheses"][0]["joints"].keys() == {"B"}
+    assert document["mode"]["used"] == "trusted"
+    assert "The machine is taken to be as simulated (trusted)." in result.stdout
+    robust = invoke("diagnose", recording, "--catalogue", catalogue, "--mode", "robust", "--effort", "thorough").stdout
+    assert "The machine is taken to differ from its model (robust)." in robust
+    assert "simulated anew: " in robust
 
 
 def test_diagnose_takes_columns_units_and_rate(shelf: Path, recording: Path, tmp_path: Path) -> None:

@@ -54,6 +54,13 @@ def diagnosis(client: httpx.Client, measurement: dict[str, Any]) -> httpx.Respon
     return client.post(f"{API}/diagnoses", json=body)
 
 
+def test_a_mode_may_be_asked_for(client: httpx.Client, measurement: dict[str, Any]) -> None:
+    body = {"measurement": measurement["id"], "catalogue": "slider-crank", "effort": "fast", "mode": "robust"}
+    answer = client.post(f"{API}/diagnoses", json=body).json()
+    assert answer["mode"] == {"asked": "robust", "used": "robust", "trusted_p_value": None}
+    assert [step["name"] for step in answer["provenance"]["recipe"]][:2] == ["sensors", "steady part"]
+
+
 def assert_time(text: str) -> None:
     moment = datetime.fromisoformat(text)
     assert moment.utcoffset() == timedelta(0)
@@ -304,6 +311,7 @@ def test_diagnoses_are_listed_newest_first(client: httpx.Client, diagnosis: http
         ({"measurement": "0" * 32, "catalogue": "slider-crank"}, 404, "measurement 0000"),
         ({"measurement": "ID", "catalogue": "nonsense"}, 404, "catalogue: nonsense"),
         ({"measurement": "ID", "catalogue": "slider-crank", "effort": "much"}, 422, "effort"),
+        ({"measurement": "ID", "catalogue": "slider-crank", "mode": "blind"}, 422, "mode"),
         ({"measurement": "ID", "catalogue": "slider-crank", "speed": "3 kg"}, 422, "speed: 3 kg: "),
         ({"measurement": "ID", "catalogue": "slider-crank", "speed": -1}, 422, "speed: -1"),
         ({"measurement": "ID", "catalogue": "slider-crank", "speed": True}, 422, "speed"),

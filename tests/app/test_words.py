@@ -37,6 +37,16 @@ def test_a_healthy_machine_counts_the_new_one_in() -> None:
     assert words.sentence(found).endswith("probability 90 %.")
 
 
+def test_why_a_model_is_not_believed() -> None:
+    doubted = {"mode": {"asked": "auto", "used": "robust", "trusted_p_value": 0.004}}
+    assert words.mode_sentence(doubted) == (
+        "The machine is taken to differ from its model (robust): "
+        "as simulated it does not explain the recording, p = 0.004."
+    )
+    asked = {"mode": {"asked": "robust", "used": "robust", "trusted_p_value": None}}
+    assert words.mode_sentence(asked) == "The machine is taken to differ from its model (robust)."
+
+
 def test_nothing_known() -> None:
     found = result("unknown", hypothesis("F", 1.0, F=20))
     assert words.sentence(found) == (
