@@ -1,0 +1,130 @@
+"""Suggestions: what they promise is what a classifier gains on entries that nobody has seen."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalogue.build import build
+from catalogue.features import PreparedMeasurement, prepare
+from catalogue.matching import ClearanceEstimate, HypothesisMatch, MatchResult
+from catalogue.measurement import Measurement, read_measurement
+from catalogue.observation import Discrepancy, Sensing, observe
+from catalogue.plan import parse_plan
+from catalogue.separation import _more_sensors, _Question, _sensing, suggest
+from catalogue.store import Catalogue
+from solver.machines.machine import shipped_machine
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+PLAN = {
+    "name": "speeds",
+    "hypotheses": ["healthy", "singles"],
+    "draws": {"healthy": 16, "single": 40},
+    "clearance": {"low": "80 um", "high": "0.25 mm"},
+    "seconds": 1.0,
+    "speeds": [0.8, 1.0],
+}
+
+
+def recorded(catalogue: Catalogue, columns: tuple[int, ...], name: str = "slider-crank-02") -> PreparedMeasurement:
+    """A recording with some of its columns."""
+    whole = read_measurement(RECORDINGS / f"{name}.csv.gz")
+    channels = tuple(whole.channels[column] for column in columns)
+    signal = np.ascontiguousarray(whole.signal[:, list(columns)])
+    part = Measurement(name, whole.sample_rate, signal, channels, (), (), whole.sha256)
+    return prepare(part, catalogue.machine, scheme=catalogue.scheme)
+
+
+def answer(*hypotheses: tuple[str, float], low: float = 80e-6, high: float = 250e-6) -> MatchResult:
+    """Hypotheses of one joint each with their probabilities."""
+    nothing = np.zeros(0)
+    return MatchResult(
+        tuple(
+            HypothesisMatch(
+                label,
+                () if label == "healthy" else (label,),
+                probability,
+                () if label == "healthy" else (ClearanceEstimate(label, math.sqrt(low * high), low, high),),
+                1.0,
+                1.0,
+                nothing,
+                nothing,
+            )
+            for label, probability in hypotheses
+        )
+    )
+
+
+def test_what_a_second_axis_brings(small_catalogue: Catalogue) -> None:
+    """One horizontal sensor: anything vertical tells A from B; more of the same does not."""
+    found = suggest(small_catalogue, recorded(small_catalogue, (0,)), answer(("A", 0.6), ("B", 0.4)), count=20)
+    assert found and list(found) == sorted(found, key=lambda each: each.error)
+    best = found[0]
+    assert best.hypotheses == ("A", "B") and best.error < 0.8 * best.error_now and best.separation > best.separation_now
+    assert best.what.startswith("y at") or best.what in ("s1-y", "s2-y")
+    for each in found:
+        assert each.error_now == best.error_now and each.error < 0.95 * each.error_now
+        assert each.error == pytest.approx(0.5 * math.erfc(0.5 * each.separation / math.sqrt(2.0)), rel=1e-6)
+    assert not any(each.what == "s1-x" for each in found)
+    kinds = {each.what: each.kind for each in found}
+    assert all(kind == "sensor" for what, kind in kinds.items() if what.startswith("s"))
+    assert len(suggest(small_catalogue, recorded(small_catalogue, (0,)), answer(("A", 0.6), ("B", 0.4)), count=2)) == 2
+
+
+def test_nothing_to_suggest(small_catalogue: Catalogue) -> None:
+    one = recorded(small_catalogue, (0, 1, 2, 3))
+    assert suggest(small_catalogue, one, answer(("A", 1.0))) == ()
+    # The whole frame is seen: healthy and 80 um and more are told apart in every case.
+    assert suggest(small_catalogue, one, answer(("A", 0.9), ("healthy", 0.1))) == ()
+    assert suggest(small_catalogue, one, answer(("A", 0.9), ("A+B", 0.1))) == ()
+
+
+def nearest_entry_errs(catalogue: Catalogue, question: _Question, sensing: Sensing) -> float:
+    """Share of entries whose nearest other entry is of the other hypothesis."""
+    draws = []
+    for seed, match in enumerate(question.contenders):
+        own = question.rows(match, question.prepared.drive_speed)
+        copies = np.full(len(own), 3, dtype=np.int64)
+        draws.append(observe(catalogue.matrix.packed(own), sensing, Discrepancy(), copies, seed))
+    wrong = total = 0
+    for truth, (features, entry) in enumerate(draws):
+        for feature, case in zip(features, entry, strict=True):
+            nearest = []
+            for label, (others, cases) in enumerate(draws):
+                other = others[cases != case] if label == truth else others
+                nearest.append(float(np.square(other - feature).mean(axis=1).min()))
+            wrong += int(np.argmin(nearest) != truth)
+            total += 1
+    return wrong / total
+
+
+def test_another_matcher_finds_what_was_promised(small_catalogue: Catalogue) -> None:
+    """The nearest entry knows no direction of Fisher's and errs more; but what is promised to help helps it as well.
+
+    Measured: promised 5.0 to 3.0 %, found 17 to 6 % with the best sensor; 15 % with the same sensor once more.
+    """
+    prepared, machine = recorded(small_catalogue, (0,)), small_catalogue.machine
+    question = _Question(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)
+    now = _sensing(prepared, machine)
+    errors = [question.error(question.squared_distances(sensing, prepared.drive_speed)) for sensing in (now,)]
+    ranked = sorted(
+        (question.error(question.squared_distances(sensing, prepared.drive_speed)), number, sensing)
+        for number, (_, _, sensing) in enumerate(_more_sensors(prepared, machine))
+    )
+    before, after = (nearest_entry_errs(small_catalogue, question, each) for each in (now, ranked[0][2]))
+    assert errors[0] / 2.0 < before < 6.0 * errors[0]
+    assert ranked[0][0] < 0.8 * errors[0] and after < 0.8 * before
+    again = nearest_entry_errs(small_catalogue, question, _sensing(prepared, machine, prepared.sensing.transform[0]))
+    assert again > 0.6 * before
+
+
+def test_speeds_that_the_catalogue_holds(tmp_path: Path) -> None:
+    build(shipped_machine("slider-crank"), parse_plan(PLAN), tmp_path / "speeds", workers=0)
+    catalogue = Catalogue.open(tmp_path / "speeds")
+    found = suggest(catalogue, recorded(catalogue, (0,)), answer(("A", 0.5), ("B", 0.5)), count=30)
+    speeds = [each for each in found if each.kind == "speed"]
+    assert [each.what for each in speeds] == ["480 rpm"]
+    assert speeds[0].separation > speeds[0].separation_now
