@@ -52,12 +52,14 @@ def command(
     """
     from catalogue.build import build
     from catalogue.plan import resolve_plan
+    from catalogue.plan_text import plan_lines
     from solver.machines.machine import resolve_machine
 
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for processes here; a cluster has its own")
     found, wanted = resolve_machine(machine), resolve_plan(plan)
-    click.echo(f"plan {wanted.name} ({wanted.hash[:12]}): {', '.join(map(str, wanted.hypotheses))}", err=True)
+    for shown in plan_lines(wanted, found):
+        click.echo(shown, err=True)
     with ExitStack() as stack:
         line = stack.enter_context(ProgressLine("building", "cases"))
         executor = stack.enter_context(cluster(scheduler)) if scheduler is not None else None
