@@ -86,6 +86,6 @@ class Wide(Part):
 class Bands(Part):
     """Bands of the stored spectra: on each of the first ``orders``, then ``per_octave``, up to ``f_max`` [Hz]."""
 
-    orders: Annotated[int, Field(ge=1, le=1000, strict=True)] = 40
+    orders: Annotated[int, Field(ge=1, le=1000, strict=True)] = 100
     per_octave: Annotated[int, Field(ge=1, le=96, strict=True)] = 12
     f_max: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 4000.0
