@@ -16,7 +16,7 @@ from catalogue.store import Catalogue
 from catalogue.tuning import quantities
 from solver.cases.history import Case, Settings
 from solver.machines.fault import FaultState
-from solver.machines.machine import parse_machine, shipped_machine
+from solver.machines.machine import Machine, parse_machine, shipped_machine
 from solver.simulation.simulate import simulate_batch
 from solver.spectra.sensor import sensor_transform
 
@@ -25,9 +25,11 @@ NAMES = ("frame.mass", "frame.inertia", "supports.stiffness.x", "supports.stiffn
 GAINS = (1.04, 0.97, 1.0, 0.95)
 
 
-def recordings(catalogue: Catalogue, cases: list[Case], gains: tuple[float, ...] = GAINS) -> list[PreparedMeasurement]:
+def recordings(
+    catalogue: Catalogue, cases: list[Case], gains: tuple[float, ...] = GAINS, machine: Machine | None = None
+) -> list[PreparedMeasurement]:
     """2.5 s of a machine each, with 0.05 m/s2 of noise, by sensors with these gains."""
-    made_of = catalogue.machine
+    made_of = machine or catalogue.machine
     sensors = made_of.sensors
     transform = sensor_transform(
         [s.at for s in sensors], [s.direction for s in sensors], made_of.links[made_of.frame].cg
@@ -113,6 +115,22 @@ def test_faults_are_no_baseline(small_catalogue: Catalogue) -> None:
         assert not found.explained and "no healthy machine explains it" in found.warnings[0]
         assert found.corrected(prepared) is prepared
         assert (found.weights(small_catalogue.entries) == 1.0).all()
+
+
+@pytest.mark.parametrize("force", [0.0, 20.0])
+def test_loads_of_the_process(small_catalogue: Catalogue, force: float) -> None:
+    """A constant one moves no order of a machine without play; one that comes and goes with the drive does."""
+    tree = small_catalogue.machine.model_dump(mode="json")
+    angles = np.linspace(0.0, 2.0 * math.pi, 37)[:-1]
+    thrust = -40.0 + force * np.maximum(0.0, np.sin(angles))
+    rows = [[float(angle), float(push), 0.0, 0.0] for angle, push in zip(angles, thrust, strict=True)]
+    slider = next(joint for joint in tree["joints"].values() if joint["kind"] == "sliding")
+    tree["loads"] = [{"link": slider["links"][0], "at": slider["at"], "over_angle": rows}]
+    case = Case(FaultState({}))
+    (prepared,) = recordings(small_catalogue, [case], (1.0,) * 4, parse_machine(tree))
+    found = fit_baseline(prepared, small_catalogue)
+    assert found.explained == (force == 0.0)
+    assert found.numbers["frame.mass"].factor == pytest.approx(1.0, abs=0.03) or force
 
 
 def test_entries_like_the_machine_weigh_more(small_catalogue: Catalogue, fitted: Baseline) -> None:
