@@ -66,16 +66,20 @@ class _Chosen:
         """Everything but the spectra."""
         table = self.table
         parameters = np.array(list(table.parameters.values())).reshape(len(table.parameters), len(table)).T
+        columns = ("key", "hypothesis", "status", "message", "stratum", "law", "draw", "speed", "drive_speed")
         return {
             "band_edges": np.array(self.catalogue.scheme.edges),
             "joints": np.array(table.joints),
             "parameter_names": np.array(list(table.parameters), dtype=np.str_),
             "power_columns": np.array(PACKED),
-            **{name: getattr(table, name) for name in ("key", "hypothesis", "status", "message", "stratum", "law")},
+            **{name: getattr(table, name) for name in (*columns, "segments", "transient", "guard_db")},
             "clearance": table.clearance,
             "worn": table.worn,
             "parameters": parameters,
-            **{name: getattr(table, name) for name in ("draw", "drive_speed", "segments", "transient", "guard_db")},
+            **{
+                name: getattr(table, name)
+                for name in ("draw", "speed", "drive_speed", "segments", "transient", "guard_db")
+            },
         }
 
     def attributes(self) -> dict[str, str]:

@@ -25,7 +25,7 @@ from catalogue.shard import ShardHeader
 from solver.errors import MachineError
 from solver.machines.machine import Machine, parse_machine
 
-__all__ = ["Manifest", "package_versions"]
+__all__ = ["Manifest", "package_versions", "this_platform"]
 
 _FORMAT = "jointplay catalogue"
 _PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
@@ -34,6 +34,13 @@ _PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
 def package_versions() -> dict[str, str]:
     """Versions of Python and of the packages that shape simulated numbers."""
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in _PACKAGES}}
+
+
+def this_platform() -> str:
+    """System and processor of this computer: sums round alike where both are alike."""
+    from llvmlite import binding
+
+    return f"{platform.platform()}, {binding.get_host_cpu_name()}"
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,7 @@ class Manifest:
             plan=plan,
             solver_version=solver.__version__,
             versions=package_versions(),
-            platform=platform.platform(),
+            platform=this_platform(),
             created=datetime.now(UTC).isoformat(timespec="seconds"),
         )
 

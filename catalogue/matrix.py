@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from catalogue.cross_power import unpack
 from catalogue.entry import Hypothesis, Stratum
-from catalogue.errors import CatalogueFileError
 from catalogue.gathering import Gathered, Numbers, gather
 from catalogue.matrix_columns import Columns, IntArray, MemoryColumns, hexadecimal
 from catalogue.matrix_files import MappedColumns, write_matrix
@@ -43,16 +42,11 @@ class FeatureMatrix:
     columns : Columns
     nominal_speed : float
         Drive speed of the machine's file [rad/s].
-    speeds : tuple of float
-        Factors on it that the plan asks for.
     """
 
-    def __init__(
-        self, header: MatrixHeader, columns: Columns, nominal_speed: float, speeds: tuple[float, ...] = (1.0,)
-    ) -> None:
+    def __init__(self, header: MatrixHeader, columns: Columns, nominal_speed: float) -> None:
         self._header, self._columns = header, columns
         self.nominal_speed = nominal_speed
-        self._speeds = abs(nominal_speed) * np.array(sorted(speeds))
 
     @classmethod
     def in_memory(cls, catalogue: Catalogue) -> Self:
@@ -65,7 +59,7 @@ class FeatureMatrix:
         """
         with tempfile.TemporaryFile() as waiting:
             gathered = _gathered(catalogue, waiting)
-            return cls._of(catalogue, gathered.header, MemoryColumns.of(gathered))
+            return cls(gathered.header, MemoryColumns.of(gathered), catalogue.recipe.nominal_drive_speed)
 
     @classmethod
     def open(cls, catalogue: Catalogue) -> Self | None:
@@ -77,7 +71,7 @@ class FeatureMatrix:
             It is damaged.
         """
         columns = MappedColumns.open(catalogue.layout, catalogue.id)
-        return None if columns is None else cls._of(catalogue, columns.header, columns)
+        return None if columns is None else cls(columns.header, columns, catalogue.recipe.nominal_drive_speed)
 
     @classmethod
     def publish(cls, catalogue: Catalogue) -> Self:
@@ -90,16 +84,12 @@ class FeatureMatrix:
         CatalogueFileError
             A shard is missing, does not match its checksum or cannot be read, or the matrix cannot be written.
         """
-        if not _is_sound(catalogue):
+        if not MappedColumns.are_sound(catalogue.layout, catalogue.id):
             with tempfile.TemporaryFile(dir=catalogue.path) as waiting:
                 write_matrix(catalogue.layout, _gathered(catalogue, waiting))
         found = cls.open(catalogue)
         assert found is not None  # it was written a moment ago
         return found
-
-    @classmethod
-    def _of(cls, catalogue: Catalogue, header: MatrixHeader, columns: Columns) -> Self:
-        return cls(header, columns, catalogue.recipe.nominal_drive_speed, catalogue.plan.speeds)
 
     @property
     def id(self) -> str:
@@ -128,6 +118,11 @@ class FeatureMatrix:
     def joints(self) -> tuple[str, ...]:
         """Turning joints of the machine in alphabetical order, the columns of :meth:`clearance`."""
         return self._header.joints
+
+    @cached_property
+    def speeds(self) -> tuple[float, ...]:
+        """Factors on the drive speed that plans asked for, rising."""
+        return tuple(np.unique(self._columns.column("speed")).tolist())
 
     @cached_property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
@@ -177,7 +172,7 @@ class FeatureMatrix:
             Only draws of a number below it. The first draws of a hypothesis fill its range evenly, whatever their
             number, so that this is how to take fewer.
         speed : float, optional
-            Only entries at the one of the plan's speeds that is nearest to this drive speed [rad/s].
+            Only entries at the one of :attr:`speeds` that is nearest to this drive speed [rad/s].
 
         Returns
         -------
@@ -191,10 +186,10 @@ class FeatureMatrix:
         rows = np.concatenate(parts) if parts else np.empty(0, np.int64)
         if draws is not None:
             rows = rows[self._columns.column("draw")[rows] < draws]
-        if speed is not None and len(self._speeds) > 1:
-            borders = np.sqrt(self._speeds[1:] * self._speeds[:-1])
-            of_rows = np.searchsorted(borders, np.abs(self._columns.column("drive_speed")[rows]))
-            rows = rows[of_rows == np.searchsorted(borders, abs(speed))]
+        if speed is not None and len(self.speeds) > 1:
+            borders = np.sqrt(np.array(self.speeds[1:]) * self.speeds[:-1])
+            nearest = self.speeds[int(np.searchsorted(borders, abs(speed / self.nominal_speed)))]
+            rows = rows[self._columns.column("speed")[rows] == nearest]
         return rows
 
     def packed(self, rows: IntArray) -> NDArray[np.float32]:
@@ -242,6 +237,7 @@ class FeatureMatrix:
             worn=header.worn[code],
             parameters={name: numbers[:, column] for column, name in enumerate(header.parameter_names)},
             draw=take("draw").astype(np.int64),
+            speed=take("speed"),
             drive_speed=take("drive_speed"),
             segments=take("segments").astype(np.int64),
             transient=take("transient"),
@@ -287,17 +283,6 @@ class FeatureMatrix:
         found = self._columns.column("guard_db")
         found = found[np.isfinite(found)]
         return Guard(len(found), float(found.mean()), float(np.quantile(found, 0.9))) if len(found) else None
-
-
-def _is_sound(catalogue: Catalogue) -> bool:
-    """Whether the published matrix is there and in order."""
-    try:
-        columns = MappedColumns.open(catalogue.layout, catalogue.id)
-        if columns is not None:
-            columns.check()
-    except CatalogueFileError:
-        return False
-    return columns is not None
 
 
 def _gathered(catalogue: Catalogue, waiting: IO[bytes]) -> Gathered:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from catalogue.directory import CatalogueDirectory, sha256_of, sync_folder
 from catalogue.errors import CatalogueFileError
 from catalogue.gathering import BLOCK_ROWS, Gathered, Numbers
-from catalogue.matrix_header import ColumnFile, MatrixHeader
+from catalogue.matrix_header import ColumnFile, MatrixHeader, OtherVersionError
 
 __all__ = ["MappedColumns", "write_matrix"]
 
@@ -119,7 +119,7 @@ class MappedColumns:
 
     @classmethod
     def open(cls, layout: CatalogueDirectory, catalogue_id: str) -> MappedColumns | None:
-        """Map the matrix of this state of the catalogue; None if there is none.
+        """Map the matrix of this state of the catalogue; None if there is none that this version can read.
 
         Raises
         ------
@@ -131,6 +131,8 @@ class MappedColumns:
         try:
             header = MatrixHeader.from_json(path.read_bytes())
             return cls(folder, header) if header.id == catalogue_id else None
+        except OtherVersionError:
+            return None
         except FileNotFoundError:
             if not path.exists():
                 return None
@@ -138,6 +140,17 @@ class MappedColumns:
         except (ValueError, KeyError, TypeError, OSError) as error:
             rule = f"cannot be used ({error}): {_DAMAGED.split(': ')[1]}"
             raise CatalogueFileError(folder, rule) from None
+
+    @classmethod
+    def are_sound(cls, layout: CatalogueDirectory, catalogue_id: str) -> bool:
+        """Whether the matrix of this state of the catalogue is there and in order, all of it."""
+        try:
+            columns = cls.open(layout, catalogue_id)
+            if columns is not None:
+                columns.check()
+        except CatalogueFileError:
+            return False
+        return columns is not None
 
     def column(self, name: str) -> Numbers:
         """One column of the table, read-only.

@@ -15,7 +15,7 @@ from catalogue.entry import Hypothesis, Stratum
 from catalogue.keys import content_digest
 from catalogue.variants import LawChoice
 
-__all__ = ["LAWS", "STRATA", "Block", "ColumnFile", "Guard", "MatrixHeader", "Ranges"]
+__all__ = ["LAWS", "STRATA", "Block", "ColumnFile", "Guard", "MatrixHeader", "OtherVersionError", "Ranges"]
 
 STRATA: tuple[Stratum, ...] = get_args(Stratum)
 """In the order of their codes in the column ``stratum``."""
@@ -23,8 +23,12 @@ STRATA: tuple[Stratum, ...] = get_args(Stratum)
 LAWS: tuple[LawChoice, ...] = get_args(LawChoice)
 """In the order of their codes in the column ``law``."""
 
-MATRIX_VERSION = 1
+MATRIX_VERSION = 2
 """Of the files of a matrix; one of another version is made anew."""
+
+
+class OtherVersionError(ValueError):
+    """A matrix that another version of this program wrote; it is made anew."""
 
 
 @dataclass(frozen=True)
@@ -172,14 +176,16 @@ class MatrixHeader:
 
         Raises
         ------
+        OtherVersionError
+            It is of another version.
         ValueError
-            It is damaged, or of another version.
+            It is damaged.
         """
         content = json.loads(text)
         if not isinstance(content, dict) or content.pop("checksum", None) != content_digest(content):
             raise ValueError("does not match its checksum")
         if content.pop("version") != MATRIX_VERSION or content.pop("codes") != [list(STRATA), list(LAWS)]:
-            raise ValueError("is of another version")
+            raise OtherVersionError("is of another version")
         hypotheses = tuple(Hypothesis(label, tuple(joints)) for label, joints in content.pop("hypotheses"))
         blocks = tuple(
             Block(hypotheses[code], stratum, start, stop) for code, stratum, start, stop in content.pop("blocks")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -17,7 +16,7 @@ from catalogue.entry import Entry
 from catalogue.errors import CatalogueMismatchError
 from catalogue.executors import Executor, InProcess, LocalProcesses
 from catalogue.feature_bands import LEAST_POWER
-from catalogue.manifest import package_versions
+from catalogue.manifest import package_versions, this_platform
 from catalogue.shard import Outcome
 from catalogue.store import Catalogue
 
@@ -63,7 +62,7 @@ class RegenerateReport:
     cases : tuple of Compared
         In the order of the catalogue.
     same_program : bool
-        Whether solver, packages and system are those of the first build.
+        Whether solver, packages, system and processor are those of the first build.
     seconds : float
     """
 
@@ -150,7 +149,7 @@ def regenerate(
     cuts = catalogue.matrix.cuts
     return RegenerateReport(
         cases=tuple(_compared(entry, outcome, now[key], cuts) for key, (entry, outcome) in stored.items()),
-        same_program=dict(manifest.versions) == package_versions() and manifest.platform == platform.platform(),
+        same_program=dict(manifest.versions) == package_versions() and manifest.platform == this_platform(),
         seconds=time.monotonic() - started,
     )
 

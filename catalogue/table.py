@@ -39,6 +39,8 @@ class EntryTable:
         The numbers that were drawn, by path, SI.
     draw : ndarray of int, shape (n,)
         Number of the draw within its hypothesis, clearance levels and speed, from 0.
+    speed : ndarray, shape (n,)
+        Factor on the drive speed of the machine's file that the plan asked for.
     drive_speed : ndarray, shape (n,)
         rad/s.
     segments : ndarray of int, shape (n,)
@@ -60,6 +62,7 @@ class EntryTable:
     worn: NDArray[np.bool_]
     parameters: Mapping[str, FloatArray]
     draw: IntArray
+    speed: FloatArray
     drive_speed: FloatArray
     segments: IntArray
     transient: FloatArray

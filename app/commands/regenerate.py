@@ -87,4 +87,4 @@ def tell(report: RegenerateReport, catalogue: Path) -> None:
     if worst is not None and worst.difference_db > 0.0:
         click.echo(f"largest difference: {worst.difference_db:.2f} dB, {worst.key[:12]} ({worst.hypothesis})")
     if not report.same_program:
-        click.echo("packages or system are not those of the build")
+        click.echo("packages, system or processor are not those of the build")

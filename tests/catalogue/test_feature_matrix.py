@@ -11,6 +11,7 @@ import pytest
 from building import quick_build
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
+from catalogue import matrix_header
 from catalogue.build import Progress, build
 from catalogue.directory import CatalogueDirectory, sha256_of
 from catalogue.entry import Entry, Hypothesis
@@ -109,8 +110,9 @@ def test_rows_are_found_by_hypothesis_draw_and_speed(mapped: FeatureMatrix) -> N
     assert 0 < len(mapped.rows("A+O", draws=1)) < len(rows)
     slow = mapped.rows("A", speed=1.02 * MACHINE.drive.speed)  # type: ignore[union-attr,operator]
     fast = mapped.rows("A", speed=-1.4 * MACHINE.drive.speed)  # type: ignore[union-attr,operator]
-    # all drive speeds of the made-up entries are the same: 60 rad/s, nearest to one of the plan's speeds
-    assert sorted([len(slow), len(fast)]) == [0, len(mapped.rows("A"))]
+    assert mapped.speeds == (1.0, 1.5)
+    assert set(table.speed[slow]) == {1.0} and set(table.speed[fast]) == {1.5}
+    assert sorted([*slow, *fast]) == mapped.rows("A").tolist()
     assert len(mapped.rows("A", "wide")) == len(mapped.rows("Z")) == 0
 
 
@@ -233,6 +235,17 @@ def test_missing_file_is_damage_and_a_missing_matrix_is_made_in_memory(copy: Pat
     assert not layout.matrices.exists()
     assert [finding.what for finding in verify(copy).findings] == ["is missing"]
     assert layout.matrix(catalogue.id).is_dir()
+
+
+def test_matrix_of_another_version_is_made_again(copy: Path, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matrix_header, "MATRIX_VERSION", 99)
+    catalogue = Catalogue.open(copy)
+    assert FeatureMatrix.open(catalogue) is None
+    in_memory = catalogue.matrix
+    FeatureMatrix.publish(catalogue)
+    assert FeatureMatrix.open(catalogue) is not None
+    monkeypatch.undo()
+    assert_same(in_memory, Catalogue.open(directory).matrix)
 
 
 def test_strata_laws_and_the_guard(tmp_path: Path) -> None:
