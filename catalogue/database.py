@@ -73,7 +73,9 @@ class Database:
         url = database_url(source)
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self.name = str(source) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
-        options: dict[str, Any] = {} if self.is_sqlite else {"pool_pre_ping": True}
+        # Statements prepared while the tables are empty would keep plans that read all rows.
+        postgres = {"pool_pre_ping": True, "connect_args": {"prepare_threshold": None}}
+        options: dict[str, Any] = {} if self.is_sqlite else postgres
         try:
             self._engine = create_engine(url, **options)
         except (ImportError, NoSuchModuleError):

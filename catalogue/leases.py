@@ -51,7 +51,7 @@ class ChunkRow:
     output_sha256 : str
         The shard that came of it.
     seconds : float
-        Processor time of its cases [s].
+        Processor time of its cases at workers [s].
     message : str
         What went wrong, last.
     """

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
+from functools import partial
 
 from catalogue.chunk import Chunk, Compute
 from catalogue.directory import CatalogueDirectory, publish, sha256_of
@@ -82,6 +83,7 @@ class _Work:
     chunk: Chunk
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
+    seconds: float = 0.0
 
     @property
     def is_complete(self) -> bool:
@@ -140,11 +142,12 @@ class Scheduler:
         """
         self._open.extend(chunks)
         self._tell()
-        flying: dict[Future[tuple[Outcome, ...]], _Task] = {}
+        measured = partial(_measured, self._compute)
+        flying: dict[Future[tuple[tuple[Outcome, ...], float]], _Task] = {}
         with self._alive():
             while self._open or self._again or self._elsewhere or flying:
                 for task in self._next(executor.capacity - len(flying)):
-                    flying[executor.submit(self._compute, task.part)] = task
+                    flying[executor.submit(measured, task.part)] = task
                 if flying:
                     finished, _ = wait(flying, timeout=LOOK, return_when=FIRST_COMPLETED)
                 else:
@@ -189,11 +192,13 @@ class Scheduler:
             self._tally.lost |= dict.fromkeys(missing, "another builder could not compute it")
             self._tell()
 
-    def _take(self, task: _Task, future: Future[tuple[Outcome, ...]], executor: Executor) -> None:
+    def _take(self, task: _Task, future: Future[tuple[tuple[Outcome, ...], float]], executor: Executor) -> None:
         error = future.exception()
         if error is None:
+            outcomes, seconds = future.result()
             keys = [entry.key for entry in task.part.entries]
-            task.work.outcomes |= dict(zip(keys, future.result(), strict=True))
+            task.work.outcomes |= dict(zip(keys, outcomes, strict=True))
+            task.work.seconds += seconds
         elif isinstance(error, (SolverError, CatalogueError)):
             raise error  # a refusal: it would be the same for every chunk
         elif executor.is_blameless(error):
@@ -234,10 +239,9 @@ class Scheduler:
             content = encode_shard(shard)
             name = sha256_of(content)
             publish(self._layout.shard(name), content)
-            seconds = sum(outcome.seconds for outcome in outcomes)
             try:
                 new = self._index.add_shard(
-                    name, len(content), shard, chunk=work.chunk.id, seconds=seconds, message=message
+                    name, len(content), shard, chunk=work.chunk.id, seconds=work.seconds, message=message
                 )
             except EntriesPresentError as error:  # in a shard of another builder, with another plan or other rounding
                 self._layout.shard(name).unlink(missing_ok=True)
@@ -272,6 +276,13 @@ class Scheduler:
             raise
         end.set()
         heart.join()
+
+
+def _measured(compute: Compute, chunk: Chunk) -> tuple[tuple[Outcome, ...], float]:
+    """At a worker: what comes of a chunk, and its processor time [s], compilation and estimates included."""
+    began = time.thread_time()
+    outcomes = compute(chunk)
+    return outcomes, time.thread_time() - began
 
 
 def _message(lost: Mapping[str, str]) -> str:
