@@ -218,9 +218,9 @@ def content(directory: Path) -> str:
     return Catalogue.open(directory).id
 
 
-def cases(indexes: Sequence[str | None]) -> Iterator[tuple[bool, int, str | None]]:
+def cases(where: Sequence[str], indexes: Sequence[str | None]) -> Iterator[tuple[bool, int, str | None]]:
     """Where to compute (on Dask or not), how many builders, and where the index is."""
-    for dask in (False, True):
+    for dask in [place == "dask" for place in where]:
         for builders in (1, 2):
             for index in indexes:
                 yield dask, builders, index
@@ -233,6 +233,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=1.0, help="time of a chunk of four cases")
+    parser.add_argument("--where", action="append", choices=("local", "dask"), help="both by default")
     parser.add_argument("--index", action="append", help="URL of PostgreSQL, beside SQLite")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, Site(Path(folder), dask=False) as site:
@@ -242,7 +243,7 @@ def main() -> None:
     print(f"undisturbed: {wanted[:16]}")
     different = 0
     for turn in range(options.rounds):
-        for dask, builders, index in cases([None, *(options.index or [])]):
+        for dask, builders, index in cases(options.where or ["local", "dask"], [None, *(options.index or [])]):
             with (
                 tempfile.TemporaryDirectory() as folder,
                 Site(Path(folder), dask=dask, index=index, seconds=options.seconds) as site,

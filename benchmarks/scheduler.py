@@ -45,12 +45,12 @@ class Costs:
         A result, or a chunk, on its way [s].
     """
 
-    chunks: tuple[float, ...] = (0.62,)
-    compile: float = 0.8
+    chunks: tuple[float, ...] = (0.4,)
+    compile: float = 0.6
     start: float = 3.0
-    store: float = 0.011
+    store: float = 0.014
     transaction: float = 0.003
-    wire: float = 0.006
+    wire: float = 0.004
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ class Fleet:
 
     workers: int
     cells: int = 1
-    chunks: int = 1563
-    models: int = 17
+    chunks: int = 3036
+    models: int = 34
     deaths: float = 0.0
     slots: int = 8
 
@@ -280,9 +280,9 @@ def table(costs: Costs, fleets: Sequence[Fleet], cases: int) -> str:
 
 
 FLEETS = (
-    *(Fleet(workers) for workers in (2, 8, 16, 32, 48, 64, 128, 1000)),
-    *(Fleet(1000, cells, models=17) for cells in (8, 16, 24, 32)),
-    Fleet(1000, 24, deaths=1.0),
+    *(Fleet(workers) for workers in (2, 8, 16, 24, 32, 64, 1000)),
+    *(Fleet(1000, cells, 30_360, models=34) for cells in (20, 40, 60)),  # ten catalogues each, one after the other
+    Fleet(1000, 40, 30_360, deaths=1.0),
 )
 
 
@@ -293,13 +293,12 @@ def main() -> None:
     parser.add_argument("--store", type=float, default=Costs.store)
     parser.add_argument("--transaction", type=float, default=Costs.transaction)
     options = parser.parse_args()
-    chunks, cases = Costs().chunks, 64
+    chunks, cases = Costs().chunks, 33
     if options.index:
         source = options.index if "://" in options.index else Path(options.index)
         with Index(source) as index:
             rows = [row for row in index.chunks() if row.seconds > 0]
-        cases = max(row.entries for row in rows)
-        chunks = tuple(row.seconds for row in rows if row.entries == cases)
+        chunks, cases = tuple(row.seconds for row in rows), round(sum(row.entries for row in rows) / len(rows))
     costs = Costs(chunks=chunks, store=options.store, transaction=options.transaction)
     mean, p90 = np.mean(chunks), np.quantile(chunks, 0.9)
     print(f"{len(chunks)} chunks of {cases} cases, {mean:.3f} s on average (p90 {p90:.3f} s)")
