@@ -9,7 +9,18 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.storage import DiagnosisRow, aware
-from catalogue.answer import Effort, EffortSpent, Evidence, GoodnessOfFit, Hypothesis, ModeUsed, Provenance, Verdict
+from catalogue.answer import (
+    BaselineShown,
+    Effort,
+    EffortSpent,
+    Evidence,
+    GoodnessOfFit,
+    Hypothesis,
+    ModeUsed,
+    Provenance,
+    SuggestionShown,
+    Verdict,
+)
 
 
 class DiagnosisOut(BaseModel):
@@ -33,6 +44,8 @@ class DiagnosisOut(BaseModel):
     coverage: float
     goodness_of_fit: GoodnessOfFit
     evidence: Evidence
+    baseline: BaselineShown | None = Field(description="What a recording of the machine in order said.")
+    suggestions: tuple[SuggestionShown, ...] = Field(description="What would tell the first hypotheses apart.")
     warnings: tuple[str, ...]
     provenance: Provenance
 

@@ -118,6 +118,65 @@ class EffortSpent(_Frozen):
     note: str
 
 
+class FittedNumber(_Frozen):
+    """What a baseline says of a number: factor on what it should be, and standard deviation of its logarithm."""
+
+    factor: float
+    scatter: float
+
+
+class BaselineShown(_Frozen):
+    """What a recording of the machine in order said of machine and sensors.
+
+    Attributes
+    ----------
+    measurement, measurement_sha256 : str
+        Name of that recording, and checksum of its bytes.
+    condition : str
+        "healthy" or "as-new", whichever explains it better.
+    used : bool
+        Whether a machine in order explains it; nothing of it is used otherwise.
+    p_before, p_after : float
+        Share of simulated machines in order that fit worse: with the numbers of the machine file, and as fitted.
+    numbers, gains : mapping of str to FittedNumber
+        By path as in a plan ("frame.mass"), and by sensor.
+    """
+
+    measurement: str
+    measurement_sha256: str
+    condition: str
+    used: bool
+    p_before: float
+    p_after: float
+    numbers: Mapping[str, FittedNumber]
+    gains: Mapping[str, FittedNumber]
+
+
+class SuggestionShown(_Frozen):
+    """One thing that would tell the first hypotheses apart.
+
+    Attributes
+    ----------
+    kind : {"sensor", "direction", "speed"}
+    what : str
+        In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm".
+    hypotheses : tuple of str
+        Labels that are told apart.
+    separation_now, separation : float
+        Distance of the hypotheses in standard deviations, as it is and as it would be.
+    error_now, error : float
+        Share of such machines that would be taken for another one.
+    """
+
+    kind: Literal["sensor", "direction", "speed"]
+    what: str
+    hypotheses: tuple[str, ...]
+    separation_now: float
+    separation: float
+    error_now: float
+    error: float
+
+
 class MatcherIdentity(_Frozen):
     """Which method matched."""
 
@@ -176,6 +235,10 @@ class Diagnosis(_Frozen):
     coverage : float
     goodness_of_fit : GoodnessOfFit
     evidence : Evidence
+    baseline : BaselineShown or None
+        None where there was no recording of the machine in order.
+    suggestions : tuple of SuggestionShown
+        What would tell the first hypotheses apart, best first.
     warnings : tuple of str
     provenance : Provenance
     hash : str
@@ -196,6 +259,8 @@ class Diagnosis(_Frozen):
     coverage: float
     goodness_of_fit: GoodnessOfFit
     evidence: Evidence
+    baseline: BaselineShown | None
+    suggestions: tuple[SuggestionShown, ...]
     warnings: tuple[str, ...]
     provenance: Provenance
     hash: str

@@ -20,21 +20,28 @@ from catalogue.answer import (
     ModeUsed,
     Provenance,
 )
+from catalogue.baseline import fit_baseline
 from catalogue.comparison import exact_sensing, measured_levels, watched
 from catalogue.errors import DiagnosisError
-from catalogue.evidence import edge_warnings, evidence, hypothesis_shown, speed_warnings
+from catalogue.evidence import edge_warnings, evidence, hypothesis_shown, speed_warnings, suggestions_shown
 from catalogue.features import PreparedMeasurement, prepare
 from catalogue.gaussian import GaussianAlongClearance
+from catalogue.known_machine import KnownMachine
 from catalogue.learning import Learning
 from catalogue.libraries import library_of
 from catalogue.library import ModelLibrary
 from catalogue.matching import Matcher
 from catalogue.measurement import Measurement
+from catalogue.separation import suggest
 from catalogue.store import Catalogue
 from catalogue.synthesis import Recorded, Synthesis, refine
 from catalogue.verdict import judged
 
 __all__ = ["Question", "answer", "diagnose"]
+
+
+CLEAR = 0.99
+"""Probability of the first hypothesis from which on nothing more is suggested."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,7 @@ def diagnose(
     mapping: Mapping[str, str] | None = None,
     coverage: float = 0.95,
     budget: float = 3.5,
+    baseline: Measurement | None = None,
     matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
@@ -104,6 +112,8 @@ def diagnose(
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
+    baseline : Measurement, optional
+        Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors.
     matcher : Matcher, optional
         In place of the one that `effort` stands for.
     library : ModelLibrary, optional
@@ -122,7 +132,21 @@ def diagnose(
     """
     question = Question(effort, mode, coverage, budget)
     prepared = prepare(measurement, catalogue.machine, mapping, speed, catalogue.scheme)
-    return answer(prepared, measurement.sha256, catalogue, question, mapping=mapping, matcher=matcher, library=library)
+    known = None
+    if baseline is not None:
+        in_order = prepare(baseline, catalogue.machine, mapping, None, catalogue.scheme)
+        known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
+    return answer(
+        prepared,
+        measurement.sha256,
+        catalogue,
+        question,
+        mapping=mapping,
+        known=known,
+        suggesting=effort != "fast",
+        matcher=matcher,
+        library=library,
+    )
 
 
 def answer(
@@ -132,6 +156,8 @@ def answer(
     question: Question,
     *,
     mapping: Mapping[str, str] | None = None,
+    known: KnownMachine | None = None,
+    suggesting: bool = False,
     matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
     without: tuple[str, ...] = (),
@@ -147,6 +173,10 @@ def answer(
     catalogue : Catalogue
         The one it was prepared for.
     question : Question
+    known : KnownMachine, optional
+        What a recording of the machine in order has shown.
+    suggesting : bool
+        Whether to say what would tell the first hypotheses apart, where they are not.
     mapping, matcher, library
         As for :func:`diagnose`.
     without : tuple of str
@@ -160,6 +190,7 @@ def answer(
         The catalogue holds too little.
     """
     library = library or library_of(catalogue)
+    prepared = known.baseline.corrected(prepared) if known else prepared
     sensing = exact_sensing(prepared)
     feature = measured_levels(prepared, sensing)
     result = library.answer(
@@ -170,6 +201,7 @@ def answer(
         question.mode,
         speed=prepared.drive_speed,
         matcher=matcher,
+        weights=known.weights(catalogue) if known else None,
         without=without,
         most=most,
     )
@@ -198,7 +230,9 @@ def answer(
         *speed_warnings(prepared, catalogue),
         *edge_warnings(result, catalogue),
         *result.notes,
+        *(known.baseline.warnings if known else ()),
     ]
+    unclear = suggesting and verdict != "unknown" and result.best.probability < CLEAR
     provenance = Provenance(
         measurement=prepared.name,
         measurement_sha256=sha256,
@@ -211,7 +245,15 @@ def answer(
     )
     asked = [question.effort, question.mode, question.coverage, *([question.budget] * (question.effort == "thorough"))]
     content = {
-        "id": _digest([provenance.model_dump(mode="json"), prepared.drive_speed, dict(mapping or {}), asked])[:32],
+        "id": _digest(
+            [
+                provenance.model_dump(mode="json"),
+                prepared.drive_speed,
+                dict(mapping or {}),
+                asked,
+                known and known.sha256,
+            ]
+        )[:32],
         "machine": catalogue.machine.name,
         "catalogue": catalogue.path.name,
         "drive_speed_rpm": prepared.drive_speed * 30.0 / math.pi,
@@ -225,6 +267,8 @@ def answer(
         "coverage": candidates.coverage,
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
         "evidence": evidence(prepared, result.best, feature),
+        "baseline": known.shown() if known else None,
+        "suggestions": suggestions_shown(suggest(catalogue, prepared, result)) if unclear else (),
         "warnings": tuple(dict.fromkeys(warnings)),
         "provenance": provenance,
     }

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import asdict
 
-from catalogue.answer import BandEvidence, Evidence, Hypothesis, JointClearance
+from catalogue.answer import BandEvidence, Evidence, Hypothesis, JointClearance, SuggestionShown
 from catalogue.features import PreparedMeasurement
 from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
+from catalogue.separation import Suggestion
 from catalogue.store import Catalogue
 
-__all__ = ["edge_warnings", "evidence", "hypothesis_shown", "speed_warnings"]
+__all__ = ["edge_warnings", "evidence", "hypothesis_shown", "speed_warnings", "suggestions_shown"]
 
 EDGE = 0.02
 """Share of the catalogue's clearance range, at either end, in which an estimate is warned of."""
@@ -49,6 +52,11 @@ def evidence(prepared: PreparedMeasurement, best: HypothesisMatch, feature: Floa
         )
         (orders if axis.single_order else bands).append(item)
     return Evidence(orders=tuple(orders), bands=tuple(bands))
+
+
+def suggestions_shown(found: Iterable[Suggestion]) -> tuple[SuggestionShown, ...]:
+    """Return suggestions as the answer shows them."""
+    return tuple(SuggestionShown(**asdict(suggestion)) for suggestion in found)
 
 
 def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[str]:

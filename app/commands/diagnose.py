@@ -41,6 +41,12 @@ if TYPE_CHECKING:
 @click.option(
     "--budget", type=Quantity("TIME"), default=3.5, show_default=True, help="Seconds that effort thorough may simulate."
 )
+@click.option(
+    "--baseline",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains.",
+)
 @click.option("--sample-rate", type=Quantity("FREQUENCY"), help='Of a recording without times, such as "10 kHz".')
 @click.option(
     "--map", "mapping", type=Pairs("COLUMN=SENSOR"), multiple=True, help="Column of a sensor; may be repeated."
@@ -57,6 +63,7 @@ def command(
     effort: Effort,
     mode: ModeAsked,
     budget: float,
+    baseline: Path | None,
     sample_rate: float | None,
     mapping: Sequence[tuple[str, str]],
     units: Sequence[tuple[str, str]],
@@ -75,8 +82,18 @@ def command(
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
     opened = Catalogue.open(existing_catalogue(catalogue))
     recording = read_measurement(measurement, sample_rate=sample_rate, units=given_units or None)
+    in_order = None
+    if baseline is not None:
+        in_order = read_measurement(baseline, sample_rate=sample_rate, units=given_units or None)
     diagnosis = diagnose(
-        recording, opened, speed=speed, effort=effort, mode=mode, mapping=sensors or None, budget=budget
+        recording,
+        opened,
+        speed=speed,
+        effort=effort,
+        mode=mode,
+        mapping=sensors or None,
+        budget=budget,
+        baseline=in_order,
     )
     result = diagnosis.model_dump(mode="json")
     if plot is not None:
@@ -102,8 +119,24 @@ def report(result: Mapping[str, Any]) -> str:
     ]
     if result["effort_spent"]["note"]:
         parts.append(f"simulated anew: {result['effort_spent']['note']}")
+    if result["suggestions"]:
+        parts += ["What would tell them apart:", indented(suggestions(result))]
     parts += [f"warning: {line}" for line in result["warnings"]]
     return "\n".join(parts)
+
+
+def suggestions(result: Mapping[str, Any]) -> str:
+    """Return what could be done, the best first, as a table."""
+    rows = [
+        (
+            f"{each['kind']} {each['what']}",
+            " / ".join(each["hypotheses"]),
+            words.percent(each["error_now"]),
+            words.percent(each["error"]),
+        )
+        for each in result["suggestions"]
+    ]
+    return table(("add", "for", "mistaken now", "then"), rows, frozenset({2, 3}))
 
 
 def ranking(result: Mapping[str, Any]) -> str:

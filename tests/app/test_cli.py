@@ -294,6 +294,9 @@ def test_diagnose_finds_the_worn_joint(shelf: Path, recording: Path, tmp_path: P
     assert document["hypotheses"][0]["joints"].keys() == {"B"}
     assert document["mode"]["used"] == "trusted"
     assert "The machine is taken to be as simulated (trusted)." in result.stdout
+    assert document["baseline"] is None
+    known = invoke("diagnose", recording, "--catalogue", catalogue, "--baseline", recording, "--json")
+    assert json.loads(known.stdout)["baseline"]["measurement"] == recording.name
     robust = invoke("diagnose", recording, "--catalogue", catalogue, "--mode", "robust", "--effort", "thorough").stdout
     assert "The machine is taken to differ from its model (robust)." in robust
     assert "simulated anew: " in robust

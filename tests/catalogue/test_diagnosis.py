@@ -81,7 +81,7 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
         "id", "machine", "catalogue", "drive_speed_rpm", "effort", "verdict", "hypotheses", "joint_probabilities",
         "candidate_set", "coverage", "goodness_of_fit", "evidence", "warnings",
     }  # fmt: skip
-    assert set(content) == documented | {"mode", "effort_spent", "provenance", "hash"}
+    assert set(content) == documented | {"mode", "effort_spent", "baseline", "suggestions", "provenance", "hash"}
     first = content["hypotheses"][0]
     assert set(first) == {"label", "joints", "probability", "distance_db"}
     assert set(first["joints"]["B"]) == {"clearance_um", "interval_um"}
@@ -154,6 +154,42 @@ def test_effort_is_reported_as_used(small_catalogue: Catalogue, worn: Diagnosis)
     assert "certain already" in thorough.effort_spent.note
     assert thorough.hypotheses == worn.hypotheses
     assert thorough.id != worn.id
+
+
+def test_a_recording_of_the_machine_in_order_takes_gain_errors_out(small_catalogue: Catalogue, worn: Diagnosis) -> None:
+    assert worn.baseline is None
+    gains = np.array([1.07, 1.0, 1.0, 0.94])
+
+    def by_wrong_sensors(number: int) -> Measurement:
+        measurement = recording(number)
+        signal = measurement.signal * gains
+        return replace(measurement, signal=signal, sha256=hashlib.sha256(signal.tobytes()).hexdigest())
+
+    found = diagnose(by_wrong_sensors(2), small_catalogue, baseline=by_wrong_sensors(1))
+    assert found.hypotheses[0].label == "B"
+    assert found.baseline is not None
+    assert found.baseline.used
+    assert found.baseline.measurement_sha256 == by_wrong_sensors(1).sha256
+    assert found.baseline.p_after >= found.baseline.p_before
+    # The recordings' own gains are up to 5 % off, too, and the fit expects gains to be within some per cent.
+    fitted = [found.baseline.gains[name].factor for name in ("s1-x", "s1-y", "s2-x", "s2-y")]
+    true = gains * np.array(TRUTH["slider-crank-01"]["gain"])
+    assert np.corrcoef(np.log(fitted), np.log(true))[0, 1] > 0.9
+    assert found.id != diagnose(by_wrong_sensors(2), small_catalogue).id
+
+
+def test_what_would_tell_hypotheses_apart_is_said_where_they_are_not(small_catalogue: Catalogue) -> None:
+    loud = np.random.default_rng(1).normal(0.0, 3.0, (len(recording(2).signal), 1))
+    whole = disturbed(recording(2), np.tile(loud, 4))
+    single = replace(whole, signal=whole.signal[:, :1], channels=whole.channels[:1])
+    answer = diagnose(single, small_catalogue, mode="trusted")
+    assert answer.hypotheses[0].probability < 0.99
+    if answer.verdict != "unknown":
+        assert answer.suggestions
+    for suggestion in answer.suggestions:
+        assert suggestion.error < suggestion.error_now
+        assert set(suggestion.hypotheses) <= {each.label for each in answer.hypotheses}
+    assert diagnose(single, small_catalogue, mode="trusted", effort="fast").suggestions == ()
 
 
 def test_warns_of_what_the_catalogue_does_not_cover(small_catalogue: Catalogue) -> None:

@@ -1,0 +1,49 @@
+"""A machine of which a recording in order is known, as a diagnosis uses it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalogue.answer import BaselineShown, FittedNumber
+from catalogue.baseline import Baseline
+from catalogue.store import Catalogue
+
+__all__ = ["KnownMachine"]
+
+LEAST_WEIGHT = 1e-6
+"""Least weight of an entry, of at most 1: matching asks for weights above 0."""
+
+
+@dataclass(frozen=True)
+class KnownMachine:
+    """What was fitted to a recording of the machine in order, and the checksum of that recording."""
+
+    baseline: Baseline
+    sha256: str
+
+    def weights(self, catalogue: Catalogue) -> NDArray[np.float64] | None:
+        """Return how much each entry of a catalogue is of this machine; None where all count the same."""
+        if not self.baseline.explained:
+            return None
+        return np.maximum(self.baseline.weights(catalogue.entries), LEAST_WEIGHT)
+
+    def shown(self) -> BaselineShown:
+        """Return it as the answer shows it."""
+        found = self.baseline
+        numbers, gains = (
+            {name: FittedNumber(factor=each.factor, scatter=each.scatter) for name, each in group.items()}
+            for group in (found.numbers, found.gains)
+        )
+        return BaselineShown(
+            measurement=found.name,
+            measurement_sha256=self.sha256,
+            condition=found.condition,
+            used=found.explained,
+            p_before=found.p_before,
+            p_after=found.p_after,
+            numbers=numbers,
+            gains=gains,
+        )
