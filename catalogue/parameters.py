@@ -27,9 +27,7 @@ DRIVE_SPEED = "drive.speed"
 LOAD = "load"
 """Short path of the process load of a machine's output link, N or N m."""
 
-_USUAL = re.compile(
-    r"drive\.speed|links\..*\.(mass|inertia)|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.contact\..*"
-)
+_USUAL = re.compile(r"drive\.speed|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.(contact\..*|pin_radius)")
 """Numbers that every machine's equations hold."""
 
 _RIPPLE = re.compile(r"ripple\.([1-9][0-9]{0,2})\.(sin|cos)")
@@ -151,17 +149,17 @@ def check_drawable(machine: Machine, paths: frozenset[str]) -> None:
         Names the first of them.
     """
     numbers = MachineNumbers(machine)
-    for path in sorted(paths):
-        if path in numbers.by_path and not _USUAL.fullmatch(path):
-            _check_held(machine, path)
+    doubtful = tuple(sorted(path for path in paths if path in numbers.by_path and not _USUAL.fullmatch(path)))
+    if doubtful:
+        _check_held(machine, doubtful)
 
 
 @lru_cache(maxsize=256)
-def _check_held(machine: Machine, path: str) -> None:
+def _check_held(machine: Machine, paths: tuple[str, ...]) -> None:
     try:
-        build_model(machine, machine.turning_joints, [path])
+        build_model(machine, machine.turning_joints, paths)
     except MachineError as error:
-        raise PlanError("plan", f"uncertain.{path}", None, error.rule) from None
+        raise PlanError("plan", f"uncertain.{error.path}", None, error.rule) from None
 
 
 class Scatter:
