@@ -1,0 +1,85 @@
+"""What is uncertain unless a plan says otherwise: from the machine's own numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from catalogue.parameters import MachineNumbers
+from catalogue.ranges import default_laws, default_uncertain, default_wide
+from catalogue.variants import Variant, output_load
+from solver.machines.machine import Machine, parse_machine, shipped_machine
+
+SLIDER_CRANK = shipped_machine("slider-crank")
+
+
+def changed(**parts: Any) -> Machine:
+    tree: dict[str, Any] = SLIDER_CRANK.model_dump(mode="json")
+    tree.update(parts)
+    return parse_machine(tree)
+
+
+def test_load_acts_on_what_does_the_work() -> None:
+    slide = output_load(SLIDER_CRANK)
+    assert slide is not None
+    assert (slide.link, slide.direction, slide.arm) == ("slider", (1.0, 0.0), 0.0)
+    rocker = output_load(shipped_machine("four-bar"))
+    assert rocker is not None
+    assert rocker.link not in ("crank", "frame")
+    assert rocker.direction == (0.0, 0.0)
+    # A torque is the force times the length of the link.
+    bar = shipped_machine("four-bar")
+    weight = 9.81 * sum(link.mass or 0.0 for name, link in bar.links.items() if name != bar.frame)
+    bounds = default_wide(bar)["load"].uniform
+    assert bounds is not None
+    assert bounds[1] == pytest.approx(2.5 * weight * rocker.arm, rel=0.005)
+    assert bounds[0] == -bounds[1]
+
+
+def test_a_machine_without_an_output_link_has_no_load() -> None:
+    tree: dict[str, Any] = SLIDER_CRANK.model_dump(mode="json")
+    links = {name: link for name, link in tree["links"].items() if name in ("frame", "crank")}
+    alone = parse_machine({**tree, "links": links, "joints": {"O": tree["joints"]["O"]}})
+    assert output_load(alone) is None
+    assert "load" not in default_wide(alone)
+
+
+def test_springs_and_dampers_have_one_factor_each() -> None:
+    at = {"link": "frame", "at": [0.0, -0.1], "anchor": [0.0, -0.2]}
+    springs = [{**at, "kind": "spring", "stiffness": 1e5}, {**at, "kind": "damper", "damping": 100.0}]
+    machine = changed(supports=springs)
+    wide = default_wide(machine)
+    assert {path for path in wide if path.startswith("supports")} == {"supports.stiffness", "supports.damping"}
+    targets = MachineNumbers(machine).targets("supports.stiffness")
+    assert [(target.path, target.nominal) for target in targets] == [("supports.0.stiffness", 1e5)]
+    assert {path for path in default_wide(SLIDER_CRANK) if path.startswith("supports")} == {
+        f"supports.{name}.{axis}" for name in ("stiffness", "damping") for axis in "xy"
+    }
+
+
+def test_numbers_of_contacts_follow_the_laws() -> None:
+    assert default_laws(SLIDER_CRANK) == {"own": 1.0, "hertz": 1.0}
+    linear = set(default_uncertain(SLIDER_CRANK, {"own": 1.0}))
+    both = set(default_uncertain(SLIDER_CRANK, default_laws(SLIDER_CRANK)))
+    assert both - linear == {"contact.hysteresis"}
+    joints = SLIDER_CRANK.model_dump(mode="json")["joints"]
+    for joint in joints.values():
+        if joint["kind"] == "turning":
+            joint["contact"] = {"law": "flores", "stiffness": 1e9, "restitution": 0.8}
+    flores = changed(joints=joints)
+    assert default_laws(flores) == {"own": 1.0, "linear": 1.0}
+    found = default_uncertain(flores, {"own": 1.0})
+    assert found["contact.restitution"].uniform == pytest.approx((0.55, 1.0))
+    assert "contact.damping" not in found
+    contact = Variant("linear").machine(flores).joints["A"].contact  # type: ignore[union-attr]
+    assert (contact.law, contact.stiffness) == ("linear", pytest.approx(1e9 * 40e-6**0.5))
+    assert contact.damping > 0
+
+
+def test_machines_without_a_pin_radius_draw_none() -> None:
+    joints = SLIDER_CRANK.model_dump(mode="json")["joints"]
+    for joint in joints.values():
+        joint.pop("pin_radius", None)
+    assert "pin_radius" in default_uncertain(SLIDER_CRANK, {"own": 1.0})
+    assert "pin_radius" not in default_uncertain(changed(joints=joints), {"own": 1.0})
