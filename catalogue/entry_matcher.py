@@ -62,7 +62,7 @@ def fit_entries(metric: Metric, training: TrainingSet, fold_count: int) -> Fitte
     for learned, held in folds(training, fold_count):
         features, index = held.stacked()
         near, which = nearest(metric, learned, features)
-        evidence.append(_log_evidence(learned, near))
+        evidence.append(-0.5 * near**2)
         truth.append(index)
         for h, draws in enumerate(held.hypotheses):
             own = index == h
@@ -77,7 +77,7 @@ def fit_entries(metric: Metric, training: TrainingSet, fold_count: int) -> Fitte
         temperature,
         tuple(Tail.of(np.concatenate(values)) for values in distances),
         tuple(np.quantile(np.concatenate(values), [0.05, 0.5, 0.95], axis=0) for values in errors),
-        Conformal.fit(probabilities(joined, temperature), stacked, weights),
+        Conformal.fit(_posterior(training, joined, temperature), stacked, weights),
     )
 
 
@@ -92,10 +92,10 @@ def nearest(metric: Metric, training: TrainingSet, features: FloatArray) -> tupl
     return near, which
 
 
-def _log_evidence(training: TrainingSet, near: FloatArray) -> FloatArray:
+def _posterior(training: TrainingSet, log_evidence: FloatArray, temperature: float) -> FloatArray:
+    """Return probabilities (m, hypotheses); the prior is not scaled, because a distance has a unit and it has none."""
     prior = np.log([draws.prior for draws in training.hypotheses])
-    evidence: FloatArray = -0.5 * near**2 + prior
-    return evidence
+    return probabilities(log_evidence / temperature + prior, 1.0)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class FittedEntries:
     def posterior(self, features: FloatArray) -> FloatArray:
         """Return the probabilities (m, hypotheses) of a block of feature vectors (m, d)."""
         near, _ = nearest(self.metric, self.training, features)
-        return probabilities(_log_evidence(self.training, near), self.temperature)
+        return _posterior(self.training, -0.5 * near**2, self.temperature)
 
     def match(self, feature: FloatArray) -> MatchResult:
         """Return the full answer for one feature vector (d,).
@@ -144,7 +144,7 @@ class FittedEntries:
         if feature.shape != (expected,) or not np.isfinite(feature).all():
             raise MatchingError(f"feature vector of shape {feature.shape}: must be {expected} finite numbers")
         near, which = nearest(self.metric, self.training, feature[None, :])
-        posterior = probabilities(_log_evidence(self.training, near), self.temperature)[0]
+        posterior = _posterior(self.training, -0.5 * near**2, self.temperature)[0]
         matches = []
         for h, draws in enumerate(self.training.hypotheses):
             row = int(which[0, h])

@@ -77,8 +77,8 @@ class ExtraTrees:
         held_features, truth = held.stacked()
         evidence, weights = bare.log_evidence(held_features), row_weights(truth)
         temperature = fit_temperature(evidence, truth, weights, between=(0.05, 8.0))
-        conformal = Conformal.fit(probabilities(evidence, temperature), truth, weights)
-        return replace(bare, temperature=temperature, conformal=conformal)
+        fitted = replace(bare, temperature=temperature)
+        return replace(fitted, conformal=Conformal.fit(fitted.posterior(held_features), truth, weights))
 
 
 @dataclass(frozen=True)
@@ -111,15 +111,14 @@ class FittedTrees:
         return self.entries.labels
 
     def log_evidence(self, features: FloatArray) -> FloatArray:
-        """Return ln(share of votes) with the prior (m, hypotheses); shares of hypotheses with equal weights."""
-        share = np.maximum(self.classifier.predict_proba(features), LEAST_SHARE)
-        prior = np.log([draws.prior for draws in self.entries.training.hypotheses])
-        evidence: FloatArray = np.log(share) + prior
+        """Return ln(share of votes) (m, hypotheses), all hypotheses having had the same weight."""
+        evidence: FloatArray = np.log(np.maximum(self.classifier.predict_proba(features), LEAST_SHARE))
         return evidence
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """Return the probabilities (m, hypotheses) of a block of feature vectors (m, d)."""
-        return probabilities(self.log_evidence(features), self.temperature)
+        prior = np.log([draws.prior for draws in self.entries.training.hypotheses])
+        return probabilities(self.log_evidence(features) / self.temperature + prior, 1.0)
 
     def match(self, feature: FloatArray) -> MatchResult:
         """Return the full answer for one feature vector (d,).
