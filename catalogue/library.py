@@ -172,11 +172,18 @@ class ModelLibrary:
         width = np.diff(self._matrix.edges) * abs(self._matrix.nominal_speed) / (2.0 * np.pi)
         coarse = rounded_sensing(question.sensing, width, NOISE_STEP_DB)
         model = self.fitted(coarse, question.watched, learning, matcher, speed=question.speed, weights=question.weights)
-        looked_up = replace(model.match(question.lifted(coarse)), mode=learning.mode)
+        looked_up = replace(model.match(question.lifted(coarse)), mode=learning.mode, notes=self._notes(learning))
         if effort == "fast" or not isinstance(model, FittedGaussian):
             return looked_up
         refit = Refit(self._matrix, model, learning, question.speed, question.weights)
         return merged(looked_up, refit.match(question.sensing, question.feature, question.watched, looked_up))
+
+    def _notes(self, learning: Learning) -> tuple[str, ...]:
+        if learning.mode == "trusted" or any(len(self._matrix.rows(h.label, "wide")) for h in self._matrix.hypotheses):
+            return ()
+        return (
+            "the catalogue holds no draws of uncertain machines: only flexible modes and levels are taken as uncertain",
+        )
 
 
 @dataclass(frozen=True)

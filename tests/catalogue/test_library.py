@@ -110,6 +110,10 @@ def test_robust_mode_takes_over_where_the_model_is_not_to_be_trusted() -> None:
     assert answer.trusted_p_value == trusted.p_value
     assert trusted.p_value < 0.05
     assert answer.p_value > trusted.p_value
+    assert answer.notes == trusted.notes == ()
+    narrow = ModelLibrary(SpectraModel(220)).answer(sensing(), bent, WATCHED)
+    assert narrow.mode == "robust"
+    assert narrow.notes[0].startswith("the catalogue holds no draws of uncertain machines")
 
 
 def test_strata_of_the_modes() -> None:
