@@ -11,7 +11,7 @@ import pytest
 from building import quick_build
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
-from catalogue import matrix_header
+from catalogue import matrix_header, store
 from catalogue.build import Progress, build
 from catalogue.directory import CatalogueDirectory, sha256_of
 from catalogue.entry import Entry, Hypothesis
@@ -182,6 +182,22 @@ def test_seal_says_of_what_the_catalogue_consists(directory: Path) -> None:
     }
     assert sealed.failed == {"diverged": len(catalogue.failed)}
     assert (sealed.guard, catalogue.matrix.guard) == (None, None)
+
+
+def test_matching_reads_no_shard(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Catalogue.open(directory).entries
+
+    def unread(*arguments: object) -> None:
+        raise AssertionError("a shard was read")
+
+    monkeypatch.setattr(store, "decode_shard", unread)
+    catalogue = Catalogue.open(directory)
+    assert_same_table(catalogue.entries, before)
+    assert catalogue.matrix.packed(catalogue.matrix.all_rows).shape[0] == len(before)
+    assert catalogue.matrix.statuses()["diverged"] == len(catalogue.failed)
+    assert catalogue.matrix.ranges.speed == (60.0, 60.0)
+    with pytest.raises(AssertionError, match="a shard was read"):
+        catalogue.entry(str(before.key[0]))
 
 
 def test_shard_that_is_gone_is_refused_on_opening(copy: Path) -> None:
