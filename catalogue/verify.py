@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+
+import numpy as np
 
 from catalogue.directory import CatalogueDirectory, sha256_of
 from catalogue.errors import CatalogueFileError, CatalogueMismatchError
@@ -14,10 +16,13 @@ from catalogue.location import IndexLocation
 from catalogue.manifest import Manifest
 from catalogue.matrix_files import MappedColumns
 from catalogue.sealing import seal
-from catalogue.shard import OK, Shard
+from catalogue.shard import OK, Shard, ShardHeader
 from catalogue.shard_checks import check_shard
 
 __all__ = ["Finding", "VerifyReport", "reindex", "verify"]
+
+
+_NONE = np.empty((0, 0, 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,7 @@ class _Check:
     def __init__(self, layout: CatalogueDirectory, *, again: bool) -> None:
         self._layout, self._again = layout, again
         self._findings: list[Finding] = []
+        self._header: ShardHeader | None = None
 
     def run(self) -> VerifyReport:
         leftovers = self._layout.remove_temporaries()
@@ -195,7 +201,10 @@ class _Check:
             aside = self._layout.move_to_quarantine(path)
             self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
         else:
-            sound[name], sizes[name] = shard, len(content)
+            # What follows asks for the table only; spectra, and a machine for every shard, would not fit into memory.
+            self._header = self._header or header
+            sound[name] = replace(shard, header=self._header, power=_NONE, spread_db=_NONE)
+            sizes[name] = len(content)
         return manifest
 
     def _repair_index(self, sound: dict[str, Shard], sizes: dict[str, int]) -> int:
