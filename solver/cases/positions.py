@@ -13,7 +13,7 @@ from solver.cases.assembly import follow, walk
 from solver.cases.friction_rates import friction_rate
 from solver.cases.steps import contact_mobility
 from solver.equations.drive import travel_range
-from solver.equations.model import Model, build_model
+from solver.equations.model import MODELS_KEPT, Model, build_model
 from solver.machines.drives import RotationDrive, TranslationDrive
 from solver.machines.machine import Machine
 
@@ -33,7 +33,7 @@ def _top_speed(machine: Machine) -> float:
     return max((speed for _, speed in drive.speed), key=abs) if isinstance(drive.speed, tuple) else drive.speed
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MODELS_KEPT)
 def _turning(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model with a rotation at a constant speed of 1 rad/s, a lane parameter; other drives as they are."""
     drive = machine.drive
@@ -54,7 +54,7 @@ def _paths(numbers: _Numbers) -> tuple[str, ...]:
     return tuple(path for path, _ in numbers if path != "drive.speed")  # that is a lane parameter anyway
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MODELS_KEPT)
 def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, Array]]:
     """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`."""
     model = _turning(machine, joints, _paths(motion))
@@ -140,7 +140,7 @@ def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str,
         _check_ends(machine, joints, low, high)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MODELS_KEPT)
 def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: float) -> None:
     assert isinstance(machine.drive, TranslationDrive)
     drive = machine.drive.model_copy(update={"speed": 1.0, "harmonics": ()})  # time is travel then

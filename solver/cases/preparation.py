@@ -26,7 +26,7 @@ from solver.cases.steps import (
     transient_time,
 )
 from solver.equations.drive import drive_rates
-from solver.equations.model import Model, build_model
+from solver.equations.model import MODELS_KEPT, Model, build_model
 from solver.errors import AssemblyError, MachineError, SettingsError
 from solver.machines.contact_rules import restitution_remarks
 from solver.machines.drives import RotationDrive, TranslationDrive
@@ -90,13 +90,13 @@ class Prepared:
     smooth_step: float
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MODELS_KEPT)
 def model_of(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model of a machine with clearance in `joints`, the numbers `varying` as lane parameters; kept."""
     return build_model(machine, joints, varying)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MODELS_KEPT)
 def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model with its drive standing, same coordinates."""
     drive = machine.drive

@@ -24,6 +24,10 @@ from solver.errors import MachineError
 from solver.machines.joints import SlidingJoint
 from solver.machines.machine import Machine
 
+#: Models that are kept, with what is made of each: a catalogue's pairs of joints under two contact laws, once more with
+#: other numbers drawn, come by in turns; what was forgotten costs as much as a dozen cases, what is kept some 4 MB.
+MODELS_KEPT = 256
+
 
 @dataclass(frozen=True)
 class Model(ModelFunctions):

@@ -13,7 +13,7 @@ from solver.cases.history import Settings, Status
 from solver.cases.preparation import Prepared, model_of
 from solver.cases.scales import error_scales
 from solver.compiler.ir import LANES
-from solver.equations.model import Model
+from solver.equations.model import MODELS_KEPT, Model
 from solver.integrators import adaptive, control
 from solver.integrators.dopri import StepRows
 from solver.integrators.kernel import Kernel, compile_adaptive
@@ -55,7 +55,7 @@ _STATUSES = {
 }
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MODELS_KEPT)
 def _adaptive_kernel(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
 ) -> Kernel:
