@@ -99,9 +99,10 @@ class CatalogueShelf:
 
 
 def stamp_of(path: Path) -> str:
-    """Return a text that changes when the catalogue does."""
+    """Return a text that changes when the catalogue does: at the end of a build, and all the time during the first."""
     directory = CatalogueDirectory(path)
-    files = [file for file in (directory.manifest, directory.index, directory.shards) if file.exists()]
+    grows = directory.matrices if directory.matrices.exists() else directory.shards
+    files = [file for file in (directory.manifest, grows) if file.exists()]
     return ";".join(f"{file.name}:{file.stat().st_mtime_ns}" for file in files)
 
 
