@@ -247,6 +247,22 @@ def test_second_builder_does_what_is_left_and_verify_is_refused(tmp_path: Path) 
     assert_complete(tmp_path)
 
 
+def test_builders_that_cut_the_plan_differently_store_each_case_once(tmp_path: Path) -> None:
+    """Chunks of the second hold parts of chunks of the first, which finds its results there, wholly or in part."""
+    reports: list[BuildReport] = []
+
+    def second(progress: Progress) -> None:
+        if progress.done and not reports:
+            reports.append(quick_build(tmp_path, parse_plan({**PLAN.content, "hypotheses": ["singles"]}), chunk_size=3))
+
+    first = quick_build(tmp_path, progress=second)
+    assert reports[0].added > 0
+    assert first.added + first.others == len(KEYS)
+    assert reports[0].added + first.added == len(KEYS)
+    assert first.others == reports[0].added
+    assert_complete(tmp_path)
+
+
 def test_build_waits_for_the_end_of_a_verify(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path, with_draws(1))
     monkeypatch.setattr("catalogue.locks.WAIT", 0.1)
