@@ -95,11 +95,8 @@ class Site:
         return builder
 
     def victims(self) -> list[str]:
-        """Kinds of processes that can be killed now."""
-        kinds = ["builder"] if self.builders else []
-        if self._dask:
-            return [*kinds, "worker", "scheduler"]
-        return [*kinds, "worker"] if any(children(builder.pid) for builder in self.builders) else kinds
+        """Kinds of processes there are."""
+        return ["builder", "worker", "scheduler"] if self._dask else ["builder", "worker"]
 
     def kill(self, kind: str, choice: random.Random) -> None:
         """Kill one of a kind, and start what whoever runs the site would start again."""
@@ -108,7 +105,7 @@ class Site:
             end(builder)
             self.start_builder()
         elif not self._dask:
-            found = [child for builder in self.builders for child in children(builder.pid)]
+            found = self._local_workers()
             if found:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(choice.choice(found), signal.SIGKILL)
@@ -128,6 +125,16 @@ class Site:
             if all(builder.poll() is not None for builder in self.builders):
                 return
             time.sleep(0.02)
+
+    def _local_workers(self, seconds: float = 60.0) -> list[int]:
+        """Worker processes of all builders, as soon as there are any; none if all builders have ended."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and any(builder.poll() is None for builder in self.builders):
+            found = [child for builder in self.builders for child in children(builder.pid)]
+            if found:
+                return found
+            time.sleep(0.05)
+        return []
 
     def _shards(self) -> int:
         return len(CatalogueDirectory(self.catalogue).shard_names())
