@@ -40,6 +40,9 @@ FloatArray = npt.NDArray[np.float64]
 #: Revolutions below which a recording is refused, and warned of.
 MIN_REVOLUTIONS = 3.0
 FEW_REVOLUTIONS = 10.0
+#: Factor on the noise power of compared channels, as it follows from independent sensors, from which on they are not
+#: taken to be independent (0.5 dB; chance makes a tenth of one).
+ALIKE = 1.12
 #: Deviation from the nominal speed that is warned of.
 FAR_FROM_NOMINAL = 0.05
 #: Wander, relative, that is warned of: the course is followed, but a machine that turns so unevenly is hardly steady.
@@ -153,13 +156,19 @@ def prepare(
         f"steady line at {line.frequency:.2f} Hz taken out, amplitude up to {line.amplitude.max():.2g}"
         for line in cleaned.lines
     ]
+    noise = floor.band_power(edges, sensing.derivatives) @ (sensing.channels**2).T
+    if len(set(sensing.derivatives)) == 1:
+        # Vibration from elsewhere moves the whole frame: it is alike in all sensors, and does not average out.
+        alike = noise_floor(cleaned.signal @ sensing.channels.T, rate, measurement.name, turn=turn, wander=wander)
+        power = alike.band_power(edges, sensing.derivatives[:1] * len(sensing.channels))
+        noise = np.where(power > ALIKE * noise, power, noise)
     return PreparedMeasurement(
         name=measurement.name,
         sensing=sensing,
         speed=estimate,
         revolutions=revolutions,
         sensor_bands=bands,
-        noise_power=floor.band_power(edges, sensing.derivatives) @ (sensing.channels**2).T,
+        noise_power=noise,
         floor=floor,
         lines=cleaned.lines,
         cuts=cuts,

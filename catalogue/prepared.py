@@ -136,13 +136,15 @@ class PreparedMeasurement:
             raise MeasurementError(self.name, value=dict(gains), rule="sensor gains must be positive and finite")
         power = self.sensor_bands.power / np.outer(factor, factor)
         floor = dataclasses.replace(self.floor, density=self.floor.density / factor**2)
-        noise = floor.band_power(self.scheme.edges_hz(self.drive_speed), self.sensing.derivatives)
+        edges, squared = self.scheme.edges_hz(self.drive_speed), (self.sensing.channels**2).T
+        before, after = (each.band_power(edges, self.sensing.derivatives) @ squared for each in (self.floor, floor))
         shown = {name: float(value) for name, value in zip(self.sensing.sensors, factor, strict=True)}
         found = ", ".join(f"{name} {100 * (value - 1):+.1f} %" for name, value in shown.items())
         return dataclasses.replace(
             self,
             sensor_bands=dataclasses.replace(self.sensor_bands, power=power),
-            noise_power=noise @ (self.sensing.channels**2).T,
+            noise_power=after
+            * (self.noise_power / np.maximum(before, 1e-300)),  # what sensors have in common changes like their own
             floor=floor,
             steps=(*self.steps, RecipeStep(name="gains", version="1", parameters=shown, found=f"divided out: {found}")),
         )

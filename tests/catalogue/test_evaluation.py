@@ -19,6 +19,7 @@ from catalogue.evaluation.response import Response
 from catalogue.evaluation.study import Setup, evaluate, setups_of
 from catalogue.evaluation.sweep import trade_off
 from catalogue.evaluation.truth import Truth, draw_truth
+from catalogue.features import prepare
 from catalogue.store import Catalogue
 from solver.machines.machine import shipped_machine
 
@@ -159,6 +160,16 @@ def test_recordings_carry_noise_gains_and_structure_of_the_protocol() -> None:
     along_x = [sensor.direction[0] == 1.0 for sensor in MACHINE.sensors]
     assert shaken[:, along_x].std() == pytest.approx(0.1, rel=0.1)
     assert not shaken[:, np.logical_not(along_x)].any()
+
+
+def test_noise_of_the_whole_frame_does_not_average_out_over_its_sensors() -> None:
+    truth = truth_of()
+    shaken = Protocol("frame", frame_noise=(0.1, 0.1, 0.5))
+    prepared = prepare(recorded(shaken, truth, ideal_of(truth)), MACHINE)
+    width = np.diff(prepared.scheme.edges_hz(prepared.drive_speed))
+    true = np.outer(width / (0.5 * shaken.sample_rate), np.square(shaken.frame_noise))
+    # Of 1 s; were it taken to be each sensor's own, x and y would be 3 dB too low.
+    assert np.abs(10.0 * np.log10(prepared.noise_power[-20:] / true[-20:])).max() < 1.0
 
 
 def test_a_mode_lifts_its_own_frequency_and_leaves_low_ones_alone() -> None:
