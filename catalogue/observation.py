@@ -37,7 +37,8 @@ class Discrepancy:
     correlation : float
         Bands over which that error keeps its sign (standard deviation of a Gaussian).
     noise_level_db : float
-        Standard deviation of the error of the noise floor itself, dB.
+        Standard deviation of the error of a channel's noise floor, dB. Floors are known for sensors and follow for
+        channels as if sensors were independent; vibration from elsewhere is not, and shifts them by up to 3 dB.
     rigid_level_db : float, optional
         The same in bands up to the lowest flexible mode, where the machine is rigid; `level_db` unless given.
     transfer : RandomTransfer, optional
@@ -47,7 +48,7 @@ class Discrepancy:
     gain: float = 0.03
     level_db: float = 1.0
     correlation: float = 3.0
-    noise_level_db: float = 0.3
+    noise_level_db: float = 1.5
     rigid_level_db: float | None = None
     transfer: RandomTransfer | None = None
 
