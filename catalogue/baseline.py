@@ -21,8 +21,10 @@ from catalogue.errors import DiagnosisError
 from catalogue.healthy_machine import HealthyMachine
 from catalogue.prepared import PreparedMeasurement
 from catalogue.store import Catalogue
+from catalogue.suspension import with_filed_suspension
 from catalogue.table import EntryTable
 from catalogue.tuning import quantities
+from solver.machines.machine import Machine
 
 __all__ = ["Baseline", "Estimate", "fit_baseline"]
 
@@ -38,6 +40,8 @@ NOTEWORTHY_GAIN = 0.05
 #: of a hypothesis, in effect, that are left to speak.
 KERNEL = 0.1
 LEAST_EFFECTIVE = 100.0
+#: No entry is worth nothing at all.
+LEAST_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -98,11 +102,26 @@ class Baseline:
         """Whether a healthy machine explains the recording; nothing of the baseline is used otherwise."""
         return self.p_after >= UNEXPLAINED
 
-    def corrected(self, prepared: PreparedMeasurement) -> PreparedMeasurement:
-        """Return a recording by the same sensors without their gain errors; as it is where nothing was explained."""
+    def corrected(self, prepared: PreparedMeasurement, machine: Machine) -> PreparedMeasurement:
+        """Return a recording by the same sensors as if gains, frame and supports were what they should be.
+
+        Parameters
+        ----------
+        prepared : PreparedMeasurement
+            Of the machine, whatever its condition.
+        machine : Machine
+            As in its file.
+
+        Returns
+        -------
+        PreparedMeasurement
+            Gains divided out, and the motion converted where all of it is seen; two more steps of the recipe say so. As
+            it is where the baseline was not explained.
+        """
         if not self.explained:
             return prepared
-        return prepared.with_gains({sensor: gain.factor for sensor, gain in self.gains.items()})
+        straight = prepared.with_gains({sensor: gain.factor for sensor, gain in self.gains.items()})
+        return with_filed_suspension(straight, machine, self.parameters)
 
     def weights(self, table: EntryTable) -> FloatArray:
         """How much entries of a catalogue are of this machine.
@@ -136,7 +155,7 @@ class Baseline:
                 weights[rows] = np.exp(-0.5 * away / widening**2)
                 if weights[rows].sum() ** 2 / np.square(weights[rows]).sum() >= wanted:
                     break
-        return weights
+        return np.maximum(weights, LEAST_WEIGHT)
 
 
 def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: int = MOST_STEPS) -> Baseline:
