@@ -190,7 +190,12 @@ def answer(
         The catalogue holds too little.
     """
     library = library or library_of(catalogue)
-    prepared = known.baseline.corrected(prepared) if known else prepared
+    weights = None
+    if known:
+        prepared = known.baseline.corrected(prepared, catalogue.machine)
+        # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
+        if all(step.name != "suspension" for step in prepared.steps):
+            weights = known.weights(catalogue)
     sensing = exact_sensing(prepared)
     feature = measured_levels(prepared, sensing)
     result = library.answer(
@@ -201,7 +206,7 @@ def answer(
         question.mode,
         speed=prepared.drive_speed,
         matcher=matcher,
-        weights=known.weights(catalogue) if known else None,
+        weights=weights,
         without=without,
         most=most,
     )
