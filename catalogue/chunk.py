@@ -109,25 +109,25 @@ def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
     SolverError
         A parameter or a setting that the solver refuses. What goes wrong numerically is the status of an outcome.
     """
-    outcomes = _simulated(chunk, chunk.entries, chunk.recipe.accuracy)
-    guarded = [i for i, entry in enumerate(chunk.entries) if entry.guarded and outcomes[i].power is not None]
-    if chunk.recipe.accuracy == FINER or not guarded:
-        return tuple(outcomes)
-    finer = _simulated(chunk, [chunk.entries[i] for i in guarded], FINER)
-    for i, found in zip(guarded, finer, strict=True):
-        power, seconds = outcomes[i].power, outcomes[i].seconds + found.seconds
-        if power is not None and found.power is not None:
-            outcomes[i] = replace(outcomes[i], guard_db=mean_difference_db(power, found.power), seconds=seconds)
+    guarded = [i for i, entry in enumerate(chunk.entries) if entry.guarded and chunk.recipe.accuracy != FINER]
+    found = _simulated(chunk, guarded)
+    outcomes = found[: len(chunk.entries)]
+    for i, finer in zip(guarded, found[len(chunk.entries) :], strict=True):
+        power, seconds = outcomes[i].power, outcomes[i].seconds + finer.seconds
+        if power is not None and finer.power is not None:
+            outcomes[i] = replace(outcomes[i], guard_db=mean_difference_db(power, finer.power), seconds=seconds)
     return tuple(outcomes)
 
 
-def _simulated(chunk: Chunk, entries: Sequence[Entry], accuracy: Accuracy) -> list[Outcome]:
-    recipe = chunk.recipe
+def _simulated(chunk: Chunk, guarded: Sequence[int]) -> list[Outcome]:
+    """All cases, then the guarded ones more finely: one queue, for a few cases would leave most lanes empty."""
+    recipe, entries = chunk.recipe, [*chunk.entries, *(chunk.entries[i] for i in guarded)]
+    accuracies = [recipe.accuracy] * len(chunk.entries) + [FINER] * len(guarded)
     machine = entries[0].variant.machine(_machine(chunk.machine))
     revolutions = recipe.revolutions + SLACK_REVOLUTIONS
-    settings = Settings(sample_rate=recipe.sample_rate, accuracy=accuracy, revolutions=revolutions, motion=False)
+    settings = Settings(sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False)
     cases = [Case(entry.fault, entry.parameters) for entry in entries]
-    return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings)]
+    return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]
 
 
 def _outcome(history: History, recipe: Recipe) -> Outcome:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from solver.cases.history import Case, Settings
 from solver.cases.parameters import full_paths
 from solver.cases.preparation import Prepared, model_of, prepare
+from solver.cases.steps import Accuracy
 from solver.equations.model import Model
 from solver.equations.numbers import contact_paths
 from solver.errors import AssemblyError
@@ -36,8 +37,15 @@ class Group:
     failed: list[tuple[int, AssemblyError]]
 
 
-def groups(machine: Machine, cases: Sequence[Case], settings: Settings) -> Iterator[Group]:
+def groups(
+    machine: Machine, cases: Sequence[Case], settings: Settings, accuracies: Sequence[Accuracy] | None = None
+) -> Iterator[Group]:
     """Prepare a table of cases, those with equal equations together.
+
+    Parameters
+    ----------
+    machine, cases, settings, accuracies
+        As :func:`solver.simulation.simulate.simulate_batch`.
 
     Raises
     ------
@@ -51,12 +59,14 @@ def groups(machine: Machine, cases: Sequence[Case], settings: Settings) -> Itera
         contact = {path for joint in case.fault.joints for path in contact_paths(machine, joint)}
         varying = tuple(sorted(path for path in values if path not in contact and path != "drive.speed"))
         members[case.fault.joints, varying].append((index, values))
+    levels = {level: replace(settings, accuracy=level) for level in set(accuracies or ())}
     for (joints, varying), listed in members.items():
         model = model_of(machine, joints, varying)
         group = Group(model, varying, [], [])
         for index, values in listed:
+            own = levels[accuracies[index]] if accuracies is not None else settings
             try:
-                group.ready.append(prepare(machine, model, index, values, varying, settings))
+                group.ready.append(prepare(machine, model, index, values, varying, own))
             except AssemblyError as error:
                 group.failed.append((index, error))
         yield group

@@ -19,6 +19,7 @@ from solver.cases.start import start_pose, start_velocity
 from solver.cases.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
+    Accuracy,
     largest_step,
     response,
     smooth_eigenvalues,
@@ -68,8 +69,10 @@ class Prepared:
         How far the frame moves against what it would at a fast drive, see :func:`solver.cases.steps.response`.
     pace : float
         Time in which the machine moves by its own size, see :func:`solver.cases.scales.pace_of`.
+    accuracy : str
+        How finely it is resolved.
     longest_step : float
-        What the rules of :mod:`solver.cases.steps` allow at the asked accuracy, s.
+        What the rules of :mod:`solver.cases.steps` allow at that accuracy, s.
     smooth_step : float
         Longest step that resolves suspension and drive, contacts apart, s.
     """
@@ -86,6 +89,7 @@ class Prepared:
     duration: float
     response: float
     pace: float
+    accuracy: Accuracy
     longest_step: float
     smooth_step: float
 
@@ -188,7 +192,10 @@ def prepare(
     remark = "; ".join(filter(None, remarks))
     memory = np.zeros(len(model.remembering))
     small, pace = response(motions.suspension, speed), pace_of(machine, complete)
-    return Prepared(index, vector, z, v, memory, 0.0, speed, transient, remark, duration, small, pace, longest, smooth)
+    return Prepared(
+        index, vector, z, v, memory, 0.0, speed, transient, remark, duration, small, pace, settings.accuracy, longest,
+        smooth,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=1024)

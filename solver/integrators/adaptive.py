@@ -85,8 +85,8 @@ def _any_contact(w: Array, contacts: int, rows: Rows, lane: int) -> bool:
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, precision: float,
-    queue: Queue, records: Records, state: Lanes,
+    kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, queue: Queue, records: Records,
+    state: Lanes,
 ) -> None:  # fmt: skip
     """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 
@@ -99,8 +99,6 @@ def integrate(
     n, contacts : int
         Coordinates, clearance joints.
     rows : Rows
-    precision : float
-        Penetration within which the instant of a switch must be met, m.
     queue : Queue
     records : Records
     state : Lanes
@@ -176,7 +174,7 @@ def integrate(
                     at = event * LANES + lane
                     pushing = w[rows.touching * LANES + at] > 0.5
                     switch, approach = w[rows.switch * LANES + at], w[rows.approach * LANES + at]
-                    shorter = _shortened(step, part, pushing, switch, approach, precision, shortest)
+                    shorter = _shortened(step, part, pushing, switch, approach, case.precision, shortest)
                     if shorter > 0.0:
                         accept = False
                         mine.natural, mine.h = max(mine.natural, step), shorter

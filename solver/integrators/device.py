@@ -74,7 +74,7 @@ def case_kernel(code: KernelCode, rows: StepRows, remembering: tuple[int, ...]) 
     float64 = np.float64
 
     def advance_case(
-        kept: Array, fresh: bool, count: int, interval: float, precision: float, oversampling: int,
+        kept: Array, fresh: bool, count: int, interval: float, oversampling: int,
         channels: Indices, coordinates: Array, velocities: Array, accelerations: Array, memories: Array,
     ) -> None:  # fmt: skip
         c = cuda.grid(1)
@@ -89,7 +89,7 @@ def case_kernel(code: KernelCode, rows: StepRows, remembering: tuple[int, ...]) 
         if fresh:
             begin(w, s)
         advance(
-            w, s, count, interval, precision, oversampling, channels, coordinates[c], velocities[c],
+            w, s, count, interval, oversampling, channels, coordinates[c], velocities[c],
             accelerations[c], memories[c],
         )  # fmt: skip
         for r in range(length):
@@ -161,7 +161,7 @@ class DeviceKernel:
     rows: StepRows
     launch: Any
 
-    def integrate(self, queue: Queue, interval: float, precision: float, records: Records) -> Ends:
+    def integrate(self, queue: Queue, interval: float, records: Records) -> Ends:
         """Integrate cases side by side.
 
         Parameters
@@ -170,8 +170,6 @@ class DeviceKernel:
             Read only.
         interval : float
             Time between samples of the velocities, s.
-        precision : float
-            Penetration within which the instant of a switch must be met, m.
         records : Records
             Filled in.
         """
@@ -184,7 +182,7 @@ class DeviceKernel:
         given = (
             (stepper.BEGIN, "begin"), (stepper.TOLERANCE, "tolerance"), (stepper.PACE, "pace"),
             (stepper.FIRST, "first_step"), (stepper.LONGEST, "longest_step"), (stepper.SAMPLES, "samples"),
-            (stepper.MOST, "most_trials"),
+            (stepper.MOST, "most_trials"), (stepper.PRECISION, "precision"),
         )  # fmt: skip
         for place, name in given:
             kept[length + place] = queue.cases[name]
@@ -192,7 +190,7 @@ class DeviceKernel:
         channels = cuda.to_device(np.array(self.rows.recorded, dtype=np.int64))
         motions = (records.coordinates, records.velocities, records.accelerations, records.memories)
         results = [cuda.to_device(motion) for motion in motions]
-        constants = (interval, precision, records.oversampling)
+        constants = (interval, records.oversampling)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Grid size")  # Numba's: few cases are no mistake here
             launch = self.launch[-(-cases // _THREADS), _THREADS]

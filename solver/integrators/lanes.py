@@ -23,13 +23,14 @@ GROUP = 8
 SLOTS = 2 * LANES
 
 #: A case of the queue: time of its first sample (the time reached is written over it), s; bound of the scaled error of
-#: a step; time in which the machine moves by its own size, first and longest step, s; samples wanted; trial steps after
-#: which it counts as stalled; how it ended; samples it has; its accepted steps.
+#: a step; penetration within which the instant of a switch must be met, m; time in which the machine moves by its own
+#: size, first and longest step, s; samples wanted; trial steps after which it counts as stalled; how it ended; samples
+#: it has; its accepted steps.
 CASE = np.dtype(
     [
-        ("begin", np.float64), ("tolerance", np.float64), ("pace", np.float64), ("first_step", np.float64),
-        ("longest_step", np.float64), ("samples", np.int64), ("most_trials", np.int64), ("outcome", np.int64),
-        ("reached", np.int64), ("accepted", np.int64),
+        ("begin", np.float64), ("tolerance", np.float64), ("precision", np.float64), ("pace", np.float64),
+        ("first_step", np.float64), ("longest_step", np.float64), ("samples", np.int64), ("most_trials", np.int64),
+        ("outcome", np.int64), ("reached", np.int64), ("accepted", np.int64),
     ]
 )  # fmt: skip
 

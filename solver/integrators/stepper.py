@@ -34,14 +34,14 @@ from solver.integrators.kernel_functions import Compile, Function, kernel_functi
 
 #: Places in the state of a case. Given: time of the first sample, bound of the scaled error of a step, time in which
 #: the machine moves by its own size, first and longest step, samples wanted, trial steps after which it counts as
-#: stalled.
-BEGIN, TOLERANCE, PACE, FIRST, LONGEST, SAMPLES, MOST = range(7)
+#: stalled, penetration within which the instant of a switch must be met.
+BEGIN, TOLERANCE, PACE, FIRST, LONGEST, SAMPLES, MOST, PRECISION = range(8)
 #: Kept: how it ended, time, trial step, that step before a switch shortened it, samples, trial and accepted steps,
 #: accepted steps since closures were restored, forced steps, corrections of closures not believed one after the other,
 #: samples when closures last held, step at which refusals for error began (0 for none), that error, 1 where the next
 #: trial is that step again; then switch, penetration and approach of every contact.
-OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(7, 18)
-UNCUT, UNCUT_ERROR, OVER, BEFORE = range(18, 22)
+OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(8, 19)
+UNCUT, UNCUT_ERROR, OVER, BEFORE = range(19, 23)
 
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def case_functions(
         ``begin(w, s)``: from a work array `w` with parameters, coordinates and velocities, and a state `s` of zeros but
         for what is given, to a state ready for a first trial step.
     advance : callable
-        ``advance(w, s, count, interval, precision, oversampling, places, coordinates, velocities,
+        ``advance(w, s, count, interval, oversampling, places, coordinates, velocities,
         accelerations, memories)``: at most `count` trial steps, until ``s[OUTCOME]`` is no longer ``RUNNING``. `places`
         are the recorded coordinates; the others are as in :meth:`solver.integrators.device.DeviceKernel.integrate`, of
         one case.
@@ -232,7 +232,7 @@ def case_functions(
 
     @compiled
     def advance(
-        w: Array, s: Array, count: int, interval: float, precision: float, oversampling: int,
+        w: Array, s: Array, count: int, interval: float, oversampling: int,
         places: Indices, coordinates: Array, velocities: Array, accelerations: Array, memories: Array,
     ) -> None:  # fmt: skip
         end = s[BEGIN] + (s[SAMPLES] - 1.0) * interval
@@ -257,7 +257,9 @@ def case_functions(
                 event, part = switched(w, s, step)
                 if event >= 0:
                     pushing, shortest = w[touching + event] > 0.5, SHORTEST * (abs(s[NOW]) + interval)
-                    shorter = shorten(step, part, pushing, w[switch + event], w[approach + event], precision, shortest)
+                    shorter = shorten(
+                        step, part, pushing, w[switch + event], w[approach + event], s[PRECISION], shortest
+                    )
                     if shorter > 0.0:
                         good = False
                         s[NATURAL], s[STEP] = max(s[NATURAL], step), shorter

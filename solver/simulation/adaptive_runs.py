@@ -89,9 +89,9 @@ def adaptive_runs(
     if not prepared:
         return
     kernel = _adaptive_kernel(machine, model.clearance_joints, varying, tuple(recorded))
-    precision = switch_precision(machine, model, settings)
-    waiting = sorted(prepared, key=lambda case: -case.duration)  # the longest first: they end together
-    queue = queue_of(waiting, settings)
+    # The longest first, so that they end together; a step is about as long as the fifth root of its error.
+    waiting = sorted(prepared, key=lambda case: -case.duration / tolerance_of(case, settings) ** 0.2)
+    queue = queue_of(machine, model, waiting, settings)
     slots = min(SLOTS, len(waiting))
     lanes = idle_lanes(model.size, len(model.contacts), np.array(model.remembering, dtype=np.int64), slots)
     channels, interval = np.array(recorded, dtype=np.int64), 1 / (settings.sample_rate * OVERSAMPLING)
@@ -101,9 +101,7 @@ def adaptive_runs(
     work, rows = kernel.work_array(), _rows(kernel, model, tuple(recorded))
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
-        adaptive.integrate(
-            kernel.functions, work, model.size, len(model.contacts), rows, precision, queue, records, lanes
-        )
+        adaptive.integrate(kernel.functions, work, model.size, len(model.contacts), rows, queue, records, lanes)
         ended = lanes.ended[: lanes.cursor[ENDED]].copy()
         lanes.cursor[ENDED] = 0
         took = (time.process_time() - began) / max(1, len(ended))
@@ -113,22 +111,18 @@ def adaptive_runs(
             lanes.cursor[FREE] += 1
 
 
-def tolerance_of(settings: Settings) -> float:
+def tolerance_of(case: Prepared, settings: Settings) -> float:
     """Scaled error of a step, for a drive at least as fast as the suspension."""
-    return settings.rtol or TOLERANCES[settings.accuracy]
+    return settings.rtol or TOLERANCES[case.accuracy]
 
 
-def switch_precision(machine: Machine, model: Model, settings: Settings) -> float:
-    """Penetration within which a switch is met, m."""
-    smallest = min(error_scales(machine, model) or [1.0])
-    return min(1e-8, 0.01 * tolerance_of(settings) * smallest)
-
-
-def queue_of(waiting: Sequence[Prepared], settings: Settings) -> Queue:
+def queue_of(machine: Machine, model: Model, waiting: Sequence[Prepared], settings: Settings) -> Queue:
     """The cases as an error-controlled driver takes them."""
     cases = np.zeros(len(waiting), CASE)
     cases["begin"] = [case.begin for case in waiting]
-    cases["tolerance"] = [tolerance_of(settings) * case.response for case in waiting]
+    tolerances = np.array([tolerance_of(case, settings) for case in waiting])
+    cases["tolerance"] = tolerances * [case.response for case in waiting]
+    cases["precision"] = np.minimum(1e-8, 0.01 * tolerances * min(error_scales(machine, model) or [1.0]))
     cases["pace"] = [case.pace for case in waiting]
     cases["samples"] = [samples_of(case, settings) for case in waiting]
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]

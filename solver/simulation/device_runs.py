@@ -15,7 +15,7 @@ from solver.cases.scales import error_scales
 from solver.equations.model import Model
 from solver.integrators.device import DeviceKernel, Records, compile_device, memory
 from solver.machines.machine import Machine
-from solver.simulation.adaptive_runs import how_it_ended, queue_of, switch_precision
+from solver.simulation.adaptive_runs import how_it_ended, queue_of
 from solver.simulation.recorded import OVERSAMPLING, Run, samples_of
 from solver.spectra import sampling
 
@@ -52,7 +52,7 @@ def _group(
 ) -> Iterator[Run]:
     began = time.process_time()
     rate = settings.sample_rate * OVERSAMPLING
-    queue = queue_of(cases, settings)
+    queue = queue_of(machine, model, cases, settings)
     motion = settings.motion or settings.links
     records = Records.empty(
         len(cases),
@@ -62,7 +62,7 @@ def _group(
         OVERSAMPLING,
         motion,
     )
-    ends = kernel.integrate(queue, 1 / rate, switch_precision(machine, model, settings), records)
+    ends = kernel.integrate(queue, 1 / rate, records)
     spent = (time.process_time() - began) / len(cases)
     for i, case in enumerate(cases):
         reached = int(ends.reached[i])

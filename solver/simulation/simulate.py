@@ -13,6 +13,7 @@ from solver.cases.history import Case, History, Settings, Status
 from solver.cases.positions import mobility_of
 from solver.cases.preparation import Prepared
 from solver.cases.start import Start
+from solver.cases.steps import Accuracy
 from solver.equations.links import link_motion
 from solver.equations.model import Model
 from solver.errors import SettingsError
@@ -75,6 +76,7 @@ def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> 
 def simulate_batch(
     machine: Machine, cases: Sequence[Case], settings: Settings | None = None,
     progress: Callable[[int], None] | None = None, *, starts: Sequence[Start | None] | None = None,
+    accuracies: Sequence[Accuracy] | None = None,
 ) -> list[History]:  # fmt: skip
     """Simulate a table of cases.
 
@@ -89,6 +91,8 @@ def simulate_batch(
     starts : sequence of Start or None, optional
         Where and when each case starts instead of as :func:`start_of`; its coordinates must fulfil the closures. With
         :attr:`History.end` a run goes on; durations count from the start.
+    accuracies : sequence of str, optional
+        One a case, instead of that of the settings: few cases at another accuracy then fill lanes with all others.
 
     Returns
     -------
@@ -105,7 +109,7 @@ def simulate_batch(
     settings = settings or Settings()
     runs = _runs(settings)
     results: dict[int, History] = {}
-    for group in groups(machine, cases, settings):
+    for group in groups(machine, cases, settings, accuracies):
         model = group.model
         for index, error in group.failed:
             results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)

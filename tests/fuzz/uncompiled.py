@@ -127,9 +127,9 @@ def _write_slopes(w: Work, at: int, out: Work, where: int, start: float, scale: 
     out.reshape(-1)[where : where + GROUP] = scale * (c2 + y * middle - x * middle + x * y * (inner - x * c5))
 
 
-def _queue(waiting: Any, settings: Any) -> Queue:
+def _queue(*arguments: Any) -> Queue:
     """The queue, its cases with their fields as attributes, as compiled code has them."""
-    queue = runs_queue_of(waiting, settings)
+    queue = runs_queue_of(*arguments)
     return queue._replace(cases=queue.cases.view(np.recarray))
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import pytest
 
+from solver.cases.steps import Accuracy
 from solver.errors import MachineError, SettingsError
 from solver.machines.fault import FaultState
 from solver.machines.machine import parse_machine, shipped_machine
@@ -46,6 +48,19 @@ def test_more_cases_than_lanes() -> None:
     histories = simulate_batch(QR, cases, SHORT)
     assert [h.case for h in histories] == cases
     assert len({h.displacement[-1].tobytes() for h in histories}) == 11
+
+
+@pytest.mark.parametrize("method", ["adaptive", "gill"])
+def test_accuracies_side_by_side_change_nothing(method: Literal["adaptive", "gill"]) -> None:
+    cases = [Case(FaultState({"A": 2e-4}), {"drive.speed": speed}) for speed in (12.0, 12.5, 13.0)]
+    accuracies: list[Accuracy] = ["draft", "standard", "draft"]
+    settings = Settings(duration=0.05, sample_rate=10_000, method=method)
+    together = simulate_batch(QR, cases, settings, accuracies=accuracies)
+    for case, accuracy, found in zip(cases, accuracies, together, strict=True):
+        alone = simulate(QR, case, replace(settings, accuracy=accuracy))
+        assert np.array_equal(found.acceleration, alone.acceleration)
+    coarse = simulate(QR, cases[1], replace(settings, accuracy="draft"))
+    assert together[1].step < coarse.step
 
 
 def test_progress_counts_every_case() -> None:

@@ -34,11 +34,11 @@ class Run:
         for start, column in ((layout.z, z), (layout.v, start_velocity(self.model, list(p), z)), (layout.p, p)):
             self.w[start : start + len(column)] = column
         self.records = [np.zeros((2, SAMPLES)) for _ in range(3)]
-        self.s[: stepper.OUTCOME] = [0.0, 1e-7, 0.05, FIRST, 1e-3, SAMPLES, most]
+        self.s[: stepper.OUTCOME] = [0.0, 1e-7, 0.05, FIRST, 1e-3, SAMPLES, most, 1e-9]
         self.begin(self.w, self.s)
 
     def go(self, count: int) -> None:
-        self.advance(self.w, self.s, count, INTERVAL, 1e-9, 1, np.array([0, 1]), *self.records, np.zeros((0, 0)))
+        self.advance(self.w, self.s, count, INTERVAL, 1, np.array([0, 1]), *self.records, np.zeros((0, 0)))
 
 
 def finished(**limits: Any) -> Run:
