@@ -138,7 +138,7 @@ def _outcome(history: History, recipe: Recipe) -> Outcome:
 
     if history.status is not Status.OK:
         return failed(history.status.value, message)
-    signal = history.band_limited_acceleration[history.t >= history.transient]
+    signal = history.band_limited_acceleration[np.searchsorted(history.t, history.transient) :]
     if not np.isfinite(signal).all():
         return failed("not_finite", "the acceleration holds a number that is not finite")
     bands = band_matrix(signal, history.sample_rate, history.drive_speed, recipe.scheme)

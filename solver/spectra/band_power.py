@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
+from solver.compiler.compiled import compiled
 from solver.errors import SettingsError
 from solver.spectra.bands import BandScheme
 from solver.spectra.segments import ComplexArray, FloatArray, Segmentation, revolution_segments
-
-_Number = TypeVar("_Number", np.float64, np.complex128)
 
 #: Window of the band estimator in drive revolutions, and the step from one window to the next.
 WINDOW_REVOLUTIONS = 3.0
@@ -123,17 +122,12 @@ def band_matrix(
         spectrum *= factor
     if combine is not None:
         spectrum = np.einsum("kc,scf->skf", np.asarray(combine, dtype=np.float64), spectrum)
-    pieces = _Pieces.cut(edges, segmentation)
-
     windows, width = spectrum.shape[:2]
-    auto = pieces.sum(spectrum.real**2 + spectrum.imag**2)  # (windows, c, B)
-    power = np.empty((scheme.count, width, width), dtype=np.complex128)
+    auto = np.empty((windows, width, scheme.count))
+    power = np.zeros((scheme.count, width, width), dtype=np.complex128)
+    _sum_bands(spectrum, _band_limits(edges, segmentation), 0.5 * segmentation.length, auto, power)
     for i in range(width):
         power[:, i, i] = auto[:, i].mean(axis=0)
-        for j in range(i + 1, width):
-            cross = np.einsum("sf,sf->f", spectrum[:, i], spectrum[:, j].conj()) / windows
-            power[:, i, j] = pieces.sum(cross)
-            power[:, j, i] = power[:, i, j].conj()
     tiny = np.finfo(np.float64).tiny
     if windows > 1:
         spread = np.std(10.0 * np.log10(np.maximum(auto, tiny)), axis=0, ddof=1).T
@@ -222,39 +216,68 @@ def _line_factors(
     return factor
 
 
-@dataclass(frozen=True)
-class _Pieces:
-    """Stretches of frequency that lie in one band and one spectral line both."""
+def _band_limits(edges: FloatArray, segmentation: Segmentation) -> FloatArray:
+    """Edges in lines of the transform, none beyond the last."""
+    return np.clip(edges / segmentation.resolution, 0.0, 0.5 * segmentation.length)
 
-    lines: npt.NDArray[np.intp]
-    share: FloatArray
-    starts: npt.NDArray[np.intp]
-    bands: npt.NDArray[np.intp]
-    band_count: int
 
-    @classmethod
-    def cut(cls, edges: FloatArray, segmentation: Segmentation) -> _Pieces:
-        total = segmentation.length // 2 + 1
-        # A line stands for the stretch half way to its neighbours; the first and (even length) last for half of that.
-        borders = np.concatenate([[0.0], np.arange(total) + 0.5])
-        borders[-1] = min(borders[-1], 0.5 * segmentation.length)
-        inside = np.clip(edges / segmentation.resolution, 0.0, borders[-1])
-        low, high = np.searchsorted(borders, inside[[0, -1]])
-        cuts = np.union1d(borders[low:high], inside)
-        middle = 0.5 * (cuts[1:] + cuts[:-1])
-        lines = np.searchsorted(borders, middle) - 1
-        owner = np.searchsorted(inside, middle) - 1
-        share = np.diff(cuts) / (borders[lines + 1] - borders[lines])
-        bands, starts = np.unique(owner, return_index=True)
-        return cls(lines.astype(np.intp), share, starts.astype(np.intp), bands.astype(np.intp), len(edges) - 1)
+@partial(compiled, fastmath={"contract", "nsz", "reassoc"}, forceinline=True)
+def _weighted(one: ComplexArray, other: ComplexArray, first: float, last: float) -> tuple[float, float]:
+    """Sum of ``one conj(other)``, of which the end lines count only in part: real and imaginary part."""
+    real = imaginary = 0.0
+    for k in range(1, one.size - 1):
+        a, b = one[k], other[k]
+        real += a.real * b.real + a.imag * b.imag
+        imaginary += a.imag * b.real - a.real * b.imag
+    a, b = one[0], other[0]
+    real += first * (a.real * b.real + a.imag * b.imag)
+    imaginary += first * (a.imag * b.real - a.real * b.imag)
+    if one.size > 1:
+        a, b = one[one.size - 1], other[other.size - 1]
+        real += last * (a.real * b.real + a.imag * b.imag)
+        imaginary += last * (a.imag * b.real - a.real * b.imag)
+    return real, imaginary
 
-    def sum(self, density: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
-        """Sum of line powers (..., lines) in each band (..., B)."""
-        result = np.zeros((*density.shape[:-1], self.band_count), dtype=density.dtype)
-        if self.starts.size:
-            weighted = density[..., self.lines] * self.share
-            result[..., self.bands] = np.add.reduceat(weighted, self.starts, axis=-1)
-        return result
+
+@compiled
+def _sum_bands(spectrum: ComplexArray, limits: FloatArray, end: float, auto: FloatArray, power: ComplexArray) -> None:
+    """Powers of the bands, and their cross-powers averaged over windows.
+
+    A line stands for the stretch half way to its neighbours, the first and (even length) last for half of that; it
+    counts in a band with the part of the stretch that lies there.
+
+    Parameters
+    ----------
+    spectrum : (windows, c, lines) array
+    limits : (B + 1,) array
+        In lines.
+    end : float
+        Half the length of a window: where the last line's stretch ends.
+    auto : (windows, c, B) array
+        Filled in.
+    power : (B, c, c) array
+        Zeros; what is not on its diagonal is filled in.
+    """
+    windows, width, lines = spectrum.shape
+    for band in range(limits.size - 1):
+        low, high = limits[band], limits[band + 1]
+        if high <= low:
+            auto[:, :, band] = 0.0
+            continue
+        i, j = math.floor(low + 0.5), min(math.ceil(high + 0.5) - 1, lines - 1)
+        begin = max(i - 0.5, 0.0)
+        first = (min(high, i + 0.5) - low) / (min(i + 0.5, end) - begin)
+        last = (high - max(low, j - 0.5)) / (min(j + 0.5, end) - max(j - 0.5, 0.0))
+        for window in range(windows):
+            for a in range(width):
+                one = spectrum[window, a, i : j + 1]
+                auto[window, a, band] = _weighted(one, one, first, last)[0]
+                for b in range(a + 1, width):
+                    real, imaginary = _weighted(one, spectrum[window, b, i : j + 1], first, last)
+                    power[band, a, b] += complex(real, imaginary) / windows
+        for a in range(width):
+            for b in range(a + 1, width):
+                power[band, b, a] = power[band, a, b].conjugate()
 
 
 def _degrees_of_freedom(segmentation: Segmentation, edges: FloatArray) -> FloatArray:

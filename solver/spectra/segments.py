@@ -84,8 +84,8 @@ class Segmentation:
         scale[0] /= math.sqrt(2.0)
         if self.length % 2 == 0 and spectrum.shape[-1] == self.length // 2 + 1:
             scale[-1] /= math.sqrt(2.0)
-        spectrum *= scale
-        return spectrum
+        scaled: ComplexArray = spectrum * scale  # its lines side by side, unlike those of a part of the transform
+        return scaled
 
     def weight(self) -> FloatArray:
         """How much each sample of the signal counts in the average over windows, (n,), sum of squared windows."""
