@@ -15,6 +15,7 @@ from solver.cases.steps import contact_mobility
 from solver.equations.drive import travel_range
 from solver.equations.model import MODELS_KEPT, Model, build_model
 from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.joints import Contact, TurningJoint
 from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
@@ -55,6 +56,19 @@ def _paths(numbers: _Numbers) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=MODELS_KEPT)
+def _moving(machine: Machine) -> Machine:
+    """What poses and mobilities follow from: no contacts, loads, ripple, in which variants of a machine differ."""
+    drive = machine.drive
+    if isinstance(drive, RotationDrive):
+        drive = drive.model_copy(update={"ripple": ()})
+    joints = {
+        name: joint.model_copy(update={"contact": Contact()}) if isinstance(joint, TurningJoint) else joint
+        for name, joint in machine.joints.items()
+    }
+    return machine.model_copy(update={"joints": joints, "drive": drive, "loads": ()})
+
+
+@lru_cache(maxsize=MODELS_KEPT)
 def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, Array]]:
     """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`."""
     model = _turning(machine, joints, _paths(motion))
@@ -86,7 +100,7 @@ def mobility_of(machine: Machine, joints: tuple[str, ...], values: Mapping[str, 
         Names the drive's position and the joint that stays open.
     """
     masses = tuple(sorted((path, value) for path, value in values.items() if path.startswith("links.")))
-    return _mobility(machine, joints, _drive_numbers(machine, values), masses)
+    return _mobility(_moving(machine), joints, _drive_numbers(machine, values), masses)
 
 
 def rubbing_rate(

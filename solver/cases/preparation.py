@@ -203,7 +203,8 @@ def _start(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: tuple[tuple[str, float], ...]
 ) -> tuple[Array, Array]:
     """Coordinates and velocities of the start: pins are concentric in it, so that no contact number matters."""
-    model, standing = model_of(machine, joints, varying), _standing(machine, joints, varying)
+    model = model_of(machine, joints, varying)
+    standing = model if machine.initial.pose == "drawn" else _standing(machine, joints, varying)
     z = start_pose(standing, standing.vector(dict(values)))
     v = start_velocity(model, model.vector(dict(values)), z)
     z.flags.writeable = v.flags.writeable = False  # many cases share them

@@ -13,6 +13,7 @@ from solver.cases.assembly import walk
 from solver.cases.contact_rates import ContactRates, contact_rates
 from solver.cases.friction_rates import friction_rate
 from solver.cases.groups import groups
+from solver.cases.positions import mobility_of
 from solver.cases.steps import (
     LEAST_RESPONSE,
     RESIDUE,
@@ -117,6 +118,25 @@ def test_mobility_is_the_largest_of_the_poses() -> None:
     together = contact_mobility(model, poses, p)
     assert together == {joint: max(one[joint] for one in alone) for joint in ("A", "F")}
     assert len({one["F"] for one in alone}) == len(poses)
+
+
+def test_mobility_knows_no_contact_ripple_or_load() -> None:
+    """What variants share is what the model of the variant itself gives."""
+    machine = shipped_machine("quick-return")
+    tree = machine.model_dump()
+    tree["joints"]["F"]["contact"] = {"law": "hertz", "stiffness": 1e9, "hysteresis": 1.0}
+    tree["drive"]["ripple"] = [{"order": 2, "amplitude": 0.05, "phase": 0.0}]
+    tree["loads"] = [{"link": "ram", "at": [0.0, 0.0], "force": [100.0, 0.0]}]
+    variant = parse_machine(tree)
+    masses = {"links.ram.mass": 5.0}
+    drive = variant.drive.model_copy(update={"speed": 1.0, "ripple": ()})
+    model = build_model(variant.model_copy(update={"drive": drive}), ("A", "F"), tuple(masses))
+    p = model.vector(masses)
+    poses = walk(model, p, 1.0)
+    own = contact_mobility(model, poses[:: len(poses) // 12], p)
+    assert mobility_of(variant, ("A", "F"), masses) == pytest.approx(own, rel=1e-12)
+    assert mobility_of(machine, ("A", "F"), masses) == mobility_of(variant, ("A", "F"), masses)
+    assert mobility_of(variant, ("A", "F"), {}) != mobility_of(variant, ("A", "F"), masses)
 
 
 @pytest.mark.parametrize("name", ["quick-return", "four-bar"])
