@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -22,13 +23,15 @@ from app.workers import WorkerPool
 STATIC = Path(__file__).parent / "static"
 
 
-def create_app(settings: Settings | None = None) -> FastAPI:
+def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastAPI:
     """Return the service as an ASGI application.
 
     Parameters
     ----------
     settings : Settings, optional
         Read from the environment when not given.
+    warm : bool
+        Whether workers start at once and load what they need, in the background, in place of with the first request.
     """
     chosen = settings if settings is not None else Settings()
 
@@ -36,10 +39,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     async def lifespan(application: FastAPI) -> AsyncIterator[None]:
         store = Store(chosen.data)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s)
-        application.state.service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool)
+        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool)
+        application.state.service = service
+        warming = asyncio.create_task(service.warm()) if warm else None
         try:
             yield
         finally:
+            if warming is not None:
+                warming.cancel()
             pool.close()
             store.close()
 

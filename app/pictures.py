@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.outputs import checked
 from solver.machines.drawing import machine_svg
 from solver.machines.machine import Machine
 from solver.machines.shapes import SupportMark, machine_shapes
@@ -45,6 +44,8 @@ def check_ending(path: Path) -> None:
     OutputError
         For another ending than .svg or .png, or a folder that does not exist.
     """
+    from app.outputs import checked  # loads the simulation, which the web page does without
+
     checked(path, ENDINGS, "must end in .svg or .png")
 
 
@@ -59,6 +60,8 @@ def save_drawing(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
     path : Path
         Its ending says which format.
     """
+    from app.outputs import checked
+
     ending = checked(path, ENDINGS, "must end in .svg or .png")
     if ending == ".png":
         save_png(machine, worn, path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from dataclasses import dataclass
 
@@ -27,6 +28,13 @@ class Service:
     store: Store
     shelf: CatalogueShelf
     pool: WorkerPool
+
+    async def warm(self) -> None:
+        """Let every worker load what a diagnosis needs, so that the first one does not wait for it."""
+        offers = await run_in_threadpool(self.shelf.offers)
+        shown = [(str(offer.path), offer.stamp) for offer in offers]
+        workers = range(self.settings.workers)
+        await asyncio.gather(*(self.pool.run(tasks.warm, shown) for _ in workers), return_exceptions=True)
 
     async def add_measurement(self, upload: Upload, name: str, sample_rate_hz: float | None) -> MeasurementRow:
         """Read an uploaded recording in a worker and store it."""

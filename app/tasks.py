@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,6 +79,26 @@ def diagnose(
     )
     document: dict[str, Any] = result.model_dump(mode="json")
     return document
+
+
+def warm(catalogues: Sequence[tuple[str, str]]) -> int:
+    """Load what diagnosing needs, and the models last fitted to some catalogues; return how many models those are.
+
+    Parameters
+    ----------
+    catalogues : sequence of (str, str)
+        Folders and stamps, as for :func:`diagnose`.
+    """
+    import catalogue.diagnosis
+    import catalogue.measurement  # noqa: F401, loaded to be there when it is needed
+    from catalogue.errors import CatalogueError
+    from catalogue.libraries import KEPT, library_of
+
+    loaded = 0
+    for directory, stamp in catalogues[:KEPT]:
+        with suppress(CatalogueError):  # whoever asks for it is told
+            loaded += library_of(opened(directory, stamp)).load()
+    return loaded
 
 
 def read(path: str, name: str, sample_rate: float | None) -> Measurement:

@@ -23,7 +23,14 @@ from catalogue.answer import (
 from catalogue.baseline import fit_baseline
 from catalogue.comparison import exact_sensing, measured_levels, watched
 from catalogue.errors import DiagnosisError
-from catalogue.evidence import edge_warnings, evidence, hypothesis_shown, speed_warnings, suggestions_shown
+from catalogue.evidence import (
+    edge_warnings,
+    evidence,
+    hypothesis_shown,
+    number_warnings,
+    speed_warnings,
+    suggestions_shown,
+)
 from catalogue.features import PreparedMeasurement, prepare
 from catalogue.gaussian import GaussianAlongClearance
 from catalogue.known_machine import KnownMachine
@@ -236,6 +243,8 @@ def answer(
         *edge_warnings(result, catalogue),
         *result.notes,
         *(known.baseline.warnings if known else ()),
+        # Entries count by how near they are to the machine's numbers: then some have to be near.
+        *(number_warnings(known.baseline, catalogue) if known and weights is not None else ()),
     ]
     unclear = suggesting and verdict != "unknown" and result.best.probability < CLEAR
     provenance = Provenance(

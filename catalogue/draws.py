@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from solver.machines.fields import Quantity, RuleError, Vector
 from solver.machines.parts import Part
@@ -109,6 +108,8 @@ def unit_draws(seed: int, dimensions: int, count: int) -> NDArray[np.float64]:
     Owen's scrambling as left matrix scrambling with a digital shift (J. Matousek, J. Complexity 14 (1998)), by SciPy.
     Counts that are powers of two are balanced in every dimension.
     """
+    from scipy.stats import qmc  # takes half a second to load, which opening a catalogue can do without
+
     sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
     exponent = max(0, math.ceil(math.log2(max(count, 1))))
     points: NDArray[np.float64] = sequence.random_base2(exponent)

@@ -7,12 +7,13 @@ from collections.abc import Iterable
 from dataclasses import asdict
 
 from catalogue.answer import BandEvidence, Evidence, Hypothesis, JointClearance, SuggestionShown
+from catalogue.baseline import Baseline
 from catalogue.features import PreparedMeasurement
 from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
 from catalogue.separation import Suggestion
 from catalogue.store import Catalogue
 
-__all__ = ["edge_warnings", "evidence", "hypothesis_shown", "speed_warnings", "suggestions_shown"]
+__all__ = ["edge_warnings", "evidence", "hypothesis_shown", "number_warnings", "speed_warnings", "suggestions_shown"]
 
 EDGE = 0.02
 """Share of the catalogue's clearance range, at either end, in which an estimate is warned of."""
@@ -66,6 +67,20 @@ def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[
     if 0.999 * low <= rpm <= 1.001 * high:
         return []
     return [f"drive speed {rpm:.4g} rpm lies outside the catalogue's {low:.4g} to {high:.4g} rpm"]
+
+
+def number_warnings(baseline: Baseline, catalogue: Catalogue) -> list[str]:
+    """Warn of fitted numbers of the machine that lie outside of what the catalogue's entries have."""
+    ranges = catalogue.matrix.ranges.parameters
+    warnings = []
+    for name, estimate in baseline.numbers.items():
+        drawn = [bound / own for path, own in baseline.paths[name].items() for bound in ranges.get(path, ())]
+        if drawn and not min(drawn) <= estimate.factor <= max(drawn):
+            warnings.append(
+                f"baseline: {name}, {estimate.factor:.3g} times the file's, lies outside the catalogue's"
+                f" {min(drawn):.3g} to {max(drawn):.3g}"
+            )
+    return warnings
 
 
 def edge_warnings(result: MatchResult, catalogue: Catalogue) -> list[str]:

@@ -16,7 +16,7 @@ from catalogue.gaussian import FittedGaussian, GaussianAlongClearance
 from catalogue.keys import content_digest
 from catalogue.learning import Learning, rows_of, training_set
 from catalogue.matching import BoolArray, FittedMatcher, FloatArray, Matcher, MatchResult
-from catalogue.modelfile import as_read, read_model, write_model
+from catalogue.modelfile import as_read, read_model, write_model, written
 from catalogue.observation import Sensing, rounded_sensing
 from catalogue.refit import Refit, merged
 from catalogue.spectra import Spectra
@@ -26,6 +26,9 @@ Choice = Literal["auto", "trusted", "robust"]
 
 NOISE_STEP_DB = 3.0
 """Steps a noise floor is rounded up to, so that a learned model serves all recordings of about the same noise."""
+
+LOADED = 4
+"""Models read from files at once when a server starts: two modes at two steps of noise, some 100 MB."""
 
 DOUBTED_BELOW = 0.05
 """P-value of the trusted mode below which the robust one answers."""
@@ -136,18 +139,8 @@ class ModelLibrary:
         rows = {label: chosen for label, chosen in rows.items() if label not in learning.without}
         ends = [[label, len(chosen), int(chosen.sum())] for label, chosen in rows.items()]
         weighed = None if weights is None else np.asarray(weights, np.float64).tobytes().hex()
-        key = content_digest(
-            [
-                self._matrix.id,
-                sensing.digest,
-                watched.tolist(),
-                repr(method),
-                method.version,
-                repr(learning),
-                ends,
-                weighed,
-            ]
-        )
+        asked = [sensing.digest, watched.tolist(), repr(method), method.version, repr(learning), ends, weighed]
+        key = f"{self._state}-{content_digest([self._matrix.id, *asked])}"
         with self._lock:
             if key in self._known:
                 self._known.move_to_end(key)
@@ -167,6 +160,27 @@ class ModelLibrary:
             while len(self._known) > self._size:
                 self._known.popitem(last=False)
         return found
+
+    def load(self, most: int = LOADED) -> int:
+        """Read models that were kept as files for this state of the catalogue, those written last; return how many.
+
+        The next recordings are likely to be as noisy as the last ones. It only saves time: what is not loaded here is
+        read when it is needed.
+        """
+        if self._folder is None:
+            return 0
+        files = sorted(self._folder.glob(f"{self._state}-*.npz"), key=written, reverse=True)
+        found = [(file.stem, read_model(self._folder, file.stem)) for file in files[: min(most, self._size)]]
+        with self._lock:
+            for key, model in found:
+                if model is not None and key not in self._known and len(self._known) < self._size:
+                    self._known[key] = model
+        return sum(model is not None for _, model in found)
+
+    @property
+    def _state(self) -> str:
+        """Beginning of the names of models of this state of the catalogue."""
+        return self._matrix.id[:12]
 
     def _answer(self, question: _Question, effort: Effort, learning: Learning, matcher: Matcher | None) -> MatchResult:
         width = np.diff(self._matrix.edges) * abs(self._matrix.nominal_speed) / (2.0 * np.pi)

@@ -50,9 +50,16 @@ def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
 
 def _prune(folder: Path) -> None:
     """Remove the models written first, beyond :data:`KEPT`; so those of former states of a catalogue go, too."""
-    files = sorted(folder.glob("*.npz"), key=lambda file: (file.stat().st_mtime, file.name))
-    for file in files[:-KEPT]:
+    for file in sorted(folder.glob("*.npz"), key=written)[:-KEPT]:
         file.unlink(missing_ok=True)
+
+
+def written(file: Path) -> tuple[float, str]:
+    """When a file was written, 0 if it is gone by now, and its name: sorts files by age."""
+    try:
+        return file.stat().st_mtime, file.name
+    except OSError:
+        return 0.0, file.name
 
 
 def read_model(folder: Path, key: str) -> FittedGaussian | None:

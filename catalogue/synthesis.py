@@ -17,11 +17,11 @@ from scipy.special import logsumexp
 from catalogue.answer import Mode
 from catalogue.chunk import chunked, simulate_chunk
 from catalogue.cross_power import pack
-from catalogue.entry import Entry
+from catalogue.entry import Entry, Stratum
 from catalogue.errors import DiagnosisError
 from catalogue.keys import seed_from
 from catalogue.learning import prior
-from catalogue.matching import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult, ranked
+from catalogue.matching import ClearanceEstimate, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
 from catalogue.observation import grouped
 from catalogue.population import Population
 from catalogue.store import Catalogue
@@ -35,6 +35,9 @@ NORMAL_90 = 1.645
 
 LEAST_WIDTH = 0.5
 """Least width of a clearance's interval, as a part of the catalogue's own: few cases agree by chance, too."""
+
+MOST = 800
+"""Draws of a hypothesis and stratum, at most, that say where new cases may lie."""
 
 
 @dataclass(frozen=True)
@@ -140,14 +143,16 @@ class _Search:
     def of(
         cls, recorded: Recorded, catalogue: Catalogue, match: HypothesisMatch, mode: Mode, settings: Synthesis
     ) -> _Search:
-        entries = _entries(catalogue, match.label, mode)
-        rows = [row for row, _ in entries]
-        powers = recorded.sensing.powers(catalogue.matrix.packed(np.array(rows, np.int64)))
+        rows, first = _rows(catalogue, match.label, mode)
+        powers = recorded.sensing.powers(catalogue.matrix.packed(rows))
         levels = recorded.sensing.levels(powers + recorded.sensing.noise).reshape(len(rows), -1)
         order = np.argsort(np.mean((levels - recorded.feature) ** 2, axis=1), kind="stable")
-        near = [entries[place][1] for place in order[: settings.size]]
+        near = rows[order[: settings.size]]
+        # What is drawn shows in the first draws; reading all of 100 000 cases from their shards takes seconds.
+        wanted = np.union1d(first, near)
+        entries = dict(zip(wanted.tolist(), (entry for entry, _ in catalogue.cases(wanted)), strict=True))
         seed = seed_from("synthesis", settings.seed, match.label)
-        population = Population.of([entry for _, entry in entries], near)
+        population = Population.of(list(entries.values()), [entries[row] for row in near.tolist()])
         return cls(match, population, np.random.default_rng(seed), [], [], [])
 
     def best(self, count: int) -> list[int]:
@@ -155,17 +160,20 @@ class _Search:
         return [int(place) for place in order]
 
 
-def _entries(catalogue: Catalogue, label: str, mode: Mode) -> list[tuple[int, Entry]]:
-    """Entries of a hypothesis with the rows of their spectra."""
-    table = catalogue.entries
-    wanted = table.hypothesis == label
-    if mode == "trusted" and bool(np.any(wanted & (table.stratum == "trusted"))):
-        wanted &= table.stratum == "trusted"
-    row_of = {str(table.key[row]): int(row) for row in np.flatnonzero(wanted)}
-    planned = [entry for entry in catalogue.plan.entries(catalogue.machine) if entry.key in row_of]
-    if len(planned) < 3:
-        raise DiagnosisError(f"catalogue {catalogue.path}: its plan does not hold hypothesis {label} any more")
-    return [(row_of[entry.key], entry) for entry in planned]
+def _rows(catalogue: Catalogue, label: str, mode: Mode) -> tuple[IntArray, IntArray]:
+    """Rows of a hypothesis that the search may begin from, and those of its first draws."""
+    strata: tuple[Stratum, ...] = ("trusted",) if mode == "trusted" else ("trusted", "wide")
+    if not any(len(catalogue.matrix.rows(label, stratum)) for stratum in strata):
+        strata = ("trusted", "wide")
+    every, first = (
+        np.concatenate([catalogue.matrix.rows(label, stratum, draws=draws) for stratum in strata])
+        for draws in (None, MOST)
+    )
+    if len(every) < 3:
+        raise DiagnosisError(
+            f"catalogue {catalogue.path}: {len(every)} entries of hypothesis {label}: at least 3 needed"
+        )
+    return every, first
 
 
 def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Search], settings: Synthesis) -> None:

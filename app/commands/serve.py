@@ -50,7 +50,7 @@ def command(host: str, port: int, catalogues: Path | None, data: Path | None, wo
         click.echo(f"jointplay: {settings.catalogues}: no catalogues there yet; `jointplay build` makes one", err=True)
     listener = listen(host, port)
     click.echo(f"jointplay: serving http://{host}:{listener.getsockname()[1]}", err=True)
-    server = uvicorn.Server(uvicorn.Config(create_app(settings), server_header=False, log_level="info"))
+    server = uvicorn.Server(uvicorn.Config(create_app(settings, warm=True), server_header=False, log_level="info"))
     server.run(sockets=[listener])
     if not server.started:
         raise click.exceptions.Exit(1)

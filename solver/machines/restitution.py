@@ -15,8 +15,6 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, TypeAlias, TypeVar
 
-from scipy.optimize import brentq
-
 __all__ = ["HYSTERESIS", "ContactLaw", "effective_restitution", "hysteresis_factor", "remark", "returned"]
 
 ContactLaw: TypeAlias = Literal["linear", "hertz", "hunt-crossley", "flores", "gonthier", "lankarani-nikravesh"]
@@ -51,6 +49,8 @@ def returned(c: float) -> float:
     highest = min(1.0, (1 - 1e-15) / c)
     if identity(highest) > 0:  # c so large that e is 1/c to the last bit
         return highest
+    from scipy.optimize import brentq  # takes some time to load; few machines need it
+
     return float(brentq(identity, 0.0, highest, xtol=1e-16, rtol=1e-14))
 
 

@@ -15,7 +15,6 @@ from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from solver.compiler.compiled import compiled
 
@@ -31,6 +30,8 @@ _BLOCK = 512
 @cache
 def _filter(oversampling: int) -> Array:
     """Low-pass with the inverse sinc in its pass band; even length, so that it centres between two samples."""
+    from scipy import signal  # takes half a second to load, which a server can begin without
+
     width = (STOP - PASS) * 2 / oversampling
     taps, beta = signal.kaiserord(_ATTENUATION_DB, width)
     taps += taps % 2

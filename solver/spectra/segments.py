@@ -13,7 +13,6 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-import scipy.signal
 
 from solver.errors import SettingsError
 
@@ -180,6 +179,8 @@ def _transform_cost(length: int) -> float:
 @lru_cache(maxsize=64)
 def hann(length: int) -> FloatArray:
     """Periodic Hann window, (length,), read-only."""
-    window = np.asarray(scipy.signal.windows.hann(length, sym=False), dtype=np.float64)
+    from scipy.signal import windows  # takes half a second to load, which a server can begin without
+
+    window = np.asarray(windows.hann(length, sym=False), dtype=np.float64)
     window.flags.writeable = False
     return window

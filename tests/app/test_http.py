@@ -15,6 +15,8 @@ import httpx
 import pytest
 from small_service import serving, spoiled
 
+from app import tasks
+from app.catalogues import stamp_of
 from app.settings import Settings
 from app.storage import Store
 
@@ -388,6 +390,24 @@ def test_405_says_what_is_allowed(client: httpx.Client) -> None:
 def test_health(client: httpx.Client) -> None:
     assert client.get("/healthz").json() == {"status": "ok"}
     assert client.get("/readyz").json() == {"status": "ready", "catalogues": 1}
+
+
+def test_workers_that_loaded_models_beforehand_answer_the_same(
+    client: httpx.Client, diagnosis: httpx.Response, worn: bytes, settings: Settings, tmp_path: Path
+) -> None:
+    folder = settings.catalogues / "slider-crank"
+    assert tasks.warm([(str(folder), stamp_of(folder)), (str(tmp_path / "gone"), "")]) > 0
+    with (
+        serving(settings.model_copy(update={"data": tmp_path}), warm=True) as address,
+        httpx.Client(base_url=address, timeout=90) as warmed,
+    ):
+        assert warmed.get("/readyz").status_code == 200
+        sent = send(warmed, worn).json()
+        asked = {"measurement": sent["id"], "catalogue": "slider-crank", "effort": "fast", "speed": "606.8 rpm"}
+        answered = warmed.post(f"{API}/diagnoses", json=asked)
+    assert answered.status_code == 201
+    for member in ("hypotheses", "goodness_of_fit", "candidate_set", "evidence"):
+        assert answered.json()[member] == diagnosis.json()[member]
 
 
 def test_every_answer_carries_the_security_headers(client: httpx.Client) -> None:

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from catalogue.answer import Diagnosis
+from catalogue.baseline import Baseline, Estimate
 from catalogue.build import build
 from catalogue.diagnosis import diagnose
 from catalogue.errors import DiagnosisError, MeasurementError
+from catalogue.evidence import edge_warnings, number_warnings
 from catalogue.gaussian import GaussianAlongClearance
 from catalogue.library import ModelLibrary
-from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
+from catalogue.matching import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
 from catalogue.measurement import Measurement, read_measurement
 from catalogue.plan import parse_plan
 from catalogue.store import Catalogue
@@ -199,6 +201,29 @@ def test_warns_of_what_the_catalogue_does_not_cover(small_catalogue: Catalogue) 
     answer = diagnose(faster, small_catalogue, speed=1.05 * speed)
     assert any("outside the catalogue's" in line for line in answer.warnings)
     assert answer.drive_speed_rpm == pytest.approx(1.05 * TRUTH["slider-crank-04"]["speed_rpm"])
+
+
+@pytest.mark.parametrize(("low", "high", "told"), [(0.01, 0.5, "smallest"), (0.5, 0.99, "largest"), (0.2, 0.8, "")])
+def test_warns_of_a_clearance_at_the_end_of_its_range(
+    small_catalogue: Catalogue, low: float, high: float, told: str
+) -> None:
+    span = np.log(small_catalogue.matrix.ranges.clearance["A"])
+    ends = np.exp(span[0] + np.array([low, high]) * (span[1] - span[0]))
+    (match,) = answer_of(A=(1.0, 0.5)).hypotheses
+    found = ClearanceEstimate("A", float(np.sqrt(ends[0] * ends[1])), float(ends[0]), float(ends[1]))
+    warnings = edge_warnings(MatchResult((replace(match, clearances=(found,)),)), small_catalogue)
+    assert len(warnings) == bool(told)
+    assert all(line.startswith(f"clearance of A reaches the catalogue's {told}") for line in warnings)
+
+
+def test_warns_of_fitted_numbers_that_no_entry_has(small_catalogue: Catalogue) -> None:
+    low, high = small_catalogue.matrix.ranges.parameters["contact.friction"]
+    for factor, warned in ((0.9 * low, True), (low, False), (high, False), (1.1 * high, True)):
+        numbers = {"contact.friction": Estimate(factor, 0.01), "frame.mass": Estimate(9.0, 0.01)}
+        paths = {"contact.friction": {"contact.friction": 1.0}, "frame.mass": {"links.base.mass": 10.0}}
+        warnings = number_warnings(Baseline("b", "healthy", numbers, {}, 1.0, 1.0, {}, paths=paths), small_catalogue)
+        assert len(warnings) == warned
+        assert all("contact.friction" in line and "outside the catalogue's" in line for line in warnings)
 
 
 def test_refuses_settings_and_catalogues_it_cannot_use(small_catalogue: Catalogue, tmp_path: Path) -> None:

@@ -74,6 +74,20 @@ def test_one_model_serves_about_the_same_noise(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.npz"))) == 2
 
 
+def test_models_of_this_state_are_loaded_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    feature, _ = recording("B")
+    first, other = ModelLibrary(MODEL, tmp_path), ModelLibrary(SpectraModel(50, seed=3), tmp_path)
+    expected = first.answer(sensing(), feature, WATCHED, "fast", "trusted")
+    again = ModelLibrary(MODEL, tmp_path)
+    assert again.load(0) == 0
+    assert again.load() == again.load() == 1
+    assert other.load() == ModelLibrary(MODEL).load() == 0
+    for file in tmp_path.glob("*.npz"):
+        file.unlink()
+    monkeypatch.setattr("catalogue.library.training_set", None)  # nothing can be fitted any more
+    assert same(again.answer(sensing(), feature, WATCHED, "fast", "trusted"), expected)
+
+
 def test_a_damaged_file_or_a_folder_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path) -> None:
     feature, _ = recording("A")
     expected = ModelLibrary(MODEL, tmp_path).answer(sensing(), feature, WATCHED, "fast", "trusted")

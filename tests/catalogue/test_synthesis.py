@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from catalogue import synthesis
 from catalogue.comparison import exact_sensing, measured_levels, watched
 from catalogue.diagnosis import Question, answer
 from catalogue.entry import Entry, Hypothesis
@@ -125,6 +126,23 @@ def test_nothing_is_simulated_where_it_cannot_change_the_answer(
     assert thorough.effort == "thorough"
     assert thorough.effort_spent.simulations == 0
     assert thorough.effort_spent.note
+
+
+def test_the_search_begins_with_the_nearest_of_all_draws(
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, record, result = doubtful
+    match = next(match for match in result.hypotheses if match.label == "B")
+    whole = synthesis._Search.of(record, small_catalogue, match, "trusted", Synthesis()).population
+    planned = {entry.key: entry for entry in entries_of(small_catalogue, "B")}
+    assert all(planned[entry.key].clearances == entry.clearances for entry in whole.start)
+    assert all(planned[entry.key].parameters == entry.parameters for entry in whole.start)
+    # However few draws say where new cases may lie, and without the table of all entries.
+    monkeypatch.setattr(synthesis, "MOST", 20)
+    monkeypatch.setattr(Catalogue, "entries", None)
+    few = synthesis._Search.of(record, small_catalogue, match, "trusted", Synthesis()).population
+    assert [entry.key for entry in few.start] == [entry.key for entry in whole.start]
+    assert [space.low.tolist() for space in few.spaces.values()] != [s.low.tolist() for s in whole.spaces.values()]
 
 
 def entries_of(catalogue: Catalogue, joint: str) -> list[Entry]:
