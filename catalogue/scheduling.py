@@ -29,7 +29,7 @@ ATTEMPTS = 3
 """How often a task whose worker died is begun before it is halved, or given up if it is a single case."""
 
 HOPELESS = 10
-"""Attempts that may fail before the first chunk succeeds; after them the reason lies not in single cases."""
+"""Attempts that may fail before the first task succeeds; after them the reason lies not in single cases."""
 
 LOOK = 1.0
 """Time between looks at what other builders have done [s]."""
@@ -126,6 +126,7 @@ class Scheduler:
         self._again: deque[_Task] = deque()
         self._elsewhere: dict[str, Chunk] = {}
         self._failures = 0
+        self._succeeded = False  # a part of a chunk counts: a large one with a deadly case is stored late
         self._looked = 0.0
 
     def run(self, chunks: Sequence[Chunk], executor: Executor) -> None:
@@ -196,6 +197,7 @@ class Scheduler:
         error = future.exception()
         if error is None:
             outcomes, seconds = future.result()
+            self._succeeded = True
             keys = [entry.key for entry in task.part.entries]
             task.work.outcomes |= dict(zip(keys, outcomes, strict=True))
             task.work.seconds += seconds
@@ -219,7 +221,7 @@ class Scheduler:
             self._tally.workers_lost += 1
             reason = f"its worker died, in {task.deaths} {'attempt' if task.deaths == 1 else 'attempts'}"
         self._failures += 1
-        if self._tally.added == 0 and self._failures >= HOPELESS:
+        if not self._succeeded and self._failures >= HOPELESS:
             raise BuildError(f"nothing could be computed in {self._failures} attempts, the last: {reason}") from error
         if died and task.deaths < ATTEMPTS:
             self._again.append(task)

@@ -12,7 +12,9 @@ import pytest
 from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN, compute
 
+from catalogue import scheduling
 from catalogue.build import BuildReport, Progress, build
+from catalogue.chunk import chunked
 from catalogue.directory import CatalogueDirectory
 from catalogue.errors import (
     BuildError,
@@ -327,6 +329,19 @@ def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monk
     monkeypatch.undo()
     assert quick_build(tmp_path).added == 1
     assert_complete(tmp_path)
+
+
+def test_one_bad_case_of_a_large_first_chunk_does_not_end_the_build(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Halves that can be computed count as a success, though their chunk is stored only when all of it is done."""
+    first = chunked(MACHINE, PLAN.recipe(MACHINE), PLAN.entries(MACHINE), 64)[0]
+    victim = first.entries[-1].key
+    monkeypatch.setattr(scheduling, "HOPELESS", 3)  # the chunk, its half and a half of that fail
+    monkeypatch.setenv("FAKE_RAISES", victim)
+    report = quick_build(tmp_path, chunk_size=64)
+    assert report.lost == (victim,)
+    assert report.added == len(KEYS) - 1
 
 
 def test_trouble_with_every_case_ends_the_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
