@@ -104,6 +104,7 @@ TABLE: dict[type[Exception], Kind] = {
     catalogue_errors.CatalogueMismatchError: Kind(409, "catalogue-mismatch", "The catalogue is of something else"),
     catalogue_errors.CatalogueBusyError: Kind(409, "catalogue-busy", "The catalogue is being built", exit_status=1),
     catalogue_errors.BuildError: Kind(500, "build", "The catalogue could not be built"),
+    catalogue_errors.SchedulerAddressError: Kind(422, "scheduler-address", "This is no address of a scheduler"),
     catalogue_errors.MeasurementError: Kind(422, "measurement", "The measurement cannot be used"),
     catalogue_errors.EntryNotFoundError: Kind(404, "unknown-entry", "No such entry"),
     catalogue_errors.MatchingError: Kind(422, "matching", "The draws or features cannot be matched"),

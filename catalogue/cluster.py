@@ -12,10 +12,10 @@ from functools import lru_cache
 from typing import Any, TypeVar
 
 import solver
-from catalogue.errors import BuildError
+from catalogue.errors import BuildError, SchedulerAddressError
 from catalogue.manifest import package_versions
 
-__all__ = ["DaskCluster"]
+__all__ = ["DaskCluster", "check_address"]
 
 WAIT = 120.0
 """Longest wait for a scheduler that is gone, or for a first worker [s]."""
@@ -47,16 +47,15 @@ class DaskCluster:
     ------
     BuildError
         The package ``distributed`` is missing, no scheduler answers, or it has no worker.
+    SchedulerAddressError
+        The address is none.
     """
 
     _client: Any = None  # its methods carry no types
 
     def __init__(self, address: str, *, wait: float = WAIT) -> None:
-        try:
-            import distributed
-        except ImportError:
-            raise BuildError("a cluster needs the package distributed: pip install 'jointplay[cluster]'") from None
-        self._distributed: Any = distributed
+        check_address(address)
+        self._distributed: Any = _distributed()
         self._address, self._wait = address, wait
         self._threads, self._asked, self._seen = 0, 0.0, time.monotonic()
         self._connect()
@@ -125,8 +124,6 @@ class DaskCluster:
     def _explained(self) -> Iterator[None]:
         try:
             yield
-        except ValueError as error:
-            raise BuildError(f"{self._address}: is no address of a scheduler ({error})") from None
         except (TimeoutError, OSError):
             what = "no scheduler answers" if self._client is None else "the cluster has no worker"
             raise BuildError(f"{self._address}: {what} within {self._wait:.0f} s") from None
@@ -141,6 +138,41 @@ class DaskCluster:
                 local.set_exception(failure or _LostOnTheWayError("the scheduler was lost"))
         except BaseException as error:  # whatever the connection raises: the task itself went well, or was cancelled
             local.set_exception(_LostOnTheWayError(str(error)))
+
+
+def check_address(address: str) -> None:
+    """Refuse what cannot be the address of a scheduler; nothing is connected.
+
+    A client of Dask that is given such an address never ends, not even with its program.
+
+    Raises
+    ------
+    BuildError
+        The package ``distributed`` is missing.
+    SchedulerAddressError
+        It has no port, or a protocol that this computer does not know.
+    """
+    _distributed()
+    from distributed.comm import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
+
+    try:
+        scheme, place = parse_address(address)
+        get_backend(scheme)
+        host, port = parse_host_port(place) if scheme != "inproc" else (place, 1)
+    except ValueError as error:
+        raise SchedulerAddressError(address, f"is no address of a scheduler, tcp://host:8786 ({error})") from None
+    if not host or not 0 < port < 2**16:
+        rule = "is no address of a scheduler, tcp://host:8786 (it needs a host, and a port of 1 to 65535)"
+        raise SchedulerAddressError(address, rule)
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise BuildError("a cluster needs the package distributed: pip install 'jointplay[cluster]'") from None
+    return distributed
 
 
 class _LostOnTheWayError(Exception):

@@ -76,6 +76,24 @@ class BuildError(CatalogueError):
     """A build in which nothing at all could be computed."""
 
 
+class SchedulerAddressError(BuildError):
+    """An address at which no scheduler of a cluster can be.
+
+    Parameters
+    ----------
+    address : str
+    rule : str
+        The rule it breaks, as a phrase.
+    """
+
+    def __init__(self, address: str, rule: str) -> None:
+        self.address, self.rule = address, rule
+        super().__init__(address, rule)
+
+    def __str__(self) -> str:
+        return _one_line(self.address, self.rule)
+
+
 class EntryNotFoundError(CatalogueError):
     """No entry with this key, or with a key that begins so."""
 

@@ -57,6 +57,10 @@ def command(
 
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for processes here; a cluster has its own")
+    if scheduler is not None:
+        from catalogue.cluster import check_address
+
+        check_address(scheduler)
     found, wanted = resolve_machine(machine), resolve_plan(plan)
     for shown in plan_lines(wanted, found):
         click.echo(shown, err=True)

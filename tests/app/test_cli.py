@@ -256,6 +256,18 @@ def test_cluster_has_its_own_workers(tmp_path: Path) -> None:
     assert_refused(invoke("build", *arguments), 2, "--workers is for processes here; a cluster has its own")
 
 
+@pytest.mark.timeout(60)
+def test_no_address_of_a_scheduler_is_bad_input_and_ends(tmp_path: Path) -> None:
+    """In a process of its own: a client of Dask with a bad address keeps its process from ending."""
+    folder = tmp_path / "c"
+    arguments = ["build", "quick-return", "--catalogue", str(folder), "--scheduler", "foo"]
+    ended = subprocess.run([*JOINTPLAY, *arguments], capture_output=True, text=True, timeout=50, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("jointplay: foo: is no address of a scheduler, tcp://host:8786 (")
+    assert ended.stderr.count("\n") == 1
+    assert not folder.exists()
+
+
 def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
     arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "thorough"]
     with subprocess.Popen([*JOINTPLAY, *arguments], stderr=subprocess.PIPE, text=True) as process:

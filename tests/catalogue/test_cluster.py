@@ -80,7 +80,14 @@ def test_workers_of_other_versions_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("address", "rule"),
-    [("tcp://127.0.0.1:{port}", "no scheduler answers within 1 s"), ("nonsense://x", "is no address of a scheduler")],
+    [
+        ("tcp://127.0.0.1:{port}", "no scheduler answers within 1 s"),
+        ("nonsense://x", "is no address of a scheduler"),
+        ("foo", "is no address of a scheduler, tcp://host:8786 (missing port number"),
+        ("tcp://host:x", "is no address of a scheduler"),
+        ("tcp://host:70000", "a port of 1 to 65535"),
+        ("tcp://:8786", "it needs a host"),
+    ],
 )
 def test_no_scheduler_is_one_line(address: str, rule: str) -> None:
     with pytest.raises(BuildError) as caught:
