@@ -168,7 +168,8 @@ def evaluate(
     if not catalogue.machine.sensors:
         raise DiagnosisError(f"machine {catalogue.machine.name}: has no sensors to record with")
     run = _Run(catalogue, count, seed, tuple(setups), recordings or Recordings(), most)
-    sets = {protocol: run.hypotheses(protocol) for protocol in wanted}
+    for protocol in wanted:
+        run.hypotheses(protocol)  # Refused before anything is simulated.
     total = sum(2 if protocol.foreign else 1 for protocol in wanted) * count
     done = 0
 
@@ -178,19 +179,21 @@ def evaluate(
         if progress is not None:
             progress(min(done, total), total)
 
-    known: dict[Protocol, dict[Setup, list[Answered]]] = {}
+    known: dict[tuple[Protocol, tuple[str, ...]], dict[Setup, list[Answered]]] = {}
     rows: list[Row] = []
     for protocol in wanted:
-        found = run.answers(protocol, told)
+        without = run.without(protocol)
+        found = run.answers(protocol, without, told)
         listed: Mapping[Setup, Sequence[Answered]] = {}
         if protocol.foreign:
-            plain = replace(protocol, name="listed", kind="singles", differences=(), foreign=False)
-            if plain not in known:
-                known[plain] = run.answers(plain, told).answers
-            listed = known[plain]
+            # The same machines without the foreign cause, asked of the same catalogue.
+            plain = replace(protocol, name="listed", kind="singles", differences=(), foreign=False, unlisted=False)
+            if (plain, without) not in known:
+                known[plain, without] = run.answers(plain, without, told).answers
+            listed = known[plain, without]
         for setup, answers in found.answers.items():
             values = [each.p_value for each in listed.get(setup, ())]
-            made = figures(answers, run.columns(protocol, sets[protocol]), values)
+            made = figures(answers, run.columns(without), values)
             rows.append(Row(protocol, setup, found.failed, found.refused, made))
     if progress is not None:
         progress(total, total)
@@ -220,14 +223,12 @@ class _Run:
             raise DiagnosisError(f"count: {self.count}: {rule}")
         return found
 
-    def without(self, protocol: Protocol, hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
+    def without(self, protocol: Protocol) -> tuple[str, ...]:
         """Hypotheses that are taken out of the catalogue."""
-        worn = {len(each.joints) for each in hypotheses}
-        listed = self.catalogue.entries.hypotheses
-        return tuple(each.label for each in listed if protocol.unlisted and len(each.joints) in worn)
+        worn = {len(each.joints) for each in self.hypotheses(protocol)} if protocol.unlisted else set()
+        return tuple(each.label for each in self.catalogue.entries.hypotheses if len(each.joints) in worn)
 
-    def columns(self, protocol: Protocol, hypotheses: Sequence[Hypothesis]) -> dict[str, frozenset[str]]:
-        without = self.without(protocol, hypotheses)
+    def columns(self, without: Sequence[str]) -> dict[str, frozenset[str]]:
         listed = self.catalogue.entries.hypotheses
         return {each.label: frozenset(each.joints) for each in listed if each.label not in without}
 
@@ -240,13 +241,12 @@ class _Run:
             found.append(with_differences(truth, protocol.differences, self.seed, number))
         return found
 
-    def answers(self, protocol: Protocol, told: Callable[[], None]) -> _Found:
+    def answers(self, protocol: Protocol, without: tuple[str, ...], told: Callable[[], None]) -> _Found:
         truths, library, found = (
             self.truths(protocol),
             ModelLibrary(self.catalogue.matrix),
             _Found({setup: [] for setup in self.setups}),
         )
-        without = self.without(protocol, self.hypotheses(protocol))
         for index, signal in self.recordings.ideal(protocol, truths):
             told()
             if signal is None:

@@ -6,10 +6,13 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from catalogue.answer import Diagnosis
+from catalogue.diagnosis import answer
 from catalogue.entry import Hypothesis
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation.differences import DIFFERENCES, with_differences
@@ -72,6 +75,25 @@ def test_a_foreign_cause_has_smaller_p_values_than_what_is_listed(small_catalogu
     (row,) = evaluate(small_catalogue, [half_mount], 8, seed=3).rows
     assert row.figures.auroc_unknown is not None
     assert row.figures.auroc_unknown > 0.8
+
+
+def test_negatives_of_unlisted_pairs_are_asked_of_the_same_catalogue(
+    small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = (*small_catalogue.entries.hypotheses, Hypothesis.of(["A", "B"]))
+    monkeypatch.setattr(type(small_catalogue.entries), "hypotheses", property(lambda _: listed))
+    asked: list[tuple[str, ...]] = []
+
+    def spied(*arguments: Any, **settings: Any) -> Diagnosis:
+        asked.append(settings["without"])
+        return answer(*arguments, **settings)
+
+    monkeypatch.setattr("catalogue.evaluation.study.answer", spied)
+    pairs = replace(SHORT, name="unlisted pair", kind="pairs", foreign=True, unlisted=True)
+    (row,) = evaluate(small_catalogue, [pairs], 4, seed=3).rows
+    assert asked == [("A+B",)] * 8
+    assert row.figures.columns == ("healthy", "A", "B", "O")
+    assert row.figures.auroc_unknown is not None
 
 
 def test_truths_follow_from_the_seed_and_stay_within_the_protocol() -> None:
