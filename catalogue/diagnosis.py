@@ -34,7 +34,6 @@ from catalogue.evidence import (
 from catalogue.features import PreparedMeasurement, prepare
 from catalogue.gaussian import GaussianAlongClearance
 from catalogue.known_machine import KnownMachine
-from catalogue.learning import Learning
 from catalogue.libraries import library_of
 from catalogue.library import ModelLibrary
 from catalogue.matching import Matcher
@@ -168,7 +167,7 @@ def answer(
     matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
     without: tuple[str, ...] = (),
-    most: int = Learning.most,
+    most: int | None = None,
 ) -> Diagnosis:
     """Diagnose a recording that has been prepared.
 
@@ -188,7 +187,7 @@ def answer(
         As for :func:`diagnose`.
     without : tuple of str
         Hypotheses that are left out.
-    most : int
+    most : int, optional
         Entries of a hypothesis that are learned from, at most.
 
     Raises

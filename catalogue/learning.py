@@ -37,6 +37,8 @@ class Learning:
         Rows of a hypothesis, at least: hypotheses with few entries get more copies of each.
     most : int
         Entries of a hypothesis that are learned from, at most: the first draws, which fill its range evenly.
+    reach : int
+        Entries of a hypothesis that a refit chooses from, at most: it takes those near the recording.
     without : tuple of str
         Hypotheses that are left out.
     seed : int
@@ -47,21 +49,24 @@ class Learning:
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     rows: int = 500
     most: int = 800
+    # Models that are looked up do not depend on it, nor do their keys, which are made of what is shown.
+    reach: int = field(default=8000, repr=False)
     without: tuple[str, ...] = ()
     seed: int = 0
 
     @classmethod
-    def of(cls, mode: Mode, *, without: tuple[str, ...] = (), most: int = 800) -> Self:
+    def of(cls, mode: Mode, *, without: tuple[str, ...] = (), most: int | None = None) -> Self:
         """How each mode learns.
 
         The trusted one believes the simulation to a decibel and the sensors to 3 %. The robust one learns from machines
         whose own data are uncertain, too, believes two decibels, and draws flexible modes that the rigid model does not
-        have.
+        have. With `most`, neither a looked-up model nor a refit sees any but the first draws, as if there were no more.
         """
+        seen, reach = (cls.most, cls.reach) if most is None else (most, most)
         if mode == "trusted":
-            return cls(mode, without=without, most=most)
+            return cls(mode, without=without, most=seen, reach=reach)
         robust = replace(Discrepancy(), level_db=2.0, rigid_level_db=1.0, transfer=RandomTransfer())
-        return cls(mode, robust, rows=800, without=without, most=most)
+        return cls(mode, robust, rows=800, without=without, most=seen, reach=reach)
 
 
 def prior(joints: tuple[str, ...]) -> float:

@@ -71,7 +71,7 @@ class ModelLibrary:
         matcher: Matcher | None = None,
         weights: FloatArray | None = None,
         without: tuple[str, ...] = (),
-        most: int = Learning.most,
+        most: int | None = None,
     ) -> MatchResult:
         """Match one recording.
 
@@ -97,8 +97,9 @@ class ModelLibrary:
             kept as files.
         without : tuple of str
             Hypotheses that are left out.
-        most : int
-            Entries of a hypothesis that are learned from, at most.
+        most : int, optional
+            Entries of a hypothesis that are learned from, at most: the first draws. As many as :class:`Learning` says
+            without it.
 
         Raises
         ------

@@ -55,7 +55,7 @@ class Refit:
         return self.settings.fit(training, self.model.model.projection).match(feature)
 
     def _rows(self, match: HypothesisMatch) -> IntArray:
-        learning = replace(self.learning, most=10 * self.learning.most)
+        learning = replace(self.learning, most=self.learning.reach)
         rows = rows_of(self.matrix, match.label, learning, self.speed)
         if len(rows) <= NEAR + SPREAD or not match.clearances:
             return rows[: NEAR + SPREAD]

@@ -19,7 +19,6 @@ from catalogue.evaluation.protocols import Protocol, protocols_of
 from catalogue.evaluation.recordings import Recordings, recorded
 from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.features import prepare
-from catalogue.learning import Learning
 from catalogue.library import ModelLibrary
 from catalogue.matching import Matcher
 from catalogue.nearest import NearestEntry
@@ -270,7 +269,7 @@ class _Run:
                     matcher=method() if method is not None else None,
                     library=library,
                     without=without,
-                    most=Learning.most if self.most is None else self.most,
+                    most=self.most,
                 )
                 found.answers[setup].append(Answered.of(truths[index], got, time.perf_counter() - begin))
         if not any(found.answers.values()):

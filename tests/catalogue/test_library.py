@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from catalogue.errors import DiagnosisError
 from catalogue.gaussian import FittedGaussian
 from catalogue.learning import Learning, rows_of, training_set
 from catalogue.library import ModelLibrary
-from catalogue.matching import MatchResult
+from catalogue.matching import MatchResult, TrainingSet
 from catalogue.modelfile import read_model, write_model
 from catalogue.nearest import NearestEntry
 from catalogue.observation import Discrepancy, Sensing, observe
@@ -137,6 +139,25 @@ def test_strata_of_the_modes() -> None:
     assert np.mean(MODEL.stratum[robust] == "wide") == pytest.approx(2 / 3, abs=0.01)
     few = rows_of(MODEL, "A", replace(Learning(), most=50))
     assert np.array_equal(few, trusted[:50])
+
+
+def test_with_a_limit_a_refit_learns_from_the_first_draws_only_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    feature, _ = recording("A")
+    learned: list[dict[str, np.ndarray]] = []
+
+    def spied(*arguments: Any, rows: Mapping[str, np.ndarray], **settings: Any) -> TrainingSet:
+        learned.append(dict(rows))
+        return training_set(*arguments, rows=rows, **settings)
+
+    monkeypatch.setattr("catalogue.refit.training_set", spied)
+    for most in (20, None):
+        LIBRARY.answer(sensing(), feature, WATCHED, mode="trusted", most=most)
+    limited, free = learned
+    assert np.array_equal(limited["A"], MODEL.rows("A", "trusted")[:20])
+    assert np.array_equal(free["A"], MODEL.rows("A", "trusted"))
+    LIBRARY.answer(sensing(), feature, WATCHED, mode="robust", most=30)
+    # A third trusted draws, two thirds of uncertain machines.
+    assert len(learned[-1]["A"]) == 30
 
 
 def test_hypotheses_can_be_left_out_and_weighed() -> None:
