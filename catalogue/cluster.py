@@ -20,6 +20,9 @@ __all__ = ["DaskCluster", "check_address"]
 WAIT = 120.0
 """Longest wait for a scheduler that is gone, or for a first worker [s]."""
 
+FIRST_WAIT = 10.0
+"""Longest wait for the first answer of a scheduler [s]: one that has never answered was hardly there."""
+
 _ASK = 2.0
 """Time between questions for the number of workers [s]."""
 
@@ -41,7 +44,11 @@ class DaskCluster:
     address : str
         Of the scheduler: ``tcp://host:8786``.
     wait : float, optional
-        Longest wait for a scheduler, or a first worker [s].
+        Longest wait for a scheduler that is gone, or for a first worker [s].
+    first_wait : float, optional
+        Longest wait for the first answer of the scheduler [s].
+    tell : callable, optional
+        Called with what is waited for, in words, before it is waited for.
 
     Raises
     ------
@@ -53,13 +60,24 @@ class DaskCluster:
 
     _client: Any = None  # its methods carry no types
 
-    def __init__(self, address: str, *, wait: float = WAIT) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        wait: float = WAIT,
+        first_wait: float = FIRST_WAIT,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
         check_address(address)
         self._distributed: Any = _distributed()
         self._address, self._wait = address, wait
         self._threads, self._asked, self._seen = 0, 0.0, time.monotonic()
-        self._connect()
-        with self._explained():
+        self._tell = tell or (lambda said: None)
+        self._tell(f"waiting for the scheduler {address}, up to {first_wait:.0f} s")
+        self._connect(first_wait)
+        if not self._client.nthreads():
+            self._tell(f"waiting for a worker of the scheduler {address}, up to {wait:.0f} s")
+        with self._explained(wait):
             self._client.wait_for_workers(1, timeout=wait)
 
     @property
@@ -108,25 +126,30 @@ class DaskCluster:
 
     def close(self, *, at_once: bool = False) -> None:
         """Leave the cluster; it drops what this builder has in flight."""
+        if self._client is None:
+            return
         with contextlib.suppress(Exception):  # whatever state the connection is in, it is not needed any more
             self._client.close(timeout=5)
 
-    def _connect(self) -> None:
+    def _connect(self, wait: float | None = None) -> None:
         """Make sure of a client that runs."""
+        wait = self._wait if wait is None else wait
         if self._client is not None and self._client.status == "running":
             return
         if self._client is not None:
+            self._tell(f"waiting for the scheduler {self._address}, which is gone, up to {wait:.0f} s")
             self.close()
-        with self._explained():
-            self._client = self._distributed.Client(self._address, timeout=self._wait, set_as_default=False)
+            self._client = None
+        with self._explained(wait):
+            self._client = self._distributed.Client(self._address, timeout=wait, set_as_default=False)
 
     @contextlib.contextmanager
-    def _explained(self) -> Iterator[None]:
+    def _explained(self, wait: float) -> Iterator[None]:
         try:
             yield
         except (TimeoutError, OSError):
             what = "no scheduler answers" if self._client is None else "the cluster has no worker"
-            raise BuildError(f"{self._address}: {what} within {self._wait:.0f} s") from None
+            raise BuildError(f"{self._address}: {what} within {wait:.0f} s") from None
 
     def _hand_over(self, remote: Any, local: Future[Any]) -> None:
         """Pass what became of a remote task on; runs in a thread of the client."""

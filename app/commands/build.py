@@ -93,7 +93,7 @@ def cluster(address: str) -> Iterator[DaskCluster]:
     """Connect to a Dask cluster, and leave it in the end."""
     from catalogue.cluster import DaskCluster
 
-    workers = DaskCluster(address)
+    workers = DaskCluster(address, tell=lambda said: click.echo(said, err=True))
     try:
         yield workers
     finally:

@@ -268,6 +268,17 @@ def test_no_address_of_a_scheduler_is_bad_input_and_ends(tmp_path: Path) -> None
     assert not folder.exists()
 
 
+@pytest.mark.timeout(60)
+def test_scheduler_that_does_not_answer_is_not_waited_for_in_silence(tmp_path: Path) -> None:
+    arguments = ("quick-return", "--catalogue", tmp_path / "c", "--plan", "quick", "--scheduler", "tcp://127.0.0.1:1")
+    result = invoke("build", *arguments)
+    assert result.exit_code == 1
+    assert result.stderr.splitlines()[-2:] == [
+        "waiting for the scheduler tcp://127.0.0.1:1, up to 10 s",
+        "jointplay: tcp://127.0.0.1:1: no scheduler answers within 10 s",
+    ]
+
+
 def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
     arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "thorough"]
     with subprocess.Popen([*JOINTPLAY, *arguments], stderr=subprocess.PIPE, text=True) as process:

@@ -73,7 +73,7 @@ def _tell(progress: Progress) -> None:
 
 if __name__ == "__main__":
     scheduler = os.environ.get("FAKE_SCHEDULER")
-    cluster = DaskCluster(scheduler, wait=60.0) if scheduler else None
+    cluster = DaskCluster(scheduler, wait=60.0, first_wait=60.0) if scheduler else None
     report = build(
         MACHINE,
         PLAN,

@@ -91,17 +91,22 @@ def test_workers_of_other_versions_are_refused() -> None:
 )
 def test_no_scheduler_is_one_line(address: str, rule: str) -> None:
     with pytest.raises(BuildError) as caught:
-        DaskCluster(address.format(port=free_port()), wait=1)
+        DaskCluster(address.format(port=free_port()), first_wait=1)
     assert rule in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_no_worker_is_one_line() -> None:
+    told: list[str] = []
     with (
         distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0", protocol="tcp") as local,
         pytest.raises(BuildError, match=r"the cluster has no worker within 1 s$"),
     ):
-        DaskCluster(local.scheduler_address, wait=1)
+        DaskCluster(local.scheduler_address, wait=1, tell=told.append)
+    assert told == [
+        f"waiting for the scheduler {local.scheduler_address}, up to 10 s",
+        f"waiting for a worker of the scheduler {local.scheduler_address}, up to 1 s",
+    ]
 
 
 @pytest.mark.timeout(300)
