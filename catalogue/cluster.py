@@ -7,7 +7,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -25,6 +25,9 @@ FIRST_WAIT = 10.0
 
 _ASK = 2.0
 """Time between questions for the number of workers [s]."""
+
+_ON_THE_WAY = (OSError, TimeoutError, CancelledError, asyncio.CancelledError)
+"""What a connection raises that is lost, or whose client leaves."""
 
 _ONE_AT_A_TIME = threading.Lock()
 
@@ -159,8 +162,11 @@ class DaskCluster:
             else:
                 failure = remote.exception(timeout=self._wait) if remote.status == "error" else None
                 local.set_exception(failure or _LostOnTheWayError("the scheduler was lost"))
-        except BaseException as error:  # whatever the connection raises: the task itself went well, or was cancelled
-            local.set_exception(_LostOnTheWayError(str(error)))
+        except BaseException as error:
+            # Only the connection may fail without a limit; a result that cannot be unpacked here would do so for ever.
+            gone = self._client is None or self._client.status != "running"
+            lost = _LostOnTheWayError(f"{type(error).__name__}: {error}")
+            local.set_exception(lost if gone or isinstance(error, _ON_THE_WAY) else error)
 
 
 def check_address(address: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +72,57 @@ def refuse(chunk: Chunk) -> Any:
 
 def fail(chunk: Chunk) -> Any:
     raise OSError("disk full")
+
+
+def unreadable() -> None:
+    raise ArithmeticError("cannot be unpacked here")
+
+
+class Unreadable:
+    """Can be packed at a worker; unpacking it at the builder fails."""
+
+    def __reduce__(self) -> Any:
+        return unreadable, ()
+
+
+def spoil(chunk: Chunk) -> Any:
+    return Unreadable()
+
+
+@pytest.mark.timeout(120)
+def test_result_that_never_arrives_whole_ends_the_build(tmp_path: Path, scheduler: str) -> None:
+    """It is no fault of the connection: begun again without a limit, the build would never end."""
+    workers = DaskCluster(scheduler, wait=20)
+    rule = f"nothing could be computed in {HOPELESS} attempts, the last: ArithmeticError: cannot be unpacked"
+    with pytest.raises(BuildError, match=rule):
+        quick_build(tmp_path, executor=workers, compute=spoil)
+    workers.close()
+
+
+@pytest.mark.parametrize(
+    ("raised", "blameless"),
+    [
+        (OSError("closed"), True),
+        (TimeoutError(), True),
+        (CancelledError(), True),
+        (asyncio.CancelledError(), True),
+        (ArithmeticError("x"), False),
+    ],
+)
+def test_only_the_connection_is_blameless(scheduler: str, raised: BaseException, blameless: bool) -> None:
+    class Remote:
+        status = "finished"
+
+        def result(self, timeout: float) -> Any:
+            raise raised
+
+    workers = DaskCluster(scheduler, wait=20)
+    local: Future[Any] = Future()
+    workers._hand_over(Remote(), local)
+    error = local.exception()
+    workers.close()
+    assert error is not None
+    assert workers.is_blameless(error) is blameless
 
 
 def test_workers_of_other_versions_are_refused() -> None:
