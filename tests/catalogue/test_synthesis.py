@@ -18,6 +18,7 @@ from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.features import PreparedMeasurement, prepare
 from catalogue.libraries import library_of
 from catalogue.matching import MatchResult, ranked
+from catalogue.plan import parse_plan
 from catalogue.population import Population
 from catalogue.store import Catalogue
 from catalogue.synthesis import Recorded, Refined, Synthesis, refine
@@ -143,6 +144,22 @@ def test_the_search_begins_with_the_nearest_of_all_draws(
     few = synthesis._Search.of(record, small_catalogue, match, "trusted", Synthesis()).population
     assert [entry.key for entry in few.start] == [entry.key for entry in whole.start]
     assert [space.low.tolist() for space in few.spaces.values()] != [s.low.tolist() for s in whole.spaces.values()]
+
+
+def test_simulates_hypotheses_that_the_last_plan_does_not_hold(
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = Synthesis(generations=1)
+    expected = refined(small_catalogue, doubtful, short)
+    # Healthy machines were added last, with a plan of their own: the manifest names no other plan.
+    plan = parse_plan({"name": "more", "hypotheses": ["healthy"], "seconds": 1.0})
+    assert {entry.hypothesis.label for entry in plan.entries(small_catalogue.machine)} == {"healthy"}
+    monkeypatch.setattr(Catalogue, "plan", plan)
+    found = refined(small_catalogue, doubtful, short)
+    assert found.simulations == expected.simulations
+    assert [match.probability for match in found.result.hypotheses] == [
+        match.probability for match in expected.result.hypotheses
+    ]
 
 
 def entries_of(catalogue: Catalogue, joint: str) -> list[Entry]:
