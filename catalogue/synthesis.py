@@ -87,7 +87,8 @@ def refine(
     candidates : sequence of str
         Labels of its candidate set.
     mode : {"trusted", "robust"}
-        In the robust mode the machine's own data are varied, too, as far as the catalogue varies them.
+        In the robust mode the machine's own data are varied, too, as far as the catalogue varies them, and what the
+        catalogue said is kept: it allows for modes of the frame, which the score of a single case does not.
     settings : Synthesis, optional
     clock : callable, optional
         Tells the time in seconds.
@@ -113,12 +114,15 @@ def refine(
             cut_short = True
             break
         before = now
-    refined = _combined(result, searches, settings, whole=not cut_short)
+    kept = cut_short or mode == "robust"
+    refined = _combined(result, searches, settings, whole=not kept)
     changed = refined.best.label != result.best.label
     count = sum(len(search.scores) for search in searches)
     said = f"{count} cases around {', '.join(search.match.label for search in searches)} in {generation} generations"
     if cut_short:
         said += f", cut short by the budget of {settings.budget:g} s"
+    if kept:
+        said += ", multiplied with what the catalogue said"
     if changed:
         said += f": {refined.best.label} in place of {result.best.label}"
     return Refined(refined, count, generation, clock() - begin, changed, cut_short, said)
@@ -227,7 +231,7 @@ def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[
 def _combined(result: MatchResult, searches: Sequence[_Search], settings: Synthesis, *, whole: bool) -> MatchResult:
     """Share the probability of the simulated hypotheses out anew, by how well their best cases fit.
 
-    After the `whole` search that replaces what the catalogue said of them; before, it is multiplied with it.
+    Where it is the `whole` of what counts it replaces what the catalogue said of them, else it is multiplied with it.
     """
     total = sum(search.match.probability for search in searches)
     evidence = []

@@ -162,6 +162,26 @@ def test_simulates_hypotheses_that_the_last_plan_does_not_hold(
     ]
 
 
+def test_in_the_robust_mode_what_the_catalogue_said_counts_too(
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
+) -> None:
+    _, record, result = doubtful
+    factors = {"A": 1.8, "B": 0.2}
+    other = replace(
+        result,
+        hypotheses=tuple(replace(m, probability=0.25 * factors.get(m.label, 1.0)) for m in result.hypotheses),
+    )
+    short = Synthesis(generations=1, hypotheses=4)
+    for mode, ratio in (("trusted", 1.0), ("robust", 9.0)):
+        plain, leaning = (
+            refine(record, small_catalogue, each, ["A", "B"], mode=mode, settings=short, clock=lambda: 0.0)
+            for each in (result, ranked(other.hypotheses))
+        )
+        odds = [found.result.probability("A") / found.result.probability("B") for found in (plain, leaning)]
+        assert odds[1] / odds[0] == pytest.approx(ratio)
+        assert ("multiplied with what the catalogue said" in plain.reason) == (mode == "robust")
+
+
 def entries_of(catalogue: Catalogue, joint: str) -> list[Entry]:
     return [entry for entry in catalogue.plan.entries(catalogue.machine) if entry.hypothesis.joints == (joint,)]
 
