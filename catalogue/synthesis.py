@@ -115,7 +115,7 @@ def refine(
             break
         before = now
     kept = cut_short or mode == "robust"
-    refined = _combined(result, searches, settings, whole=not kept)
+    refined = _combined(recorded, result, searches, settings, whole=not kept)
     changed = refined.best.label != result.best.label
     count = sum(len(search.scores) for search in searches)
     said = f"{count} cases around {', '.join(search.match.label for search in searches)} in {generation} generations"
@@ -160,8 +160,9 @@ class _Search:
         return cls(match, population, np.random.default_rng(seed), [], [], [])
 
     def best(self, count: int) -> list[int]:
+        """Places of the cases that fit best, of those that could be simulated."""
         order = np.argsort(-np.array(self.scores), kind="stable")[:count]
-        return [int(place) for place in order]
+        return [int(place) for place in order if np.isfinite(self.scores[place])]
 
 
 def _rows(catalogue: Catalogue, label: str, mode: Mode) -> tuple[IntArray, IntArray]:
@@ -228,30 +229,33 @@ def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[
     return float(-0.5 * np.sum((nu + 1.0) * np.log1p(z / nu) + np.log(variance))), levels
 
 
-def _combined(result: MatchResult, searches: Sequence[_Search], settings: Synthesis, *, whole: bool) -> MatchResult:
+def _combined(
+    recorded: Recorded, result: MatchResult, searches: Sequence[_Search], settings: Synthesis, *, whole: bool
+) -> MatchResult:
     """Share the probability of the simulated hypotheses out anew, by how well their best cases fit.
 
     Where it is the `whole` of what counts it replaces what the catalogue said of them, else it is multiplied with it.
+    Nothing changes where no case of a hypothesis could be simulated.
     """
+    if not all(search.best(1) for search in searches):
+        return result
     total = sum(search.match.probability for search in searches)
     evidence = []
     for search in searches:
         scores = np.array([search.scores[place] for place in search.best(settings.elite)])
         fit = (logsumexp(scores) - np.log(len(scores))) / settings.temperature
         evidence.append(fit + np.log(prior(search.match.joints) if whole else search.match.probability))
-    share = np.exp(np.array(evidence) - logsumexp(evidence)) if np.isfinite(evidence).all() else None
-    if share is None:
-        return result
+    share = np.exp(np.array(evidence) - logsumexp(evidence))
     anew: Mapping[str, HypothesisMatch] = {
-        search.match.label: _refitted(search, float(total * part), settings)
+        search.match.label: _refitted(recorded, search, float(total * part), settings)
         for search, part in zip(searches, share, strict=True)
     }
     matches = [anew.get(match.label, match) for match in result.hypotheses]
     return replace(result, hypotheses=ranked(matches).hypotheses)
 
 
-def _refitted(search: _Search, probability: float, settings: Synthesis) -> HypothesisMatch:
-    """Clearances of a hypothesis from all of its cases, and predicted levels from the best."""
+def _refitted(recorded: Recorded, search: _Search, probability: float, settings: Synthesis) -> HypothesisMatch:
+    """Clearances of a hypothesis from all of its cases, predicted levels and distance from the best."""
     scores = np.array(search.scores)
     weights = np.exp((scores - scores.max()) / settings.clearance_temperature)
     weights /= weights.sum()
@@ -264,4 +268,10 @@ def _refitted(search: _Search, probability: float, settings: Synthesis) -> Hypot
         low, median, high = np.exp([middle - half, middle, middle + half])
         estimates.append(ClearanceEstimate(found.joint, float(median), float(low), float(high)))
     predicted = np.mean([search.levels[place] for place in search.best(settings.elite)], axis=0)
-    return replace(search.match, probability=probability, clearances=tuple(estimates), predicted=predicted)
+    return replace(
+        search.match,
+        probability=probability,
+        clearances=tuple(estimates),
+        distance_db=float(np.sqrt(np.mean((recorded.feature - predicted) ** 2))),
+        predicted=predicted,
+    )
