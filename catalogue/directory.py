@@ -6,8 +6,8 @@ import hashlib
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -148,11 +148,18 @@ class CatalogueDirectory:
         """Folder of models fitted to it; made from the matrix, so it can be lost."""
         return self.root / "models"
 
-    def remove_other_matrices(self, catalogue_id: str) -> None:
-        """Delete the matrices of earlier states; whoever has one mapped keeps it."""
-        if self.matrices.is_dir():
-            for path in self.matrices.iterdir():
-                if path != self.matrix(catalogue_id) and not path.name.startswith(_TEMPORARY):
+    def other_matrices(self, catalogue_id: str) -> tuple[Path, ...]:
+        """Folders of complete matrices of other states."""
+        if not self.matrices.is_dir():
+            return ()
+        mine = self.matrix(catalogue_id)
+        return tuple(path for path in self.matrices.iterdir() if path != mine and not path.name.startswith(_TEMPORARY))
+
+    def remove_matrices(self, paths: Iterable[Path], *, keep: str | None = None) -> None:
+        """Delete matrices but that of the state `keep`; whoever has one mapped keeps it."""
+        for path in paths:
+            if keep is None or path != self.matrix(keep):
+                with suppress(FileNotFoundError):  # another builder deletes them, too
                     self.remove_folder(path)
 
     def remove_folder(self, path: Path) -> None:

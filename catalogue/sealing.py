@@ -47,8 +47,12 @@ def seal(layout: CatalogueDirectory, manifest: Manifest, known: Callable[[], tup
         sealed = replace(manifest, seal=_seal(catalogue, matrix, names))
         if sealed != manifest or not layout.manifest.exists():
             sealed.write(layout)
+        # Listed before the last look at the shards: if that finds no new ones, these matrices are of earlier states.
+        # What another builder publishes from now on is not among them, even if no manifest names it yet.
+        earlier = layout.other_matrices(matrix.id)
         if known() == names:
-            layout.remove_other_matrices(matrix.id)
+            named = Manifest.read(layout).seal
+            layout.remove_matrices(earlier, keep=None if named is None else named.root)
             return Catalogue(layout, sealed, names)
 
 
