@@ -27,7 +27,7 @@ def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: Fl
     Parameters
     ----------
     machine : Machine
-        Supported by mounts to the ground; other supports are left out.
+        Its frame supported by mounts to the ground only, see :func:`on_mounts`; other supports are left out.
     parameters : mapping of str to float
         Numbers that differ from the machine file, by path.
     frequency : (B,) array
@@ -59,6 +59,16 @@ def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: Fl
     return np.asarray(-(circular**2) * np.linalg.inv(dynamic), dtype=np.complex128)
 
 
+def on_mounts(machine: Machine) -> bool:
+    """Whether mounts to the ground are all that holds the frame, so that :func:`accelerance` knows its supports."""
+    frame = machine.frame
+    return all(
+        isinstance(support, Mount) and support.link == frame and support.to_link is None
+        for support in machine.supports
+        if frame in (support.link, support.to_link)
+    )
+
+
 def suspension_change(machine: Machine, parameters: Mapping[str, float], frequency: FloatArray) -> ComplexArray:
     """What turns the motion of a machine with other numbers into that of the machine file, (B, 3, 3).
 
@@ -83,11 +93,12 @@ def with_filed_suspension(
     Returns
     -------
     PreparedMeasurement
-        The recording itself where its sensors do not see x, y and theta of the frame: one of them alone cannot be
-        converted. What sensors contradict each other by is lost.
+        The recording itself where its sensors do not see x, y and theta of the frame (one of them alone cannot be
+        converted), or where the frame stands on more than mounts to the ground. What sensors contradict each other by
+        is lost.
     """
     sensing = prepared.sensing
-    if sensing.compared != MOTIONS:
+    if sensing.compared != MOTIONS or not on_mounts(machine):
         return prepared
     speed, bands = prepared.drive_speed, prepared.sensor_bands
     change = suspension_change(machine, parameters, bands.scheme.centres * speed / (2.0 * math.pi))

@@ -19,6 +19,7 @@ from catalogue.tuning import quantities
 from solver.cases.history import Case, Settings
 from solver.machines.fault import FaultState
 from solver.machines.machine import Machine, parse_machine, shipped_machine
+from solver.machines.parts import Mount, Spring
 from solver.simulation.simulate import simulate_batch
 from solver.spectra.sensor import sensor_transform
 
@@ -137,6 +138,16 @@ def test_recordings_are_converted_to_the_machine_of_the_file(small_catalogue: Ca
     bare = dataclasses.replace(crooked.sensing, compared=crooked.sensing.sensors, channels=np.eye(4))
     part = dataclasses.replace(crooked, sensing=bare)
     assert with_filed_suspension(part, machine, other) is part
+    # Nor can it where more than mounts to the ground holds the frame; what holds another link does not count.
+    mount, cg = machine.supports[0], machine.links[machine.frame].cg
+    assert isinstance(mount, Mount)
+    link = next(name for name in machine.links if name != machine.frame)
+    spring = Spring(link=machine.frame, at=cg, anchor=(1.0, 0.0), stiffness=1e4)
+    held = mount.model_copy(update={"to_link": link})
+    beside = mount.model_copy(update={"link": link})
+    for support, converted in ((spring, False), (held, False), (beside, True)):
+        more = machine.model_copy(update={"supports": (*machine.supports, support)})
+        assert (with_filed_suspension(crooked, more, other) is not crooked) == converted
 
 
 def test_the_suspension_as_a_rigid_body(small_catalogue: Catalogue) -> None:
