@@ -22,6 +22,10 @@ def report(found: Study | Sweep) -> str:
         "how much, how sure, at what cost:",
         indented(certainty_table(found.rows)),
     ]
+    foreign = [row for row in found.rows if row.protocol.foreign]
+    if foreign:
+        lines += ["", "what the catalogue does not hold, beside the same machines without it:"]
+        lines.append(indented(foreign_table(foreign)))
     first = found.rows[0].setup
     for row in found.rows:
         if row.setup == first:
@@ -57,7 +61,6 @@ def certainty_table(rows: Sequence[Row]) -> str:
         "in interval",
         "in set, size",
         "unknown",
-        "AUROC",
         "called healthy",
         "wrong",
         "time p50, worst",
@@ -73,13 +76,27 @@ def certainty_table(rows: Sequence[Row]) -> str:
                 percent(found.interval_coverage),
                 f"{percent(found.set_coverage)}, {number(found.set_size, 2)}",
                 percent(found.unknown),
-                number(found.auroc_unknown),
                 percent(found.healthy),
                 percent(found.wrong_verdict),
                 f"{seconds(found.seconds_median)}, {seconds(found.seconds_worst)}",
                 number(found.simulations, 0),
             )
         )
+    return table(head, cells, frozenset(range(len(_SETUP), len(head))))
+
+
+def foreign_table(rows: Sequence[Row]) -> str:
+    """Return how well p-values tell foreign causes from listed ones, row by row."""
+    head = (*_SETUP, "AUROC, deciding p", "AUROC, trusted p", "rejected at 5 % false alarms")
+    cells = [
+        (
+            *_setup(row),
+            number(row.figures.auroc_deciding),
+            number(row.figures.auroc_trusted),
+            percent(row.figures.rejected),
+        )
+        for row in rows
+    ]
     return table(head, cells, frozenset(range(len(_SETUP), len(head))))
 
 

@@ -8,13 +8,13 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from catalogue.answer import Diagnosis, Verdict
 from catalogue.calibration import calibration_error, log_loss
+from catalogue.evaluation.detection import auroc, rejected
 from catalogue.evaluation.truth import Truth
 
-__all__ = ["Answered", "Figures", "JointScore", "ReliabilityBin", "auroc", "figures", "joint_scores", "reliability"]
+__all__ = ["Answered", "Figures", "JointScore", "ReliabilityBin", "figures", "joint_scores", "reliability"]
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +38,9 @@ class Answered:
     candidates : tuple of str
     verdict : {"fault", "healthy", "unknown"}
     p_value : float
-        Of the explanation by the trusted model; by the robust one where only that was asked.
+        Of the explanation that the verdict rests on: in the mode that answered.
+    trusted_p_value : float or None
+        Of the explanation by the trusted model; None where it was not asked.
     seconds : float
         Of the answer.
     simulations : int
@@ -54,13 +56,14 @@ class Answered:
     candidates: tuple[str, ...]
     verdict: Verdict
     p_value: float
+    trusted_p_value: float | None
     seconds: float
     simulations: int
 
     @classmethod
     def of(cls, truth: Truth, answer: Diagnosis, seconds: float) -> Self:
         """Keep of an answer what figures are made of."""
-        best, trusted = answer.hypotheses[0], answer.mode.trusted_p_value
+        best = answer.hypotheses[0]
         return cls(
             label=truth.hypothesis.label,
             worn=frozenset(truth.hypothesis.joints),
@@ -70,7 +73,8 @@ class Answered:
             found={joint: (each.clearance_um, *each.interval_um) for joint, each in best.joints.items()},
             candidates=answer.candidate_set,
             verdict=answer.verdict,
-            p_value=answer.goodness_of_fit.p_value if trusted is None else trusted,
+            p_value=answer.goodness_of_fit.p_value,
+            trusted_p_value=answer.mode.trusted_p_value,
             seconds=seconds,
             simulations=answer.effort_spent.simulations,
         )
@@ -128,8 +132,11 @@ class Figures:
         Share with these verdicts.
     wrong_verdict : float or None
         Share called healthy that is worn, or called worn that is not.
-    auroc_unknown : float or None
-        Probability that a recording of this set has a smaller p-value than a listed one.
+    auroc_deciding, auroc_trusted : float or None
+        Probability that a recording of this set has a smaller p-value than a listed one: of the mode that answered, of
+        the trusted model.
+    rejected : float or None
+        Share with a deciding p-value below a limit that at most 5 % of the listed ones are below.
     joints : tuple of JointScore
     labels, columns : tuple of str
         Rows and columns of `confusion`: truths, and first hypotheses.
@@ -156,7 +163,9 @@ class Figures:
     unknown: float | None
     healthy: float | None
     wrong_verdict: float | None
-    auroc_unknown: float | None
+    auroc_deciding: float | None
+    auroc_trusted: float | None
+    rejected: float | None
     joints: tuple[JointScore, ...]
     labels: tuple[str, ...]
     columns: tuple[str, ...]
@@ -169,7 +178,7 @@ class Figures:
 def figures(
     answers: Sequence[Answered],
     joints_of: Mapping[str, frozenset[str]],
-    listed: Sequence[float] = (),
+    listed: Sequence[Answered] = (),
 ) -> Figures:
     """Return the figures of some answers.
 
@@ -179,8 +188,8 @@ def figures(
         All of one catalogue.
     joints_of : mapping of str to frozenset of str
         Worn joints of every hypothesis that was compared, in the order of the columns of the confusion matrix.
-    listed : sequence of float
-        P-values of recordings that a hypothesis of the catalogue explains, for `auroc_unknown`.
+    listed : sequence of Answered
+        Recordings that a hypothesis of the catalogue explains: what p-values are told apart from.
     """
     columns = tuple(joints_of)
     labels = tuple(dict.fromkeys([*(label for label in columns if any(a.label == label for a in answers))]))
@@ -213,7 +222,9 @@ def figures(
         unknown=_mean([answer.verdict == "unknown" for answer in answers]),
         healthy=_mean([answer.verdict == "healthy" for answer in answers]),
         wrong_verdict=_mean([answer.verdict == ("healthy" if answer.worn else "fault") for answer in answers]),
-        auroc_unknown=auroc([-answer.p_value for answer in answers], [-value for value in listed]),
+        auroc_deciding=auroc([-answer.p_value for answer in answers], [-answer.p_value for answer in listed]),
+        auroc_trusted=auroc(_trusted(answers), _trusted(listed)),
+        rejected=rejected([answer.p_value for answer in answers], [answer.p_value for answer in listed]),
         joints=joint_scores(answers),
         labels=labels,
         columns=columns,
@@ -261,16 +272,8 @@ def joint_scores(answers: Sequence[Answered]) -> tuple[JointScore, ...]:
     return tuple(scores)
 
 
-def auroc(positive: Sequence[float], negative: Sequence[float]) -> float | None:
-    """Return the probability that a positive scores higher than a negative, ties counting one half; None without any.
-
-    Area under the receiver operating characteristic, by ranks (Hanley and McNeil, Radiology 143 (1982) 29).
-    """
-    if not len(positive) or not len(negative):
-        return None
-    ranks = rankdata(np.concatenate([positive, negative]))
-    n = len(positive)
-    return float((ranks[:n].sum() - 0.5 * n * (n + 1)) / (n * len(negative)))
+def _trusted(answers: Sequence[Answered]) -> list[float]:
+    return [-answer.trusted_p_value for answer in answers if answer.trusted_p_value is not None]
 
 
 def _first_two(answer: Answered, joints_of: Mapping[str, frozenset[str]]) -> frozenset[str]:

@@ -191,8 +191,7 @@ def evaluate(
                 known[plain, without] = run.answers(plain, without, told).answers
             listed = known[plain, without]
         for setup, answers in found.answers.items():
-            values = [each.p_value for each in listed.get(setup, ())]
-            made = figures(answers, run.columns(without), values)
+            made = figures(answers, run.columns(without), listed.get(setup, ()))
             rows.append(Row(protocol, setup, found.failed, found.refused, made))
     if progress is not None:
         progress(total, total)

@@ -384,6 +384,26 @@ def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> N
     assert plot.stat().st_size > 1000
 
 
+def test_evaluate_names_the_p_values_that_tell_foreign_causes(shelf: Path) -> None:
+    arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "other-cause-half-mount"]
+    printed = invoke(*arguments, "--count", "4", "--modes", "auto,robust").stdout.splitlines()
+    (place,) = [k for k, line in enumerate(printed) if line.startswith("what the catalogue does not hold")]
+    head, auto, robust, *_ = printed[place + 1 :]
+    assert re.split(r"  +", head.strip())[4:] == [
+        "AUROC, deciding p",
+        "AUROC, trusted p",
+        "rejected at 5 % false alarms",
+    ]
+    deciding, trusted, rejected = re.split(r"  +", auto.strip())[4:]
+    # One mount at half its stiffness is foreign to the trusted model; measured: 1.000.
+    assert float(trusted) > 0.8
+    assert 0.0 <= float(deciding) <= 1.0
+    assert rejected.endswith(" %")
+    assert re.split(r"  +", robust.strip())[5] == "-"
+    plain = invoke("evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "matched", "--count", "4").stdout
+    assert "AUROC" not in plain
+
+
 def test_evaluate_sweeps_draws(shelf: Path, tmp_path: Path) -> None:
     plot = tmp_path / "sweep.svg"
     arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "matched", "--count", "4"]

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from catalogue.evaluation.metrics import Answered, auroc, figures, joint_scores, reliability
+from catalogue.evaluation.detection import auroc, rejected
+from catalogue.evaluation.metrics import Answered, figures, joint_scores, reliability
 
 JOINTS = {"healthy": frozenset[str](), "A": frozenset("A"), "B": frozenset("B"), "A+B": frozenset("AB")}
 
 
-def answered(label: str, worn: str, *probabilities: float, p_value: float = 0.5) -> Answered:
+def answered(
+    label: str, worn: str, *probabilities: float, p_value: float = 0.5, trusted: float | None = None
+) -> Answered:
     by_label = dict(zip(JOINTS, probabilities, strict=True))
     joints = {joint: sum(by_label[name] for name in JOINTS if joint in JOINTS[name]) for joint in "AB"}
     first = max(by_label, key=lambda name: by_label[name])
@@ -26,6 +29,7 @@ def answered(label: str, worn: str, *probabilities: float, p_value: float = 0.5)
         candidates=(first,),
         verdict="fault" if JOINTS[first] else "healthy",
         p_value=p_value,
+        trusted_p_value=trusted,
         seconds=0.1,
         simulations=0,
     )
@@ -53,7 +57,7 @@ def test_ranks_sets_and_verdicts() -> None:
     assert found.confusion == ((1, 0, 0, 0), (0, 1, 0, 1), (0, 1, 0, 0))
     assert found.clearance_median == pytest.approx(0.1)
     assert found.interval_coverage == 1.0
-    assert found.auroc_unknown is None
+    assert found.auroc_deciding is found.auroc_trusted is found.rejected is None
 
 
 def test_as_new_is_right_where_no_joint_is_called_worn() -> None:
@@ -65,10 +69,33 @@ def test_as_new_is_right_where_no_joint_is_called_worn() -> None:
 
 
 def test_truths_that_no_catalogue_holds_count_by_joints_only() -> None:
-    found = figures([replace(ANSWERS[3], label="A+B+C", worn=frozenset("ABC"))], JOINTS, listed=[0.6, 0.4])
+    found = figures([replace(ANSWERS[3], label="A+B+C", worn=frozenset("ABC"))], JOINTS)
     assert found.top1 is found.log_loss is found.set_coverage is None
     assert found.exact_set == 0.0
-    assert found.auroc_unknown == 0.5
+
+
+def test_what_is_not_listed_is_judged_by_the_p_value_that_decides_and_by_the_trusted_one() -> None:
+    # A robust answer explains what the trusted model does not: its p-value decides, and is the larger one.
+    foreign = [answered("A", "A", 0.0, 0.8, 0.1, 0.1, p_value=p, trusted=0.001) for p in (0.02, 0.07, 0.5, 0.9)]
+    steps = [n / 20 for n in range(1, 21)]
+    listed = [answered("A", "A", 0.0, 0.8, 0.1, 0.1, p_value=p, trusted=p) for p in steps]
+    found = figures(foreign, JOINTS, listed)
+    assert found.auroc_trusted == 1.0
+    # Smaller than 20, 19, 10.5 (with a tie) and 2.5 of the 20 listed ones.
+    assert found.auroc_deciding == pytest.approx((20 + 19 + 10.5 + 2.5) / 80)
+    assert found.rejected == 0.5  # below 0.1, which one of 20 is below
+    robust = [replace(answer, trusted_p_value=None) for answer in foreign]
+    assert figures(robust, JOINTS, listed).auroc_trusted is None
+
+
+def test_false_alarms_are_at_most_what_is_asked() -> None:
+    generator = np.random.default_rng(3)
+    for count in (1, 7, 19, 20, 60, 100):
+        listed = generator.random(count).tolist()
+        found = rejected(listed, listed)
+        assert found == pytest.approx(np.floor(0.05 * count) / count)
+    assert rejected([0.1, 0.3], [0.1] * 40) == 0.0
+    assert rejected([0.1], []) is rejected([], [0.1]) is None
 
 
 def test_area_under_the_curve_is_the_share_of_pairs_in_order() -> None:
