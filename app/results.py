@@ -41,7 +41,8 @@ class DiagnosisOut(BaseModel):
     hypotheses: tuple[Hypothesis, ...] = Field(description="The most probable first; no joints: no wear.")
     joint_probabilities: Mapping[str, float] = Field(description="Of each joint, to be among the worn ones.")
     candidate_set: tuple[str, ...] = Field(description="Labels of the hypotheses that hold the truth at `coverage`.")
-    coverage: float
+    coverage: float = Field(description="As asked.")
+    widened: bool = Field(False, description="No hypothesis was in that set, and it was widened: it holds about that.")
     goodness_of_fit: GoodnessOfFit
     evidence: Evidence
     baseline: BaselineShown | None = Field(description="What a recording of the machine in order said.")

@@ -75,6 +75,8 @@ def set_sentence(result: Mapping[str, Any]) -> str:
     candidates = list(result["candidate_set"])
     if not candidates:
         return f"No candidates: no hypothesis is in the set that holds the true cause in {coverage} of cases."
+    if result.get("widened"):
+        return f"Candidates, from a set widened because the one for {coverage} was empty: {', '.join(candidates)}."
     return f"Candidates, which hold the true cause in {coverage} of cases: {', '.join(candidates)}."
 
 

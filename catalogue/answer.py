@@ -233,6 +233,9 @@ class Diagnosis(_Frozen):
     candidate_set : tuple of str
         Labels of the fewest hypotheses that hold the truth with probability `coverage`, if it is in the catalogue.
     coverage : float
+        As asked.
+    widened : bool
+        Whether no hypothesis was in that set, and it was widened; what it holds is then approximate.
     goodness_of_fit : GoodnessOfFit
     evidence : Evidence
     baseline : BaselineShown or None
@@ -257,6 +260,7 @@ class Diagnosis(_Frozen):
     joint_probabilities: Mapping[str, float]
     candidate_set: tuple[str, ...]
     coverage: float
+    widened: bool
     goodness_of_fit: GoodnessOfFit
     evidence: Evidence
     baseline: BaselineShown | None

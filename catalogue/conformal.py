@@ -12,7 +12,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 WIDER = 0.99
-"""Coverage that is asked of a set instead, where the one asked for leaves it empty."""
+"""Coverage that is asked of a set instead, where the one asked for leaves it empty. What such sets hold is not it: they
+are looked at only where an answer is doubtful, and there the truth is among them less often than on average."""
 
 SURE = 0.5
 """Probability that is always enough for the wider set: an answer that leans one way is not called unknown for being
@@ -28,11 +29,15 @@ class CandidateSet:
     labels : tuple of str
         Most probable first; empty where no hypothesis is as probable as true ones are: the cause is unknown.
     coverage : float
-        What they hold the truth with: as asked, or 0.99 where that left the set empty.
+        As asked.
+    widened : bool
+        Whether the set of this coverage was empty, and this is the one of 0.99. Then the coverage is approximate: it
+        was promised of all recordings, not of doubtful ones.
     """
 
     labels: tuple[str, ...]
     coverage: float
+    widened: bool = False
 
 
 @dataclass(frozen=True)
@@ -98,5 +103,5 @@ class Conformal:
             least = min(self.threshold(asked), enough)
             chosen = tuple(labels[i] for i in order if probability[i] >= least)
             if chosen:
-                return CandidateSet(chosen, asked)
-        return CandidateSet((), wider)
+                return CandidateSet(chosen, coverage, widened=asked > coverage)
+        return CandidateSet((), coverage, widened=True)

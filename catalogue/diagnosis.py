@@ -278,6 +278,7 @@ def answer(
         "joint_probabilities": result.joint_probabilities(),
         "candidate_set": candidates.labels,
         "coverage": candidates.coverage,
+        "widened": candidates.widened,
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
         "evidence": evidence(prepared, result.best, feature),
         "baseline": known.shown() if known else None,

@@ -47,6 +47,14 @@ def test_why_a_model_is_not_believed() -> None:
     assert words.mode_sentence(asked) == "The machine is taken to differ from its model (robust)."
 
 
+def test_a_widened_set_promises_nothing() -> None:
+    found = {**result("fault", hypothesis("F", 0.6, F=20)), "candidate_set": ["F"]}
+    assert words.set_sentence(found) == "Candidates, which hold the true cause in 95 % of cases: F."
+    assert words.set_sentence({**found, "widened": True}) == (
+        "Candidates, from a set widened because the one for 95 % was empty: F."
+    )
+
+
 def test_nothing_known() -> None:
     found = result("unknown", hypothesis("F", 1.0, F=20))
     assert words.sentence(found) == (

@@ -81,7 +81,7 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
     content = json.loads(worn.to_json())
     documented = {
         "id", "machine", "catalogue", "drive_speed_rpm", "effort", "verdict", "hypotheses", "joint_probabilities",
-        "candidate_set", "coverage", "goodness_of_fit", "evidence", "warnings",
+        "candidate_set", "coverage", "widened", "goodness_of_fit", "evidence", "warnings",
     }  # fmt: skip
     assert set(content) == documented | {"mode", "effort_spent", "baseline", "suggestions", "provenance", "hash"}
     first = content["hypotheses"][0]
