@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from app import words
-from app.commands.parameters import Pairs, Quantity, each_once, existing_catalogue, json_option, print_json
+from app.commands.parameters import (
+    Pairs,
+    Quantity,
+    each_once,
+    existing_catalogue,
+    json_option,
+    print_json,
+    refuse_given,
+)
 from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
@@ -75,6 +83,8 @@ def command(
         from app.plots import check_ending
 
         check_ending(plot)
+    if effort != "thorough":
+        refuse_given(("budget",), "means something with --effort thorough only")
     from catalogue.diagnosis import diagnose
     from catalogue.measurement import read_measurement
     from catalogue.store import Catalogue

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from app.commands.build import processors
-from app.commands.parameters import Names, existing_catalogue, json_option, print_json
+from app.commands.parameters import Names, existing_catalogue, json_option, print_json, refuse_given
 from app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
@@ -103,6 +103,10 @@ def command(
         from app.plots import check_ending
 
         check_ending(plot)
+    if not sweep:
+        refuse_given(("draws", "accuracies", "workers"), "means something with --sweep only")
+    elif len(protocols) > 1:
+        raise click.UsageError(f"--protocol: {', '.join(protocols)}: --sweep takes one")
     from catalogue.evaluation.recordings import Recordings
     from catalogue.evaluation.study import evaluate, setups_of
     from catalogue.store import Catalogue

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 if TYPE_CHECKING:
     from solver.machines.machine import Machine
@@ -156,6 +157,20 @@ def each_once(pairs: Sequence[tuple[str, str]], option: str) -> dict[str, str]:
         twice = next(left for left, count in Counter(left for left, _ in pairs).items() if count > 1)
         raise click.BadParameter(f"{twice}: is given twice", param_hint=f"'{option}'")
     return found
+
+
+def refuse_given(options: Sequence[str], rule: str) -> None:
+    """Refuse options of the running command that were given although they would change nothing.
+
+    Raises
+    ------
+    UsageError
+        One of them was given.
+    """
+    context = click.get_current_context()
+    for option in options:
+        if context.get_parameter_source(option) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"--{option}: {rule}")
 
 
 def existing_catalogue(path: Path) -> Path:

@@ -115,9 +115,11 @@ def trade_off(
     Raises
     ------
     DiagnosisError
-        As for :func:`catalogue.evaluation.study.evaluate`, or a number of draws below 3.
+        As for :func:`catalogue.evaluation.study.evaluate`, a group of protocols, or a number of draws below 3.
     """
-    (conditions,) = protocols_of([protocol])[:1]
+    conditions, *others = protocols_of([protocol])
+    if others:
+        raise DiagnosisError(f"protocol: {protocol}: stands for {1 + len(others)} protocols, must be one")
     if not draws or min(draws) < 3:
         raise DiagnosisError(f"draws: {min(draws, default=0)}: must be at least 3")
     largest = max(int(np.sum(catalogue.entries.hypothesis == label)) for label in catalogue.hypotheses)

@@ -423,6 +423,29 @@ def test_evaluate_refuses_what_means_nothing(shelf: Path, tmp_path: Path) -> Non
     assert_refused(invoke("evaluate", "--catalogue", catalogue, "--protocol", "soft"), 2, "soft")
 
 
+@pytest.mark.parametrize("option", ["--draws=25", "--accuracies=draft", "--workers=1"])
+def test_evaluate_refuses_options_of_a_sweep_without_one(option: str, shelf: Path) -> None:
+    result = invoke("evaluate", "--catalogue", shelf / "slider-crank", "--count", "4", option)
+    assert_refused(result, 2, f"{option.split('=')[0]}: means something with --sweep only")
+
+
+@pytest.mark.parametrize(
+    ("protocols", "text"),
+    [
+        ("noisy,hard", "--protocol: noisy, hard: --sweep takes one"),
+        ("model-error", "model-error: stands for 7 protocols"),
+    ],
+)
+def test_a_sweep_refuses_several_protocols(protocols: str, text: str, shelf: Path) -> None:
+    arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--count", "4", "--draws", "4"]
+    assert_refused(invoke(*arguments, "--sweep", "--protocol", protocols), 2, text)
+
+
+def test_diagnose_refuses_a_budget_that_is_not_spent(shelf: Path, recording: Path) -> None:
+    result = invoke("diagnose", recording, "--catalogue", shelf / "slider-crank", "--budget", "1 s")
+    assert_refused(result, 2, "--budget: means something with --effort thorough only")
+
+
 @pytest.mark.parametrize("option", ["--map", "--unit"])
 def test_diagnose_refuses_a_column_named_twice(option: str, shelf: Path, recording: Path) -> None:
     arguments = ["diagnose", recording, "--catalogue", shelf / "slider-crank", option, "a=s1-x", option, "a=s1-y"]

@@ -257,6 +257,8 @@ def test_refuses_what_it_cannot_do(small_catalogue: Catalogue) -> None:
         evaluate(small_catalogue, [Protocol("mine", differences=("colour",))])
     with pytest.raises(DiagnosisError, match="method: best: must be one of gaussian"):
         setups_of(["best"], ["standard"], ["auto"])
+    with pytest.raises(DiagnosisError, match="protocol: model-error: stands for 7 protocols, must be one"):
+        trade_off(small_catalogue, [4], ["draft"], "model-error")
     with pytest.raises(DiagnosisError, match="draws: 2: must be at least 3"):
         trade_off(small_catalogue, [2], ["draft"], SHORT)
     assert setups_of(["nearest"], ["fast", "thorough"], ["auto"]) == (Setup("nearest"),)
