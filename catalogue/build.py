@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from catalogue.chunk import Chunk, Compute, chunked, simulate_chunk
-from catalogue.directory import CatalogueDirectory, sha256_of
+from catalogue.directory import CatalogueDirectory
 from catalogue.entry import Entry
 from catalogue.errors import CatalogueFileError
 from catalogue.executors import Executor, InProcess, LocalProcesses
-from catalogue.hdf5 import decode_shard
-from catalogue.index import ChunkRow, EntriesPresentError, Index
+from catalogue.index import ChunkRow, Index
 from catalogue.location import IndexLocation
 from catalogue.locks import BuilderLock
 from catalogue.manifest import Manifest
 from catalogue.plan import Plan
+from catalogue.recovery import match_files, open_index
 from catalogue.scheduling import Scheduler, Tally
 from catalogue.sealing import seal
 from catalogue.shard import OK
@@ -172,16 +172,23 @@ def build(
             layout.remove_temporaries()
         manifest, is_new = _manifest(layout, machine, plan)
         location = IndexLocation.settled(layout, index, alone=lock.alone)
-        with _open_index(layout, location, alone=lock.alone) as opened:
-            adopted = _match_files(layout, opened) if lock.alone else 0
+        every = chunked(machine, manifest.recipe, wanted, chunk_size)
+        if is_new:
+            manifest.write(layout)
+        adopted = 0
+        if lock.alone:
+            with open_index(layout, location) as opened:
+                adopted = match_files(layout, opened)
+                opened.leases.plan([_row(chunk) for chunk in _missing(every, opened.statuses())], alone=True)
+            lock.share()
+        with location.open() as opened:  # only now: another process may have had the lock before it was shared
             statuses = opened.statuses()
             there = [statuses[entry.key] for entry in wanted if entry.key in statuses]
-            if is_new or (len(there) < len(wanted) and manifest.plan != plan):
+            if len(there) < len(wanted) and manifest.plan != plan:
                 manifest = replace(manifest, plan=plan)
                 manifest.write(layout)
-            chunks = _missing(chunked(machine, manifest.recipe, wanted, chunk_size), statuses)
+            chunks = _missing(every, statuses)
             opened.leases.plan([_row(chunk) for chunk in chunks], alone=lock.alone)
-            lock.share()
             tally = Tally(len(wanted), len(there), sum(status != OK for status in there))
 
             def tell() -> None:
@@ -213,36 +220,6 @@ def _manifest(layout: CatalogueDirectory, machine: Machine, plan: Plan) -> tuple
         return Manifest.of(machine, plan), True
     manifest.check_accepts(machine, plan, layout.root)
     return manifest, False
-
-
-def _open_index(layout: CatalogueDirectory, location: IndexLocation, *, alone: bool) -> Index:
-    try:
-        return location.open()
-    except CatalogueFileError:
-        if not (alone and location.is_file and layout.index.exists()):
-            raise
-        layout.move_to_quarantine(layout.index)  # whatever it was, the shards hold all that it should have known
-        return location.open()
-
-
-def _match_files(layout: CatalogueDirectory, index: Index) -> int:
-    """Make the index agree with the shards on the disk; returns the number of entries it did not know."""
-    known, there = index.shards(), layout.shard_names()
-    index.remove_shards(set(known) - set(there))
-    return sum(_adopt(layout, index, name) for name in there if name not in known)
-
-
-def _adopt(layout: CatalogueDirectory, index: Index, name: str) -> int:
-    path = layout.shard(name)
-    content = path.read_bytes()
-    if sha256_of(content) != name:
-        raise CatalogueFileError(path, "does not match its checksum: verify the catalogue first")
-    try:
-        return index.add_shard(name, len(content), decode_shard(content, path))
-    except EntriesPresentError:
-        # Left by a builder that was killed before it knew that another one had stored these cases.
-        layout.move_to_quarantine(path)
-        return 0
 
 
 def _missing(chunks: list[Chunk], statuses: Mapping[str, str]) -> list[Chunk]:

@@ -181,14 +181,11 @@ def check_address(address: str) -> None:
     SchedulerAddressError
         It has no port, or a protocol that this computer does not know.
     """
-    _distributed()
-    from distributed.comm import parse_address, parse_host_port
-    from distributed.comm.registry import get_backend
-
+    comm = _distributed().comm
     try:
-        scheme, place = parse_address(address)
-        get_backend(scheme)
-        host, port = parse_host_port(place) if scheme != "inproc" else (place, 1)
+        scheme, place = comm.parse_address(address)
+        comm.registry.get_backend(scheme)
+        host, port = comm.parse_host_port(place) if scheme != "inproc" else (place, 1)
     except ValueError as error:
         raise SchedulerAddressError(address, f"is no address of a scheduler, tcp://host:8786 ({error})") from None
     if not host or not 0 < port < 2**16:

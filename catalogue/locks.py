@@ -66,16 +66,14 @@ class BuilderLock:
         self.release()
 
     def share(self) -> None:
-        """Let other builders in."""
+        """Let other builders in.
+
+        Systems may give the lock up before they share it: a process that waits to be alone can have it in between, and
+        what was read of the catalogue until now may hold no more.
+        """
         if sys.platform != "win32" and self._descriptor >= 0:
             self.alone = False
             _flock(self._descriptor, alone=False, wait=True)
-
-    def try_alone(self) -> bool:
-        """Be alone again, if nobody else is there; else the part that is shared may be lost with it."""
-        if sys.platform != "win32" and self._descriptor >= 0:
-            self.alone = _flock(self._descriptor, alone=True, wait=False)
-        return self.alone
 
     def release(self) -> None:
         """End it."""

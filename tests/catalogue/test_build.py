@@ -26,7 +26,9 @@ from catalogue.errors import (
 from catalogue.executors import InProcess
 from catalogue.index import ChunkStatus, Index
 from catalogue.leases import Leases
+from catalogue.locks import BuilderLock
 from catalogue.plan import Plan, parse_plan
+from catalogue.recovery import adopt
 from catalogue.store import Catalogue
 from catalogue.verify import verify
 from solver.errors import AssemblyError, MachineError
@@ -328,6 +330,28 @@ def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monk
         assert [(chunk.entries, chunk.message) for chunk in lost] == [(4, f"{victim[:12]}: {report.lost_reason}")]
     monkeypatch.undo()
     assert quick_build(tmp_path).added == 1
+    assert_complete(tmp_path)
+
+
+def test_what_was_changed_while_the_lock_became_a_shared_one_is_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process can be alone between the two kinds of lock: here it finds a shard damaged, and repairs."""
+    quick_build(tmp_path)
+    layout = CatalogueDirectory(tmp_path)
+    share = BuilderLock.share
+
+    def share_after_a_repair(lock: BuilderLock) -> None:
+        layout.move_to_quarantine(layout.shard(layout.shard_names()[0]))
+        layout.index.unlink()
+        with Index(layout.index) as index:
+            for name in layout.shard_names():
+                adopt(layout, index, name)
+        share(lock)
+
+    monkeypatch.setattr(BuilderLock, "share", share_after_a_repair)
+    assert quick_build(tmp_path).added > 0
+    monkeypatch.undo()
     assert_complete(tmp_path)
 
 
