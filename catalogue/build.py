@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from catalogue.chunk import Chunk, Compute, chunked, simulate_chunk
+from catalogue.database import Database
 from catalogue.directory import CatalogueDirectory
 from catalogue.entry import Entry
 from catalogue.errors import CatalogueFileError
@@ -166,6 +167,8 @@ def build(
     wanted = plan.entries(machine)
     check_assembly(machine)
     layout = CatalogueDirectory(Path(directory))
+    if index is not None:
+        Database(index).close()  # refused before there is a folder
     layout.create()
     with BuilderLock(layout) as lock:
         if lock.alone:

@@ -355,6 +355,17 @@ def test_what_was_changed_while_the_lock_became_a_shared_one_is_seen(
     assert_complete(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("url", "rule"),
+    [("nonsense", "is no URL of a database"), ("mysql://x/y", "no database an index"), ("{sqlite}", "no/such/folder")],
+)
+def test_refused_index_leaves_no_folder(tmp_path: Path, url: str, rule: str) -> None:
+    folder = tmp_path / "c"
+    with pytest.raises(CatalogueFileError, match=rule):
+        quick_build(folder, index=url.format(sqlite=f"sqlite:///{tmp_path}/no/such/folder/x.db"))
+    assert not folder.exists()
+
+
 def test_one_bad_case_of_a_large_first_chunk_does_not_end_the_build(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
