@@ -40,7 +40,7 @@ NOTEWORTHY_GAIN = 0.05
 #: of a hypothesis, in effect, that are left to speak.
 KERNEL = 0.1
 LEAST_EFFECTIVE = 100.0
-#: No entry is worth nothing at all.
+#: Least weight of an entry, of at most 1: matching asks for weights above 0.
 LEAST_WEIGHT = 1e-6
 
 

@@ -13,9 +13,6 @@ from catalogue.store import Catalogue
 
 __all__ = ["KnownMachine"]
 
-LEAST_WEIGHT = 1e-6
-"""Least weight of an entry, of at most 1: matching asks for weights above 0."""
-
 
 @dataclass(frozen=True)
 class KnownMachine:
@@ -28,7 +25,7 @@ class KnownMachine:
         """Return how much each entry of a catalogue is of this machine; None where all count the same."""
         if not self.baseline.explained:
             return None
-        return np.maximum(self.baseline.weights(catalogue.entries), LEAST_WEIGHT)
+        return self.baseline.weights(catalogue.entries)
 
     def shown(self) -> BaselineShown:
         """Return it as the answer shows it."""

@@ -1,4 +1,4 @@
-"""Numbers of a machine that a baseline recording can correct: frame, supports, and the load of the process."""
+"""Numbers of a machine that a baseline recording can correct: those of its frame and its supports."""
 
 from __future__ import annotations
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalogue.baseline import Baseline, fit_baseline
+from catalogue.baseline import LEAST_WEIGHT, Baseline, fit_baseline
 from catalogue.errors import DiagnosisError
 from catalogue.features import PreparedMeasurement, prepare
+from catalogue.known_machine import KnownMachine
 from catalogue.measurement import Channel, Measurement, read_measurement
 from catalogue.store import Catalogue
 from catalogue.suspension import accelerance, suspension_change, with_filed_suspension
@@ -189,6 +190,19 @@ def test_loads_of_the_process(small_catalogue: Catalogue, force: float) -> None:
     found = fit_baseline(prepared, small_catalogue)
     assert found.explained == (force == 0.0)
     assert found.numbers["frame.mass"].factor == pytest.approx(1.0, abs=0.03) or force
+
+
+def test_no_entry_weighs_nothing(small_catalogue: Catalogue, fitted: Baseline, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = small_catalogue.entries
+    factors = np.full(len(table), 0.85)
+    factors[::3] = 1e3  # so far off that a Gaussian has nothing left of it
+    drawn = {f"supports.{index}.stiffness.0": 2e5 * factors for index in (0, 1)}
+    wide = dataclasses.replace(table, parameters={**table.parameters, **drawn})
+    monkeypatch.setitem(small_catalogue.__dict__, "entries", wide)
+    weights = KnownMachine(fitted, "0" * 64).weights(small_catalogue)
+    assert weights is not None
+    assert (weights[::3] == LEAST_WEIGHT).all() and LEAST_WEIGHT > 0.0
+    assert (np.delete(weights, np.s_[::3]) > 0.9).all()
 
 
 def test_entries_like_the_machine_weigh_more(small_catalogue: Catalogue, fitted: Baseline) -> None:
