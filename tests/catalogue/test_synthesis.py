@@ -140,7 +140,7 @@ def test_the_search_begins_with_the_nearest_of_all_draws(
     assert all(planned[entry.key].parameters == entry.parameters for entry in whole.start)
     # However few draws say where new cases may lie, and without the table of all entries.
     monkeypatch.setattr(synthesis, "MOST", 20)
-    monkeypatch.setattr(Catalogue, "entries", None)
+    monkeypatch.setitem(small_catalogue.__dict__, "entries", None)  # what is kept of it stands there
     few = synthesis._Search.of(record, small_catalogue, match, "trusted", Synthesis()).population
     assert [entry.key for entry in few.start] == [entry.key for entry in whole.start]
     assert [space.low.tolist() for space in few.spaces.values()] != [s.low.tolist() for s in whole.spaces.values()]
