@@ -30,8 +30,8 @@ from benchmarks.fake_catalogue import peak
 from catalogue.answer import Effort, ModeAsked
 from catalogue.diagnosis import Question, answer
 from catalogue.features import prepare
-from catalogue.library import ModelLibrary
 from catalogue.measurement import read_measurement
+from catalogue.model_library import ModelLibrary
 from catalogue.prepared import PreparedMeasurement
 from catalogue.store import Catalogue
 from solver.spectra.band_power import transform_power

@@ -35,9 +35,9 @@ from catalogue.features import PreparedMeasurement, prepare
 from catalogue.gaussian import GaussianAlongClearance
 from catalogue.known_machine import KnownMachine
 from catalogue.libraries import library_of
-from catalogue.library import ModelLibrary
 from catalogue.matching import Matcher
 from catalogue.measurement import Measurement
+from catalogue.model_library import ModelLibrary
 from catalogue.separation import suggest
 from catalogue.store import Catalogue
 from catalogue.synthesis import Recorded, Synthesis, refine

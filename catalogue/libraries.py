@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 
-from catalogue.library import ModelLibrary
+from catalogue.model_library import ModelLibrary
 from catalogue.store import Catalogue
 
 __all__ = ["library_of"]

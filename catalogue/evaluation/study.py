@@ -19,8 +19,8 @@ from catalogue.evaluation.protocols import Protocol, protocols_of
 from catalogue.evaluation.recordings import Recordings, recorded
 from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.features import prepare
-from catalogue.library import ModelLibrary
 from catalogue.matching import Matcher
+from catalogue.model_library import ModelLibrary
 from catalogue.nearest import NearestEntry
 from catalogue.store import Catalogue
 from catalogue.trees import ExtraTrees

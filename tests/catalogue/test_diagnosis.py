@@ -17,9 +17,9 @@ from catalogue.diagnosis import diagnose
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.evidence import edge_warnings, number_warnings
 from catalogue.gaussian import GaussianAlongClearance
-from catalogue.library import ModelLibrary
 from catalogue.matching import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
 from catalogue.measurement import Measurement, read_measurement
+from catalogue.model_library import ModelLibrary
 from catalogue.plan import parse_plan
 from catalogue.store import Catalogue
 from catalogue.verdict import judged

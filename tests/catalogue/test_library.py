@@ -15,8 +15,8 @@ from spectra_model import WATCHED, SpectraModel, sensing
 from catalogue.errors import DiagnosisError
 from catalogue.gaussian import FittedGaussian
 from catalogue.learning import Learning, rows_of, training_set
-from catalogue.library import ModelLibrary
 from catalogue.matching import MatchResult, TrainingSet
+from catalogue.model_library import ModelLibrary
 from catalogue.modelfile import read_model, write_model
 from catalogue.nearest import NearestEntry
 from catalogue.observation import Discrepancy, Sensing, observe
@@ -86,7 +86,7 @@ def test_models_of_this_state_are_loaded_from_files(tmp_path: Path, monkeypatch:
     assert other.load() == ModelLibrary(MODEL).load() == 0
     for file in tmp_path.glob("*.npz"):
         file.unlink()
-    monkeypatch.setattr("catalogue.library.training_set", None)  # nothing can be fitted any more
+    monkeypatch.setattr("catalogue.model_library.training_set", None)  # nothing can be fitted any more
     assert same(again.answer(sensing(), feature, WATCHED, "fast", "trusted"), expected)
 
 
