@@ -7,7 +7,7 @@ in proportion, so that bands side by side add up to the power of the range they 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -144,39 +144,6 @@ def band_matrix(
         sample_rate=sample_rate,
         channels=channels,
     )
-
-
-def band_matrices(
-    signals: Iterable[npt.ArrayLike],
-    sample_rate: float,
-    drive_speeds: Iterable[float],
-    scheme: BandScheme,
-    *,
-    sample_mean: bool = False,
-    window_revolutions: float = WINDOW_REVOLUTIONS,
-) -> Iterator[BandMatrix]:
-    """:func:`band_matrix` of many signals, one after the other (their speeds, and so their windows, differ).
-
-    Parameters
-    ----------
-    signals : iterable of (n, c) arrays
-        A (cases, n, c) array, a list or a generator.
-    sample_rate : float
-        Hz.
-    drive_speeds : iterable of float
-        One a signal [rad/s].
-    scheme : BandScheme
-    sample_mean, window_revolutions
-        As for :func:`band_matrix`.
-
-    Yields
-    ------
-    BandMatrix
-    """
-    for signal, speed in zip(signals, drive_speeds, strict=True):
-        yield band_matrix(
-            signal, sample_rate, speed, scheme, sample_mean=sample_mean, window_revolutions=window_revolutions
-        )
 
 
 def transform_power(power: npt.ArrayLike, transform: npt.ArrayLike) -> ComplexArray:

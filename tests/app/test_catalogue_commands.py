@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from test_cli import assert_refused, invoke
+from command_line import assert_refused, invoke
 
 from catalogue.directory import CatalogueDirectory
 from catalogue.store import Catalogue
