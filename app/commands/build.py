@@ -52,6 +52,7 @@ def command(
     """
     from catalogue.build import build
     from catalogue.plan import resolve_plan
+    from catalogue.plan_check import check_plan
     from catalogue.plan_text import plan_lines
     from solver.machines.machine import resolve_machine
 
@@ -62,6 +63,7 @@ def command(
 
         check_address(scheduler)
     found, wanted = resolve_machine(machine), resolve_plan(plan)
+    check_plan(wanted, found, plan)
     for shown in plan_lines(wanted, found):
         click.echo(shown, err=True)
     with ExitStack() as stack:

@@ -71,3 +71,31 @@ def test_export_refuses(folder: Path) -> None:
     assert_refused(invoke(*export, "--out", folder / "no" / "x.h5"), 2, "does not exist")
     refused = invoke(*export, "--out", folder / "x.h5", "--hypothesis", "Z")
     assert_refused(refused, 2, "--hypothesis Z: is not one of healthy, A, B, O")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (
+            "uncertain: {contact.frictoin: {uniform: [0, 1]}}",
+            "uncertain.contact.frictoin: 0 to 1: is not a number of machine slider-crank; "
+            'did you mean "contact.friction"?',
+        ),
+        (
+            "wide: {draws: 0.5, uncertain: {frame.mas: {lognormal: 0.1}}}",
+            "wide.uncertain.frame.mas: x exp(0.1 N(0, 1)): is not a number of machine slider-crank; "
+            'did you mean "frame.mass"?',
+        ),
+        (
+            "uncertain: {sensors.0.at.0: {uniform: [0, 1]}}",
+            "uncertain.sensors.0.at.0: 0 to 1: no equation of this machine holds such a number",
+        ),
+        ("sets: [[Z, A]]", "sets.0: Z: is no turning joint of machine slider-crank; these are A, B, O"),
+    ],
+)
+def test_plan_that_does_not_fit_the_machine_is_one_line(tmp_path: Path, text: str, line: str) -> None:
+    plan, folder = tmp_path / "my.yaml", tmp_path / "c"
+    plan.write_text(text)
+    result = invoke("build", "slider-crank", "--catalogue", folder, "--plan", plan)
+    assert_refused(result, 2, f"{plan}: {line}")
+    assert not folder.exists()
