@@ -8,7 +8,7 @@ simulations of the healthy machine, and the numbers fitted by damped Gauss-Newto
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,13 +22,13 @@ from catalogue.healthy_machine import HealthyMachine
 from catalogue.prepared import PreparedMeasurement
 from catalogue.store import Catalogue
 from catalogue.suspension import with_filed_suspension
-from catalogue.table import EntryTable
 from catalogue.tuning import quantities
 from solver.machines.machine import Machine
 
 __all__ = ["Baseline", "Estimate", "fit_baseline"]
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 #: P-value below which a healthy machine does not explain the recording, whatever its numbers. The p-value is cautious,
 #: as it allows for errors of a model that simulations do not have: recordings of machines in order had 0.74 and more.
@@ -123,13 +123,15 @@ class Baseline:
         straight = prepared.with_gains({sensor: gain.factor for sensor, gain in self.gains.items()})
         return with_filed_suspension(straight, machine, self.parameters)
 
-    def weights(self, table: EntryTable) -> FloatArray:
+    def weights(self, drawn: Mapping[str, FloatArray], hypotheses: Sequence[IntArray]) -> FloatArray:
         """How much entries of a catalogue are of this machine.
 
         Parameters
         ----------
-        table : EntryTable
-            Entries whose parameters were drawn; what was not drawn is as in the machine file.
+        drawn : mapping of str to (n,) array
+            Numbers of the entries by path, SI; what is not there is as in the machine file.
+        hypotheses : sequence of (m,) int arrays
+            Rows of the entries of each hypothesis; together all n.
 
         Returns
         -------
@@ -137,17 +139,17 @@ class Baseline:
             Gaussian in the logarithm of the fitted numbers, at most 1. It is widened, hypothesis by hypothesis, until
             there are 100 draws in effect, (sum w)^2 / sum w^2, or all of them. All 1 where nothing was explained.
         """
-        distance = np.zeros(len(table))
+        count = sum(len(rows) for rows in hypotheses)
         if not self.explained:
-            return np.ones(len(table))
+            return np.ones(count)
+        distance = np.zeros(count)
         for name, estimate in self.numbers.items():
-            drawn = [np.log(table.parameters[p] / own) for p, own in self.paths[name].items() if p in table.parameters]
-            if drawn:
+            logs = [np.log(drawn[path] / own) for path, own in self.paths[name].items() if path in drawn]
+            if logs:
                 spread = math.hypot(KERNEL, estimate.scatter)
-                distance += ((np.mean(drawn, axis=0) - math.log(estimate.factor)) / spread) ** 2
-        weights = np.ones(len(table))
-        for label in np.unique(table.hypothesis):
-            rows = np.flatnonzero(table.hypothesis == label)
+                distance += ((np.mean(logs, axis=0) - math.log(estimate.factor)) / spread) ** 2
+        weights = np.ones(count)
+        for rows in hypotheses:
             # What all entries of a hypothesis are away by says nothing about which of them are nearer.
             away = distance[rows] - distance[rows].min()
             wanted = min(LEAST_EFFECTIVE, 0.5 * len(rows))

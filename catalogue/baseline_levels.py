@@ -175,18 +175,19 @@ class LevelStatistics:
 
 def class_statistics(catalogue: Catalogue, levels: OrderLevels, label: str) -> LevelStatistics | None:
     """Statistics of the trusted entries of a hypothesis; None where there are too few."""
-    table, prepared = catalogue.entries, levels.prepared
-    rows = np.flatnonzero((table.hypothesis == label) & (table.stratum == "trusted"))
+    matrix, prepared = catalogue.matrix, levels.prepared
+    rows = matrix.rows(label, "trusted")
     if len(rows) < LEAST_ENTRIES:
         return None
-    power = catalogue.power()[rows]
+    power = matrix.cross_power(rows)  # in feature bands, the first of which are the orders
     seen = levels.of_motion(power)
     # Levels change smoothly with the speed, which the recording tells: what is left is scatter.
-    off = np.log(np.abs(table.drive_speed[rows]) / prepared.drive_speed)
+    off = np.log(np.abs(matrix.table(rows).drive_speed) / prepared.drive_speed)
     smooth = np.column_stack([np.ones(len(rows)), off, off**2])
     weights = np.linalg.lstsq(smooth, seen, rcond=None)[0]
     sensing = prepared.sensing
-    features = feature_vector(power, prepared.cuts, sensing.channels @ sensing.transform, prepared.group_noise)
+    bands = tuple(range(len(prepared.cuts)))
+    features = feature_vector(power, bands, sensing.channels @ sensing.transform, prepared.group_noise)
     above = slice(FEATURE_ORDERS * len(prepared.channels), None)
     difference = prepared.features[above] - features[:, above].mean(axis=0)
     away = float(np.sqrt(np.mean(difference**2)))

@@ -25,7 +25,10 @@ class KnownMachine:
         """Return how much each entry of a catalogue is of this machine; None where all count the same."""
         if not self.baseline.explained:
             return None
-        return self.baseline.weights(catalogue.entries)
+        matrix = catalogue.matrix
+        paths = [path for group in self.baseline.paths.values() for path in group]
+        rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
+        return self.baseline.weights(matrix.numbers(paths), rows)
 
     def shown(self) -> BaselineShown:
         """Return it as the answer shows it."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
+from collections.abc import Iterable
 from functools import cached_property
 from typing import IO, TYPE_CHECKING, Self
 
@@ -212,6 +213,11 @@ class FeatureMatrix:
     def clearance(self, rows: IntArray) -> NDArray[np.float64]:
         """Radial clearances of some rows, (m, joints), m."""
         return np.asarray(self._columns.column("clearance")[rows], dtype=np.float64)
+
+    def numbers(self, paths: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+        """Drawn numbers of all entries with a spectrum, SI, by path: those of `paths` that any entry varies."""
+        drawn, names = self._columns.column("parameters"), self._header.parameter_names
+        return {path: drawn[: len(self), names.index(path)] for path in paths if path in names}
 
     def table(self, rows: IntArray) -> EntryTable:
         """What the entries of some rows are."""

@@ -173,7 +173,7 @@ def test_faults_are_no_baseline(small_catalogue: Catalogue) -> None:
         found = fit_baseline(prepared, small_catalogue)
         assert not found.explained and "no healthy machine explains it" in found.warnings[0]
         assert found.corrected(prepared, small_catalogue.machine) is prepared
-        assert (found.weights(small_catalogue.entries) == 1.0).all()
+        assert KnownMachine(found, "0" * 64).weights(small_catalogue) is None
 
 
 @pytest.mark.parametrize("force", [0.0, 20.0])
@@ -192,32 +192,50 @@ def test_loads_of_the_process(small_catalogue: Catalogue, force: float) -> None:
     assert found.numbers["frame.mass"].factor == pytest.approx(1.0, abs=0.03) or force
 
 
-def test_no_entry_weighs_nothing(small_catalogue: Catalogue, fitted: Baseline, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = small_catalogue.entries
-    factors = np.full(len(table), 0.85)
-    factors[::3] = 1e3  # so far off that a Gaussian has nothing left of it
+def weights_with(
+    catalogue: Catalogue, fitted: Baseline, factors: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> np.ndarray:
+    """Weights of the entries if their stiffness had been drawn, asked for without the table of all entries."""
     drawn = {f"supports.{index}.stiffness.0": 2e5 * factors for index in (0, 1)}
-    wide = dataclasses.replace(table, parameters={**table.parameters, **drawn})
-    monkeypatch.setitem(small_catalogue.__dict__, "entries", wide)
-    weights = KnownMachine(fitted, "0" * 64).weights(small_catalogue)
+    monkeypatch.setattr(catalogue.matrix, "numbers", lambda paths: {path: drawn[path] for path in paths & drawn.keys()})
+    monkeypatch.setitem(catalogue.__dict__, "entries", None)
+    weights = KnownMachine(fitted, "0" * 64).weights(catalogue)
     assert weights is not None
+    return weights
+
+
+def test_no_entry_weighs_nothing(small_catalogue: Catalogue, fitted: Baseline, monkeypatch: pytest.MonkeyPatch) -> None:
+    factors = np.full(len(small_catalogue.matrix), 0.85)
+    factors[::3] = 1e3  # so far off that a Gaussian has nothing left of it
+    weights = weights_with(small_catalogue, fitted, factors, monkeypatch)
     assert (weights[::3] == LEAST_WEIGHT).all() and LEAST_WEIGHT > 0.0
     assert (np.delete(weights, np.s_[::3]) > 0.9).all()
 
 
-def test_entries_like_the_machine_weigh_more(small_catalogue: Catalogue, fitted: Baseline) -> None:
-    table = small_catalogue.entries
-    factors = np.exp(np.random.default_rng(0).normal(0.0, 0.15, len(table)))
-    drawn = {f"supports.{index}.stiffness.0": 2e5 * factors for index in (0, 1)}
-    wide = table.rows(np.ones(len(table), dtype=bool))
-    object.__setattr__(wide, "parameters", {**wide.parameters, **drawn})
-    weights = fitted.weights(wide)
+def test_entries_like_the_machine_weigh_more(
+    small_catalogue: Catalogue, fitted: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    factors = np.exp(np.random.default_rng(0).normal(0.0, 0.15, len(small_catalogue.matrix)))
+    weights = weights_with(small_catalogue, fitted, factors, monkeypatch)
     near, far = np.abs(np.log(factors / 0.85)) < 0.05, np.abs(np.log(factors / 0.85)) > 0.35
     assert weights[near].mean() > 5.0 * weights[far].mean()
     for label in small_catalogue.hypotheses:
-        own = weights[table.hypothesis == label]
+        own = weights[small_catalogue.matrix.rows(label)]
         assert own.sum() ** 2 / np.square(own).sum() >= min(100.0, 0.5 * len(own)) - 1e-9
-    assert (fitted.weights(table) == 1.0).all(), "nothing of the frame was drawn: all entries are alike"
+    monkeypatch.undo()
+    plain = KnownMachine(fitted, "0" * 64).weights(small_catalogue)
+    assert plain is not None and (plain == 1.0).all(), "nothing of the frame was drawn: all entries are alike"
+
+
+def test_fitting_reads_neither_the_table_of_all_entries_nor_a_shard(
+    small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (prepared,) = recordings(small_catalogue, [off_by(small_catalogue, (1.0,) * len(NAMES))], (1.0,) * 4)
+    monkeypatch.setitem(small_catalogue.__dict__, "entries", None)
+    monkeypatch.setattr(Catalogue, "_read", None)
+    found = fit_baseline(prepared, small_catalogue)
+    assert found.explained and found.condition == "healthy"
+    assert (KnownMachine(found, "0" * 64).weights(small_catalogue) == 1.0).all()  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("name", ["slider-crank-01", "slider-crank-04"])

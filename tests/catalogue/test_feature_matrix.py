@@ -129,6 +129,14 @@ def test_failed_cases_are_rows_behind_the_others(mapped: FeatureMatrix) -> None:
     assert len(mapped.find("7a")) == sum(key.startswith("7a") for key in keys)
 
 
+def test_numbers_are_those_of_the_table(mapped: FeatureMatrix) -> None:
+    table = mapped.table(mapped.all_rows)
+    found = mapped.numbers([*table.parameters, "not.drawn"])
+    assert found.keys() == table.parameters.keys()
+    for path, numbers in found.items():
+        assert np.array_equal(numbers, table.parameters[path])
+
+
 def test_one_matrix_stays_and_who_has_an_old_one_keeps_it(tmp_path: Path) -> None:
     quick_build(tmp_path)
     layout = CatalogueDirectory(tmp_path)
