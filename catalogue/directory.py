@@ -159,13 +159,12 @@ class CatalogueDirectory:
         """Delete matrices but that of the state `keep`; whoever has one mapped keeps it."""
         for path in paths:
             if keep is None or path != self.matrix(keep):
-                with suppress(FileNotFoundError):  # another builder deletes them, too
-                    self.remove_folder(path)
+                self.remove_folder(path)
 
     def remove_folder(self, path: Path) -> None:
-        """Delete a folder under its name at once, then its files."""
-        if path.exists():
-            aside = _temporary_beside(path)
+        """Delete a folder, if it is there, under its name at once, then its files."""
+        aside = _temporary_beside(path)
+        with suppress(FileNotFoundError):  # another builder deletes them, too
             os.replace(path, aside)
             shutil.rmtree(aside, ignore_errors=True)
 

@@ -78,19 +78,19 @@ class FeatureMatrix:
     def publish(cls, catalogue: Catalogue) -> Self:
         """Write the matrix of a catalogue, as a build and a check do at their ends, and map it.
 
-        It takes its name only when it is complete; one that is there already and in order stays.
+        It takes its name only when it is complete; one that is there already and in order stays. What is returned was
+        mapped before anybody could find it: another builder may have replaced or deleted it since.
 
         Raises
         ------
         CatalogueFileError
             A shard is missing, does not match its checksum or cannot be read, or the matrix cannot be written.
         """
-        if not MappedColumns.are_sound(catalogue.layout, catalogue.id):
+        columns = MappedColumns.sound(catalogue.layout, catalogue.id)
+        if columns is None:
             with tempfile.TemporaryFile(dir=catalogue.path) as waiting:
-                write_matrix(catalogue.layout, _gathered(catalogue, waiting))
-        found = cls.open(catalogue)
-        assert found is not None  # it was written a moment ago
-        return found
+                columns = write_matrix(catalogue.layout, _gathered(catalogue, waiting))
+        return cls(columns.header, columns, catalogue.recipe.nominal_drive_speed)
 
     @property
     def id(self) -> str:

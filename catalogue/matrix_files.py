@@ -24,13 +24,18 @@ _HEAD = 192  # bytes before the numbers of a file, at most
 _DAMAGED = "does not match its checksum: `jointplay reindex` makes the matrix again"
 
 
-def write_matrix(layout: CatalogueDirectory, gathered: Gathered) -> None:
-    """Write a matrix into its folder, in the place of any that is there under the same id.
+def write_matrix(layout: CatalogueDirectory, gathered: Gathered) -> MappedColumns:
+    """Write a matrix into its folder, in the place of a damaged one under the same id, and map it.
 
     Parameters
     ----------
     layout : CatalogueDirectory
     gathered : Gathered
+
+    Returns
+    -------
+    MappedColumns
+        What was written; or, where another builder was faster, its matrix of the same state, which stays.
 
     Raises
     ------
@@ -43,13 +48,23 @@ def write_matrix(layout: CatalogueDirectory, gathered: Gathered) -> None:
             files = {name: _write_column(folder, name, column) for name, column in gathered.columns.items()}
             digests = _write_power(folder / _POWER, gathered)
             _write(folder / _DIGESTS, digests)
-            _write(folder / _HEADER, replace(gathered.header, files=files, digests=sha256_of(digests)).to_json())
+            header = replace(gathered.header, files=files, digests=sha256_of(digests))
+            _write(folder / _HEADER, header.to_json())
             sync_folder(folder)
-            layout.remove_folder(target)
-            os.replace(folder, target)
+            columns = MappedColumns(folder, header, target)
+            while (other := MappedColumns.sound(layout, header.id)) is None:
+                layout.remove_folder(target)
+                try:
+                    os.replace(folder, target)
+                except OSError:
+                    if not target.exists():
+                        raise
+                else:
+                    break
         sync_folder(layout.matrices)
     except OSError as error:
         raise CatalogueFileError(target, f"cannot be written ({error.strerror or error})") from error
+    return other or columns
 
 
 def _write_column(folder: Path, name: str, column: Numbers) -> ColumnFile:
@@ -97,6 +112,8 @@ class MappedColumns:
     ----------
     folder : Path
     header : MatrixHeader
+    named : Path, optional
+        What messages call the folder, if it is to get another name.
 
     Raises
     ------
@@ -104,8 +121,8 @@ class MappedColumns:
         A file is missing or is not what the header says.
     """
 
-    def __init__(self, folder: Path, header: MatrixHeader) -> None:
-        self._folder, self.header = folder, header
+    def __init__(self, folder: Path, header: MatrixHeader, named: Path | None = None) -> None:
+        self._folder, self.header = named or folder, header
         # All files are opened at once: a reader keeps them when a later build removes the folder.
         files = header.files.items()
         self._columns = {name: _mapped(folder / f"{name}.npy", file.dtype, file.shape) for name, file in files}
@@ -142,15 +159,15 @@ class MappedColumns:
             raise CatalogueFileError(folder, rule) from None
 
     @classmethod
-    def are_sound(cls, layout: CatalogueDirectory, catalogue_id: str) -> bool:
-        """Whether the matrix of this state of the catalogue is there and in order, all of it."""
+    def sound(cls, layout: CatalogueDirectory, catalogue_id: str) -> MappedColumns | None:
+        """Map the matrix of this state of the catalogue if it is there and all of it is in order."""
         try:
             columns = cls.open(layout, catalogue_id)
             if columns is not None:
                 columns.check()
         except CatalogueFileError:
-            return False
-        return columns is not None
+            return None
+        return columns
 
     def column(self, name: str) -> Numbers:
         """One column of the table, read-only.

@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from building import quick_build
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
-from catalogue import matrix_header, store
+from catalogue import matrix, matrix_header, store
 from catalogue.build import Progress, build
 from catalogue.directory import CatalogueDirectory, sha256_of
 from catalogue.entry import Entry, Hypothesis
@@ -259,6 +260,34 @@ def test_missing_file_is_damage_and_a_missing_matrix_is_made_in_memory(copy: Pat
     assert not layout.matrices.exists()
     assert [finding.what for finding in verify(copy).findings] == ["is missing"]
     assert layout.matrix(catalogue.id).is_dir()
+
+
+@pytest.mark.parametrize("moment", ["before it is named", "after it is named"])
+def test_builders_that_publish_the_same_state_at_once(copy: Path, monkeypatch: pytest.MonkeyPatch, moment: str) -> None:
+    """Another builder publishes just before this one gives its own matrix the name; or deletes it just after."""
+    catalogue, layout = Catalogue.open(copy), CatalogueDirectory(copy)
+    expected = catalogue.matrix.packed(catalogue.matrix.all_rows)
+    shutil.rmtree(layout.matrices)
+    remove, write = CatalogueDirectory.remove_folder, matrix.write_matrix
+
+    def remove_then_publish(self: CatalogueDirectory, path: Path) -> None:
+        remove(self, path)
+        monkeypatch.undo()
+        FeatureMatrix.publish(catalogue)
+
+    def write_then_delete(*arguments: Any) -> Any:
+        found = write(*arguments)
+        remove(layout, layout.matrix(catalogue.id))
+        return found
+
+    if moment == "before it is named":
+        monkeypatch.setattr(CatalogueDirectory, "remove_folder", remove_then_publish)
+    else:
+        monkeypatch.setattr(matrix, "write_matrix", write_then_delete)
+    found = FeatureMatrix.publish(catalogue)
+    assert np.array_equal(found.packed(found.all_rows), expected)
+    assert layout.matrix(catalogue.id).exists() == (moment == "before it is named")
+    assert not list(layout.matrices.glob(".tmp*"))
 
 
 def test_matrix_of_another_version_is_made_again(copy: Path, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
