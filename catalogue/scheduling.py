@@ -21,6 +21,7 @@ from catalogue.executors import Executor
 from catalogue.hdf5 import encode_shard
 from catalogue.index import ChunkStatus, EntriesPresentError, Index
 from catalogue.shard import OK, Outcome, Shard, ShardHeader
+from catalogue.tasks import Task, Work
 from solver.errors import SolverError
 
 __all__ = ["ATTEMPTS", "Scheduler", "Tally"]
@@ -29,7 +30,11 @@ ATTEMPTS = 3
 """How often a task whose worker died is begun before it is halved, or given up if it is a single case."""
 
 HOPELESS = 10
-"""Attempts that may fail before the first task succeeds; after them the reason lies not in single cases."""
+"""Parts with no case in common that may fail before the first task succeeds.
+
+So many cases at least cannot be computed then, and the reason lies not in single ones. Attempts do not tell: two cases
+that kill workers fail ten of them in one chunk.
+"""
 
 LOOK = 1.0
 """Time between looks at what other builders have done [s]."""
@@ -67,29 +72,6 @@ class Tally:
         return self.present + self.added + self.others
 
 
-@dataclass
-class _Task:
-    """A chunk, or a part of one that is being searched for the case that cannot be computed."""
-
-    part: Chunk
-    work: _Work
-    deaths: int = 0
-
-
-@dataclass
-class _Work:
-    """A chunk in hand: what is there of it."""
-
-    chunk: Chunk
-    outcomes: dict[str, Outcome] = field(default_factory=dict)
-    lost: dict[str, str] = field(default_factory=dict)
-    seconds: float = 0.0
-
-    @property
-    def is_complete(self) -> bool:
-        return len(self.outcomes) + len(self.lost) == len(self.chunk.entries)
-
-
 class Scheduler:
     """One builder at work.
 
@@ -123,9 +105,10 @@ class Scheduler:
         self._compute, self._tally, self._tell, self._lease = compute, tally, tell, lease
         self._owner = f"{socket.gethostname()}:{os.getpid()}:{secrets.token_hex(4)}"
         self._open: deque[Chunk] = deque()
-        self._again: deque[_Task] = deque()
+        self._again: deque[Task] = deque()
         self._elsewhere: dict[str, Chunk] = {}
-        self._failures = 0
+        self._failures = 0  # attempts
+        self._bad_parts = 0  # with no case in common
         self._succeeded = False  # a part of a chunk counts: a large one with a deadly case is stored late
         self._looked = 0.0
 
@@ -144,7 +127,7 @@ class Scheduler:
         self._open.extend(chunks)
         self._tell()
         measured = partial(_measured, self._compute)
-        flying: dict[Future[tuple[tuple[Outcome, ...], float]], _Task] = {}
+        flying: dict[Future[tuple[tuple[Outcome, ...], float]], Task] = {}
         with self._alive():
             while self._open or self._again or self._elsewhere or flying:
                 for task in self._next(executor.capacity - len(flying)):
@@ -159,18 +142,22 @@ class Scheduler:
                     self._tell()
                 self._look()
 
-    def _next(self, room: int) -> Iterator[_Task]:
-        """Up to `room` tasks: first those that are tried again, then chunks that nobody has."""
-        for _ in range(min(room, len(self._again))):
-            room -= 1
-            yield self._again.popleft()
-        while room > 0 and self._open:
+    def _next(self, room: int) -> Iterator[Task]:
+        """Up to `room` tasks: first those that are tried again, then chunks that nobody has.
+
+        Until something succeeds it is the other way round: what else fails tells whether it lies in single cases.
+        """
+        while room > 0 and (self._open or self._again):
+            if self._again and (self._succeeded or not self._open):
+                room -= 1
+                yield self._again.popleft()
+                continue
             asked = [self._open.popleft() for _ in range(min(room, len(self._open)))]
             granted = self._index.leases.claim(self._owner, [chunk.id for chunk in asked], self._lease)
             for chunk in asked:
                 if chunk.id in granted:
                     room -= 1
-                    yield _Task(chunk, _Work(chunk))
+                    yield Task(chunk, Work(chunk))
                 else:
                     self._elsewhere[chunk.id] = chunk
 
@@ -193,7 +180,7 @@ class Scheduler:
             self._tally.lost |= dict.fromkeys(missing, "another builder could not compute it")
             self._tell()
 
-    def _take(self, task: _Task, future: Future[tuple[tuple[Outcome, ...], float]], executor: Executor) -> None:
+    def _take(self, task: Task, future: Future[tuple[tuple[Outcome, ...], float]], executor: Executor) -> None:
         error = future.exception()
         if error is None:
             outcomes, seconds = future.result()
@@ -210,7 +197,7 @@ class Scheduler:
         if task.work.is_complete:
             self._keep(task.work)
 
-    def _try_again(self, task: _Task, error: BaseException, *, died: bool) -> None:
+    def _try_again(self, task: Task, error: BaseException, *, died: bool) -> None:
         """Once more if the worker died; else in halves, until the single case is found that cannot be computed.
 
         The parts stay one chunk with one shard, so that a catalogue does not tell which workers died.
@@ -221,16 +208,17 @@ class Scheduler:
             self._tally.workers_lost += 1
             reason = f"its worker died, in {task.deaths} {'attempt' if task.deaths == 1 else 'attempts'}"
         self._failures += 1
-        if not self._succeeded and self._failures >= HOPELESS:
+        self._bad_parts += task.fail()
+        if not self._succeeded and self._bad_parts >= HOPELESS:
             raise BuildError(f"nothing could be computed in {self._failures} attempts, the last: {reason}") from error
         if died and task.deaths < ATTEMPTS:
             self._again.append(task)
         elif len(task.part.entries) > 1:
-            self._again.extend(_Task(half, task.work) for half in task.part.halves())
+            self._again.extend(task.halves())
         else:
             task.work.lost[task.part.entries[0].key] = reason
 
-    def _keep(self, work: _Work) -> None:
+    def _keep(self, work: Work) -> None:
         """Store what came of a chunk, each entry once, whatever others have stored meanwhile."""
         entries = [entry for entry in work.chunk.entries if entry.key in work.outcomes]
         message = _message(work.lost)

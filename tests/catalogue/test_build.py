@@ -14,7 +14,7 @@ from fake_simulator import MACHINE, PLAN, compute
 
 from catalogue import scheduling
 from catalogue.build import BuildReport, Progress, build
-from catalogue.chunk import chunked
+from catalogue.chunk import Chunk, chunked
 from catalogue.directory import CatalogueDirectory
 from catalogue.errors import (
     BuildError,
@@ -377,6 +377,49 @@ def test_one_bad_case_of_a_large_first_chunk_does_not_end_the_build(
     report = quick_build(tmp_path, chunk_size=64)
     assert report.lost == (victim,)
     assert report.added == len(KEYS) - 1
+
+
+class Mortal(InProcess):
+    """Workers that die of some cases, without the time that starting them takes."""
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+
+    def is_loss(self, error: BaseException) -> bool:
+        return isinstance(error, ChildProcessError)
+
+
+@pytest.mark.parametrize(
+    ("victims", "workers"),
+    [
+        ([("healthy", 0), ("healthy", 5)], 1),  # in both halves of one chunk
+        ([("healthy", 0), ("healthy", 1)], 1),
+        ([("healthy", draw) for draw in range(6)], 2),  # a whole chunk
+        ([("healthy", 0), ("A", 11), ("B", 3), ("O", 7)], 4),  # in every chunk
+    ],
+)
+def test_all_but_the_cases_that_kill_workers_are_computed(
+    tmp_path: Path, victims: list[tuple[str, int]], workers: int
+) -> None:
+    planned = PLAN.entries(MACHINE)
+    deadly = {entry.key for entry in planned if (entry.hypothesis.label, entry.draw) in victims}
+    assert len(deadly) == len(victims)
+
+    def die(chunk: Chunk) -> Any:
+        if not deadly.isdisjoint(entry.key for entry in chunk.entries):
+            raise ChildProcessError
+        return compute(chunk)
+
+    report = quick_build(tmp_path, executor=Mortal(workers), compute=die, chunk_size=64)
+    assert set(report.lost) == deadly
+    assert report.lost_reason == "its worker died, in 3 attempts"
+    catalogue = Catalogue.open(tmp_path)
+    assert {*catalogue.entries.key, *catalogue.failed.key} == {entry.key for entry in planned} - deadly
+    with Index(tmp_path / "index.sqlite") as index:
+        said = "; ".join(chunk.message for chunk in index.chunks())
+    assert all(f"{key[:12]}: its worker died" in said for key in deadly)
+    assert quick_build(tmp_path, chunk_size=64).added == len(deadly)
+    assert_complete(tmp_path)
 
 
 def test_trouble_with_every_case_ends_the_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
