@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from app.openapi import REFERENCE
 from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
+#: Version of the interface, and the beginning of the SHA-256 of all else in its document.
+OF_VERSION = ("1.1.0", "4184c6680b3cd825")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
@@ -24,6 +27,13 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_the_committed_document_is_up_to_date(document: dict[str, Any]) -> None:
     written = json.loads(COMMITTED.read_text(encoding="utf-8"))
     assert written == document, "run `python -m app.openapi > docs/openapi.json`, and raise API_VERSION if it changed"
+
+
+def test_a_change_raises_the_version(document: dict[str, Any]) -> None:
+    rest = {**document, "info": {**document["info"]}}
+    version = rest["info"].pop("version")
+    digest = hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+    assert (version, digest[:16]) == OF_VERSION, "another document has another version: API_VERSION, then OF_VERSION"
 
 
 def test_every_error_is_a_problem(document: dict[str, Any]) -> None:
