@@ -61,7 +61,7 @@ class OrderLevels:
         sensing, bands = prepared.sensing, prepared.sensor_bands
         edges = bands.scheme.edges_hz(prepared.drive_speed)[: FEATURE_ORDERS + 1]
         own = prepared.floor.band_power(edges, sensing.derivatives)
-        noise = np.hstack([own, own @ (sensing.channels**2).T]) if sensing.rigid_body else own
+        noise = np.hstack([own, prepared.noise_power[:FEATURE_ORDERS]]) if sensing.rigid_body else own
         power = bands.power[:FEATURE_ORDERS]
         seen = [np.diagonal(power, axis1=-2, axis2=-1).real]
         if sensing.rigid_body:

@@ -37,8 +37,8 @@ class Discrepancy:
     correlation : float
         Bands over which that error keeps its sign (standard deviation of a Gaussian).
     noise_level_db : float
-        Standard deviation of the error of a channel's noise floor, dB. Floors are known for sensors and follow for
-        channels as if sensors were independent; vibration from elsewhere is not, and shifts them by up to 3 dB.
+        Standard deviation of the error of a channel's noise floor, dB: floors of silent machines are right to 0.2 dB,
+        those of machines whose joints rattle are too high, by 1 dB in the middle and by 7 to 14 in one of ten.
     rigid_level_db : float, optional
         The same in bands up to the lowest flexible mode, where the machine is rigid; `level_db` unless given.
     transfer : RandomTransfer, optional

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import scipy.spatial
 import scipy.stats
 
-from catalogue.comparison import LEAST_NOISE_DENSITY
+from catalogue.comparison import LEAST_NOISE_DENSITY, exact_sensing
 from catalogue.feature_bands import LEAST_POWER, joined
 from catalogue.matching import HypothesisMatch, MatchResult
 from catalogue.matrix import FeatureMatrix
@@ -115,7 +115,7 @@ def suggest(
     question = _Question(catalogue, prepared, tuple(contenders))
     if len(contenders) < 2 or not question.answerable(prepared.drive_speed):
         return ()
-    now = question.squared_distances(_sensing(prepared, catalogue.machine), prepared.drive_speed)
+    now = question.squared_distances(exact_sensing(prepared), prepared.drive_speed)
     error_now = question.error(now)
     if error_now < LEAST_ERROR:
         return ()
@@ -124,7 +124,7 @@ def suggest(
         error = question.error(question.squared_distances(sensing, prepared.drive_speed))
         found.append(question.suggestion(kind, what, error_now, error))
     for speed in question.other_speeds():
-        there = question.squared_distances(_sensing(prepared, catalogue.machine), speed)
+        there = question.squared_distances(exact_sensing(prepared), speed)
         found.append(
             question.suggestion("speed", f"{speed * 30 / math.pi:.4g} rpm", error_now, question.error(now + there))
         )
@@ -233,19 +233,22 @@ def _fisher(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(covariance, second.mean(axis=0) - first.mean(axis=0)), dtype=np.float64)
 
 
-def _sensing(prepared: PreparedMeasurement, machine: Machine, more: FloatArray | None = None) -> Sensing:
-    """The sensors of a recording, and one more (3,) if given: what they compare, and with what noise."""
+def _sensing(prepared: PreparedMeasurement, machine: Machine, more: FloatArray) -> Sensing:
+    """The sensors of a recording and one more (3,): what they compare, and with what noise."""
     sensors, scheme = prepared.sensing, prepared.scheme
     edges = scheme.edges_hz(prepared.drive_speed)
     own = prepared.floor.band_power(edges, sensors.derivatives)
+    # Vibration from elsewhere: what the motions have more of than independent sensors explain, however many they are.
+    common = np.maximum(prepared.noise_power - own @ (sensors.channels**2).T, 0.0)
     own = np.maximum(own, LEAST_NOISE_DENSITY * np.diff(edges)[:, None])
-    transform, channels = sensors.transform, sensors.channels
-    if more is not None:
-        transform = np.vstack([transform, more])
-        own = np.hstack([own, np.median(own, axis=1, keepdims=True)])
-        inverse = rigid_body(transform[:, free_motions(machine)]).inverse
-        channels = np.eye(len(transform)) if inverse is None else inverse
-    noise = np.maximum(joined(own @ (channels**2).T, prepared.cuts), LEAST_POWER)
+    transform = np.vstack([sensors.transform, more])
+    own = np.hstack([own, np.median(own, axis=1, keepdims=True)])
+    inverse = rigid_body(transform[:, free_motions(machine)]).inverse
+    channels = np.eye(len(transform)) if inverse is None else inverse
+    noise = own @ (channels**2).T
+    if sensors.rigid_body and inverse is not None:
+        noise = noise + common
+    noise = np.maximum(joined(noise, prepared.cuts), LEAST_POWER)
     return Sensing(transform, channels, prepared.cuts, noise, prepared.group_degrees_of_freedom)
 
 

@@ -104,7 +104,11 @@ def with_filed_suspension(
     change = suspension_change(machine, parameters, bands.scheme.centres * speed / (2.0 * math.pi))
     motion = change @ prepared.power @ np.conj(np.swapaxes(change, -1, -2))
     own = prepared.floor.band_power(bands.scheme.edges_hz(speed), sensing.derivatives)
-    noise = np.einsum("bcs,bs->bc", np.abs(change @ sensing.channels) ** 2, own)
+    # What the channels have more of than independent sensors explain is converted, too.
+    noise = np.maximum(
+        np.einsum("bcs,bs->bc", np.abs(change @ sensing.channels) ** 2, own),
+        np.einsum("bcd,bd->bc", np.abs(change) ** 2, prepared.noise_power),
+    )
     step = RecipeStep(
         name="suspension",
         version="1",

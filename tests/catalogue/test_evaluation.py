@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from catalogue.answer import Diagnosis
+from catalogue.baseline_levels import OrderLevels
 from catalogue.diagnosis import answer
 from catalogue.entry import Hypothesis
 from catalogue.errors import DiagnosisError
@@ -23,7 +24,9 @@ from catalogue.evaluation.study import Setup, evaluate, setups_of
 from catalogue.evaluation.sweep import trade_off
 from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.features import prepare
+from catalogue.separation import _more_sensors
 from catalogue.store import Catalogue
+from catalogue.suspension import with_filed_suspension
 from solver.machines.machine import shipped_machine
 
 SHORT = replace(PROTOCOLS["matched"], seconds=1.0, clearance=(80e-6, 700e-6))
@@ -193,6 +196,19 @@ def test_noise_of_the_whole_frame_does_not_average_out_over_its_sensors() -> Non
     true = np.outer(width / (0.5 * shaken.sample_rate), np.square(shaken.frame_noise))
     # Of 1 s; were it taken to be each sensor's own, x and y would be 3 dB too low.
     assert np.abs(10.0 * np.log10(prepared.noise_power[-20:] / true[-20:])).max() < 1.0
+
+
+def test_baselines_conversions_and_suggestions_know_the_noise_of_the_whole_frame() -> None:
+    truth = truth_of()
+    shaken = Protocol("frame", frame_noise=(0.1, 0.1, 0.5))
+    prepared = prepare(recorded(shaken, truth, ideal_of(truth)), MACHINE)
+    sensors = len(prepared.sensing.sensors)
+    levels = OrderLevels.of(prepared).noise.reshape(-1, sensors + 3)[:, sensors:]
+    assert np.array_equal(levels, prepared.noise_power[: len(levels)])
+    assert with_filed_suspension(prepared, MACHINE, {}).noise_power == pytest.approx(prepared.noise_power, rel=1e-6)
+    # One more sensor averages its own noise, but not what moves them all.
+    for _, _, more in _more_sensors(prepared, MACHINE):
+        assert (more.noise[-10:, 0] > 0.8 * prepared.group_noise[-10:, 0]).all()
 
 
 def test_a_mode_lifts_its_own_frequency_and_leaves_low_ones_alone() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from catalogue.build import build
+from catalogue.comparison import exact_sensing
 from catalogue.features import PreparedMeasurement, prepare
 from catalogue.matching import ClearanceEstimate, HypothesisMatch, MatchResult
 from catalogue.measurement import Measurement, read_measurement
@@ -108,7 +109,7 @@ def test_another_matcher_finds_what_was_promised(small_catalogue: Catalogue) -> 
     """
     prepared, machine = recorded(small_catalogue, (0,)), small_catalogue.machine
     question = _Question(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)
-    now = _sensing(prepared, machine)
+    now = exact_sensing(prepared)
     errors = [question.error(question.squared_distances(sensing, prepared.drive_speed)) for sensing in (now,)]
     ranked = sorted(
         (question.error(question.squared_distances(sensing, prepared.drive_speed)), number, sensing)
