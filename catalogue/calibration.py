@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp
 
 from catalogue.matching import BoolArray, FloatArray, IntArray, TrainingSet
@@ -56,6 +56,33 @@ def folds(training: TrainingSet, count: int, seed: int = 0) -> Iterator[tuple[Tr
         learned = tuple(draws.rows(part != fold) for draws, part in parts)
         held = tuple(draws.rows(part == fold) for draws, part in parts)
         yield TrainingSet(learned, training.watched), TrainingSet(held, training.watched)
+
+
+def held_out(entry: IntArray) -> BoolArray:
+    """Return which entries nothing that is calibrated may learn from: a fifth of them, whoever asks.
+
+    Draws of a hypothesis follow each other in a pattern that fills their range, so that every fifth one would be one
+    part of it; numbers are scrambled first (Fibonacci hashing: D. E. Knuth, The Art of Computer Programming 3, 6.4).
+    """
+    scrambled = (entry.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    out: BoolArray = (scrambled >> np.uint64(40)) % np.uint64(5) == 0
+    return out
+
+
+def kept_apart(training: TrainingSet) -> tuple[TrainingSet, TrainingSet]:
+    """Split a training set into what may be learned and what :func:`held_out` keeps for calibration.
+
+    Of a hypothesis without two cases on either side every fifth row is held out.
+    """
+    learned, held = [], []
+    for draws in training.hypotheses:
+        apart = held_out(draws.entry)
+        sides = [len(np.unique(draws.entry[side])) for side in (apart, ~apart)]
+        if min(sides) < 2:
+            apart = np.arange(len(draws.entry)) % 5 == 0
+        learned.append(draws.rows(~apart))
+        held.append(draws.rows(apart))
+    return TrainingSet(tuple(learned), training.watched), TrainingSet(tuple(held), training.watched)
 
 
 def probabilities(log_evidence: FloatArray, temperature: float) -> FloatArray:
@@ -107,6 +134,38 @@ def fit_temperature(
     low, high = np.log(between)
     found = minimize_scalar(loss, bounds=(float(low), float(high)), method="bounded", options={"xatol": 1e-3})
     return float(np.exp(found.x))
+
+
+def fit_shares(
+    first: FloatArray, second: FloatArray, truth: IntArray, weights: FloatArray
+) -> tuple[float, float]:
+    """Return the exponents of two opinions whose product has the least weighted log-loss on held-out rows.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (m, h)
+        Log evidences.
+    truth : ndarray of int, shape (m,)
+    weights : ndarray, shape (m,)
+        As for :func:`fit_temperature`.
+
+    Notes
+    -----
+    A logarithmic opinion pool (C. Genest, J. V. Zidek, Stat. Sci. 1 (1986) 114); its loss is convex in the exponents.
+    """
+    rows = np.arange(len(truth))
+
+    def loss(shares: FloatArray) -> tuple[float, FloatArray]:
+        scaled = shares[0] * first + shares[1] * second
+        total = logsumexp(scaled, axis=1)
+        posterior = np.exp(scaled - total[:, None])
+        slope = [
+            float(np.sum(weights * ((posterior * each).sum(axis=1) - each[rows, truth]))) for each in (first, second)
+        ]
+        return float(np.sum(weights * (total - scaled[rows, truth]))), np.array(slope)
+
+    found = minimize(loss, np.array([0.3, 0.7]), jac=True, method="L-BFGS-B", bounds=[(1e-3, 2.0), (0.0, 2.0)])
+    return float(found.x[0]), float(found.x[1])
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
-from catalogue.calibration import TEMPERATURES, Tail, fit_temperature, probabilities, row_weights
+from catalogue.calibration import TEMPERATURES, Tail, fit_shares, fit_temperature, probabilities, row_weights
 from catalogue.conformal import Conformal
 from catalogue.curves import CurveModel
 from catalogue.matching import FloatArray, IntArray, TrainingSet
+from catalogue.network import Opinion
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Calibration:
     distances, orders : tuple of Tail
         Per hypothesis: full-space distance, and mean of the largest watched z.
     conformal : Conformal
+    share : float
+        Exponent of a network's opinion beside them, whose own is 1 / `temperature`; 0 where there is none.
     """
 
     temperature: float
@@ -35,11 +38,13 @@ class Calibration:
     distances: tuple[Tail, ...]
     orders: tuple[Tail, ...]
     conformal: Conformal
+    share: float = 0.0
 
 
-def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]]) -> Calibration:
-    """Calibrate on pairs of what was learned and what was held out of it."""
+def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion | None = None) -> Calibration:
+    """Calibrate on pairs of what was learned and what was held out of it, by the network of an opinion, too."""
     evidence: list[FloatArray] = []
+    opinions: list[FloatArray] = []
     truth: list[IntArray] = []
     distances: list[list[FloatArray]] = []
     orders: list[list[FloatArray]] = []
@@ -63,17 +68,26 @@ def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]]) -> Calibration:
                 place = model.curves[h].grid.index(draws.log_clearance)
                 own.setdefault(draws.log_clearance.shape[1], []).append((curve, place))
         evidence.append(np.stack(columns, axis=1))
+        if opinion is not None:
+            opinions.append(opinion.log_evidences(features, held.labels, [draws.prior for draws in held.hypotheses]))
         truth.append(index)
     stacked = np.concatenate(truth)
     weights = row_weights(stacked)
     joined = np.concatenate(evidence)
-    temperature = fit_temperature(joined, stacked, weights)
+    if opinions:
+        second = np.concatenate(opinions)
+        own, share = fit_shares(joined, second, stacked, weights)
+        temperature = 1.0 / own
+        joined = joined + share * temperature * second
+    else:
+        temperature, share = fit_temperature(joined, stacked, weights), 0.0
     return Calibration(
         temperature,
         tuple(_clearance_temperature(own.get(k + 1, [])) for k in range(max(own, default=0))),
         tuple(Tail.of(np.concatenate(values)) for values in distances),
         tuple(Tail.of(np.concatenate(values)) for values in orders),
         Conformal.fit(probabilities(joined, temperature), stacked, weights),
+        share,
     )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import logsumexp
 
-from catalogue.calibration import combined, folds, probabilities
+from catalogue.calibration import combined, folds, kept_apart, probabilities
 from catalogue.curve_calibration import Calibration, calibrated
 from catalogue.curves import Curve, CurveModel
 from catalogue.discriminant import discriminant
@@ -25,6 +25,7 @@ from catalogue.matching import (
     TrainingSet,
     ranked,
 )
+from catalogue.network import Opinion
 from catalogue.tube import ClearanceGrid, fit_tube
 
 BROADBAND_SHARE = 0.8
@@ -56,7 +57,7 @@ class GaussianAlongClearance:
     few_cases : int
         With fewer simulated cases a hypothesis the settings marked `sparse_` are used.
     many_cases : int
-        From so many cases a hypothesis on, a quarter of them is held out once and calibrates what the others taught;
+        From so many cases a hypothesis on, a fifth of them is held out once and calibrates what the others taught;
         with fewer ones every case is held out in turn, and all of them teach.
     degrees_of_freedom : float
         Of the Student-t likelihood; small ones forgive outliers.
@@ -84,9 +85,11 @@ class GaussianAlongClearance:
     ridge: float = 0.05
     fold_count: int = 4
     name: str = field(default="gaussian-along-clearance", init=False)
-    version: str = field(default="2", init=False)
+    version: str = field(default="3", init=False)
 
-    def fit(self, training: TrainingSet, projection: FloatArray | None = None) -> FittedGaussian:
+    def fit(
+        self, training: TrainingSet, projection: FloatArray | None = None, opinion: Opinion | None = None
+    ) -> FittedGaussian:
         """Learn a training set and calibrate on draws held out of it.
 
         Parameters
@@ -94,6 +97,9 @@ class GaussianAlongClearance:
         training : TrainingSet
         projection : ndarray, shape (d, r), optional
             Whitening found before; found anew unless given.
+        opinion : Opinion, optional
+            Of a network that was trained without :func:`~catalogue.calibration.held_out` entries. It counts where there
+            are many cases.
 
         Raises
         ------
@@ -107,11 +113,11 @@ class GaussianAlongClearance:
                 most = len(self.points)
                 raise MatchingError(f"hypothesis {draws.label}: clearances of {draws.joints}: must be at most {most}")
         sparse = training.cases < self.few_cases
-        splits = folds(training, self.fold_count)
         if training.cases >= self.many_cases:
-            learned, held = next(splits)
+            learned, held = kept_apart(training)
             model = self._learned(learned, sparse, projection)
-            return FittedGaussian(model, calibrated([(model, held)]))
+            return FittedGaussian(model, calibrated([(model, held)], opinion), opinion)
+        splits = folds(training, self.fold_count)
         pairs = ((self._learned(learned, sparse, projection), held) for learned, held in splits)
         calibration = calibrated(pairs)
         return FittedGaussian(self._learned(training, sparse, projection), calibration)
@@ -166,6 +172,7 @@ class FittedGaussian:
 
     model: CurveModel
     calibration: Calibration
+    opinion: Opinion | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -174,7 +181,15 @@ class FittedGaussian:
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """Return the probabilities (m, hypotheses) of a block of feature vectors (m, d)."""
-        return probabilities(self.model.log_evidences(features), self.calibration.temperature)
+        return self._probabilities(self.model.log_evidences(features), features)
+
+    def _probabilities(self, evidence: FloatArray, features: FloatArray) -> FloatArray:
+        temperature = self.calibration.temperature
+        if self.opinion is not None:
+            priors = [curve.prior for curve in self.model.curves]
+            second = self.opinion.log_evidences(features, self.labels, priors)
+            evidence = evidence + self.calibration.share * temperature * second
+        return probabilities(evidence, temperature)
 
     def match(self, feature: FloatArray) -> MatchResult:
         """Return the full answer for one feature vector (d,).
@@ -191,7 +206,7 @@ class FittedGaussian:
         whitened = block @ self.model.projection
         likelihoods = [self.model.log_likelihood(whitened, h) for h in range(len(self.model.curves))]
         evidence = np.array([self.model.log_evidence(each, h) for h, each in enumerate(likelihoods)])
-        posterior = probabilities(evidence.T, self.calibration.temperature)[0]
+        posterior = self._probabilities(evidence.T, block)[0]
         matches = []
         for h, curve in enumerate(self.model.curves):
             best = likelihoods[h].argmax(axis=1).astype(np.int64)

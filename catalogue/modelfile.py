@@ -18,9 +18,10 @@ from catalogue.curves import Curve, CurveModel
 from catalogue.directory import publish
 from catalogue.errors import CatalogueFileError
 from catalogue.gaussian import FittedGaussian
+from catalogue.network import Network, Opinion
 from catalogue.tube import ClearanceGrid, Tube
 
-FORMAT = 1
+FORMAT = 2
 """Of the files; others are fitted anew."""
 
 KEPT = 16
@@ -28,11 +29,11 @@ KEPT = 16
 
 _TYPES = {
     kind.__name__: kind
-    for kind in (FittedGaussian, CurveModel, Curve, ClearanceGrid, Tube, Calibration, Tail, Conformal)
+    for kind in (FittedGaussian, CurveModel, Curve, ClearanceGrid, Tube, Calibration, Tail, Conformal, Network, Opinion)
 }
 
 
-def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
+def write_model(folder: Path, key: str, model: FittedGaussian | Network) -> bool:
     """Write a model under its key; False where the folder cannot be written, which only costs time later."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = {"format": FORMAT, "key": key, "model": _plain(model, arrays)}
@@ -64,16 +65,26 @@ def written(file: Path) -> tuple[float, str]:
 
 def read_model(folder: Path, key: str) -> FittedGaussian | None:
     """Read the model of a key; None where there is none, or none that can be read."""
+    found = _read(folder, key)
+    return found if isinstance(found, FittedGaussian) else None
+
+
+def read_network(folder: Path, key: str) -> Network | None:
+    """Read the network of a key; None where there is none, or none that can be read."""
+    found = _read(folder, key)
+    return found if isinstance(found, Network) else None
+
+
+def _read(folder: Path, key: str) -> Any:
     try:
         with np.load(io.BytesIO((folder / f"{key}.npz").read_bytes()), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         tree = json.loads(arrays["tree"].tobytes())
         if tree["format"] != FORMAT or tree["key"] != key:
             return None
-        model = _restored(tree["model"], arrays)
+        return _restored(tree["model"], arrays)
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
         return None
-    return model if isinstance(model, FittedGaussian) else None
 
 
 def as_read(model: FittedGaussian) -> FittedGaussian:
