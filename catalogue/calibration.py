@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from catalogue.matching import BoolArray, FloatArray, IntArray, TrainingSet
 
@@ -85,10 +85,9 @@ def kept_apart(training: TrainingSet) -> tuple[TrainingSet, TrainingSet]:
     return TrainingSet(tuple(learned), training.watched), TrainingSet(tuple(held), training.watched)
 
 
-def probabilities(log_evidence: FloatArray, temperature: float) -> FloatArray:
-    """Turn log evidences (m, h) into probabilities (m, h), divided by `temperature` first."""
-    scaled = log_evidence / temperature
-    out: FloatArray = np.exp(scaled - logsumexp(scaled, axis=1, keepdims=True))
+def probabilities(log_evidence: FloatArray) -> FloatArray:
+    """Turn log evidences (m, h), priors included, into probabilities (m, h)."""
+    out: FloatArray = softmax(log_evidence, axis=1)
     return out
 
 
@@ -136,9 +135,7 @@ def fit_temperature(
     return float(np.exp(found.x))
 
 
-def fit_shares(
-    first: FloatArray, second: FloatArray, truth: IntArray, weights: FloatArray
-) -> tuple[float, float]:
+def fit_shares(first: FloatArray, second: FloatArray, truth: IntArray, weights: FloatArray) -> tuple[float, float]:
     """Return the exponents of two opinions whose product has the least weighted log-loss on held-out rows.
 
     Parameters

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from catalogue.calibration import TEMPERATURES, Tail, fit_shares, fit_temperature, probabilities, row_weights
 from catalogue.conformal import Conformal
-from catalogue.curves import CurveModel
+from catalogue.curves import CurveModel, averaged
 from catalogue.matching import FloatArray, IntArray, TrainingSet
 from catalogue.network import Opinion
 
@@ -57,7 +57,7 @@ def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion
         orders = orders or [[] for _ in held.hypotheses]
         for h, draws in enumerate(held.hypotheses):
             likelihood = model.log_likelihood(whitened, h)
-            columns.append(model.log_evidence(likelihood, h))
+            columns.append(averaged(likelihood))
             curve = likelihood[index == h]
             distance, order = model.curves[h].surprise(
                 draws.features, curve.argmax(axis=1).astype(np.int64), model.watched
@@ -69,24 +69,25 @@ def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion
                 own.setdefault(draws.log_clearance.shape[1], []).append((curve, place))
         evidence.append(np.stack(columns, axis=1))
         if opinion is not None:
-            opinions.append(opinion.log_evidences(features, held.labels, [draws.prior for draws in held.hypotheses]))
+            opinions.append(opinion.log_evidences(features, held.labels))
         truth.append(index)
     stacked = np.concatenate(truth)
     weights = row_weights(stacked)
     joined = np.concatenate(evidence)
     if opinions:
         second = np.concatenate(opinions)
-        own, share = fit_shares(joined, second, stacked, weights)
-        temperature = 1.0 / own
-        joined = joined + share * temperature * second
+        first, share = fit_shares(joined, second, stacked, weights)
+        temperature, scaled = 1.0 / first, first * joined + share * second
     else:
         temperature, share = fit_temperature(joined, stacked, weights), 0.0
+        scaled = joined / temperature
+    posterior = probabilities(scaled + np.log([draws.prior for draws in held.hypotheses]))
     return Calibration(
         temperature,
         tuple(_clearance_temperature(own.get(k + 1, [])) for k in range(max(own, default=0))),
         tuple(Tail.of(np.concatenate(values)) for values in distances),
         tuple(Tail.of(np.concatenate(values)) for values in orders),
-        Conformal.fit(probabilities(joined, temperature), stacked, weights),
+        Conformal.fit(posterior, stacked, weights),
         share,
     )
 

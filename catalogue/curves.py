@@ -68,15 +68,19 @@ class CurveModel:
         density: FloatArray = constant - half[None, :] - 0.5 * (nu + d) * np.log1p(squared / (nu - 2.0))
         return density
 
-    def log_evidence(self, likelihood: FloatArray, index: int) -> FloatArray:
-        """Average a likelihood (m, f) over a log-uniform clearance and multiply with the prior: (m,)."""
-        evidence: FloatArray = (
-            logsumexp(likelihood, axis=1) - np.log(likelihood.shape[1]) + np.log(self.curves[index].prior)
-        )
-        return evidence
+    @property
+    def log_prior(self) -> FloatArray:
+        """Logarithm of the weight (hypotheses,) of each hypothesis before the measurement."""
+        return np.log([curve.prior for curve in self.curves])
 
     def log_evidences(self, features: FloatArray) -> FloatArray:
-        """Return the log evidence (m, hypotheses) of features (m, d)."""
+        """Return the log evidence (m, hypotheses) of features (m, d), priors left out."""
         whitened = features @ self.projection
-        columns = [self.log_evidence(self.log_likelihood(whitened, h), h) for h in range(len(self.curves))]
+        columns = [averaged(self.log_likelihood(whitened, h)) for h in range(len(self.curves))]
         return np.stack(columns, axis=1)
+
+
+def averaged(likelihood: FloatArray) -> FloatArray:
+    """Average a log likelihood (m, f) over a log-uniform clearance: (m,)."""
+    evidence: FloatArray = logsumexp(likelihood, axis=1) - np.log(likelihood.shape[1])
+    return evidence

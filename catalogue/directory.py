@@ -148,6 +148,11 @@ class CatalogueDirectory:
         """Folder of models fitted to it; made from the matrix, so it can be lost."""
         return self.root / "models"
 
+    @property
+    def networks(self) -> Path:
+        """Folder of networks trained on it; made from the matrix, so it can be lost."""
+        return self.root / "networks"
+
     def other_matrices(self, catalogue_id: str) -> tuple[Path, ...]:
         """Folders of complete matrices of other states."""
         if not self.matrices.is_dir():

@@ -95,7 +95,7 @@ def nearest(metric: Metric, training: TrainingSet, features: FloatArray) -> tupl
 def _posterior(training: TrainingSet, log_evidence: FloatArray, temperature: float) -> FloatArray:
     """Return probabilities (m, hypotheses); the prior is not scaled, because a distance has a unit and it has none."""
     prior = np.log([draws.prior for draws in training.hypotheses])
-    return probabilities(log_evidence / temperature + prior, 1.0)
+    return probabilities(log_evidence / temperature + prior)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from catalogue.calibration import combined, folds, kept_apart, probabilities
 from catalogue.curve_calibration import Calibration, calibrated
-from catalogue.curves import Curve, CurveModel
+from catalogue.curves import Curve, CurveModel, averaged
 from catalogue.discriminant import discriminant
 from catalogue.errors import MatchingError
 from catalogue.matching import (
@@ -184,12 +184,11 @@ class FittedGaussian:
         return self._probabilities(self.model.log_evidences(features), features)
 
     def _probabilities(self, evidence: FloatArray, features: FloatArray) -> FloatArray:
-        temperature = self.calibration.temperature
+        """Pool opinions (m, hypotheses), each as far as held-out draws say, and multiply with the priors."""
+        pooled = evidence / self.calibration.temperature + self.model.log_prior
         if self.opinion is not None:
-            priors = [curve.prior for curve in self.model.curves]
-            second = self.opinion.log_evidences(features, self.labels, priors)
-            evidence = evidence + self.calibration.share * temperature * second
-        return probabilities(evidence, temperature)
+            pooled = pooled + self.calibration.share * self.opinion.log_evidences(features, self.labels)
+        return probabilities(pooled)
 
     def match(self, feature: FloatArray) -> MatchResult:
         """Return the full answer for one feature vector (d,).
@@ -205,7 +204,7 @@ class FittedGaussian:
         block = feature[None, :]
         whitened = block @ self.model.projection
         likelihoods = [self.model.log_likelihood(whitened, h) for h in range(len(self.model.curves))]
-        evidence = np.array([self.model.log_evidence(each, h) for h, each in enumerate(likelihoods)])
+        evidence = np.array([averaged(each) for each in likelihoods])
         posterior = self._probabilities(evidence.T, block)[0]
         matches = []
         for h, curve in enumerate(self.model.curves):

@@ -6,6 +6,7 @@ import threading
 from collections import OrderedDict
 
 from catalogue.model_library import ModelLibrary
+from catalogue.network_shelf import NetworkShelf
 from catalogue.store import Catalogue
 
 __all__ = ["library_of"]
@@ -22,7 +23,7 @@ def library_of(catalogue: Catalogue) -> ModelLibrary:
     key = (str(catalogue.path), catalogue.id)
     with _lock:
         if key not in _known:
-            _known[key] = ModelLibrary(catalogue.matrix, catalogue.layout.models)
+            _known[key] = ModelLibrary(catalogue.matrix, catalogue.layout.models, NetworkShelf.of(catalogue))
         _known.move_to_end(key)
         while len(_known) > KEPT:
             _known.popitem(last=False)

@@ -17,9 +17,11 @@ from catalogue.keys import content_digest
 from catalogue.learning import Learning, rows_of, training_set
 from catalogue.matching import BoolArray, FittedMatcher, FloatArray, Matcher, MatchResult
 from catalogue.modelfile import as_read, read_model, write_model, written
+from catalogue.network import Network
+from catalogue.network_shelf import NetworkShelf
 from catalogue.observation import Sensing, rounded_sensing
 from catalogue.refit import Refit, merged
-from catalogue.spectra import Spectra
+from catalogue.spectra import Spectra, band_widths
 
 Effort = Literal["fast", "standard", "thorough"]
 Choice = Literal["auto", "trusted", "robust"]
@@ -45,12 +47,16 @@ class ModelLibrary:
         Feature matrix of the catalogue.
     folder : Path, optional
         Where models are kept as files; nothing is written unless given. Files may be deleted at any time.
+    networks : NetworkShelf, optional
+        Networks that give a second opinion; none without it.
     size : int
         Models kept in memory (some 10 MB each with 17 hypotheses).
     """
 
-    def __init__(self, matrix: Spectra, folder: Path | None = None, *, size: int = 16) -> None:
-        self._matrix, self._folder, self._size = matrix, folder, size
+    def __init__(
+        self, matrix: Spectra, folder: Path | None = None, networks: NetworkShelf | None = None, *, size: int = 16
+    ) -> None:
+        self._matrix, self._folder, self._networks, self._size = matrix, folder, networks, size
         self._lock = threading.Lock()
         self._known: OrderedDict[str, FittedMatcher] = OrderedDict()
 
@@ -133,14 +139,17 @@ class ModelLibrary:
         *,
         speed: float | None = None,
         weights: FloatArray | None = None,
+        network: Network | None = None,
     ) -> FittedMatcher:
         """Return a matcher fitted to exactly this sensing; from memory or a file if it is known."""
         method = matcher or GaussianAlongClearance()
+        opinion = None if network is None else network.opinion(sensing.noise, band_widths(self._matrix))
         rows = {known.label: rows_of(self._matrix, known.label, learning, speed) for known in self._matrix.hypotheses}
         rows = {label: chosen for label, chosen in rows.items() if label not in learning.without}
         ends = [[label, len(chosen), int(chosen.sum())] for label, chosen in rows.items()]
         weighed = None if weights is None else np.asarray(weights, np.float64).tobytes().hex()
-        asked = [sensing.digest, watched.tolist(), repr(method), method.version, repr(learning), ends, weighed]
+        judge = None if opinion is None else opinion.network.digest
+        asked = [sensing.digest, watched.tolist(), repr(method), method.version, repr(learning), ends, weighed, judge]
         key = f"{self._state}-{content_digest([self._matrix.id, *asked])}"
         with self._lock:
             if key in self._known:
@@ -151,7 +160,11 @@ class ModelLibrary:
         found: FittedMatcher | None = None if kept is None else read_model(kept, key)
         if found is None:
             chosen = None if weights is None else {label: weights[each] for label, each in rows.items()}
-            found = method.fit(training_set(self._matrix, sensing, watched, learning, rows=rows, weights=chosen))
+            training = training_set(self._matrix, sensing, watched, learning, rows=rows, weights=chosen)
+            if isinstance(method, GaussianAlongClearance):
+                found = method.fit(training, opinion=opinion)
+            else:
+                found = method.fit(training)
             if isinstance(found, FittedGaussian):
                 found = as_read(found)
                 if kept is not None:
@@ -184,13 +197,28 @@ class ModelLibrary:
         return self._matrix.id[:12]
 
     def _answer(self, question: _Question, effort: Effort, learning: Learning, matcher: Matcher | None) -> MatchResult:
-        width = np.diff(self._matrix.edges) * abs(self._matrix.nominal_speed) / (2.0 * np.pi)
-        coarse = rounded_sensing(question.sensing, width, NOISE_STEP_DB)
-        model = self.fitted(coarse, question.watched, learning, matcher, speed=question.speed, weights=question.weights)
+        coarse = rounded_sensing(question.sensing, band_widths(self._matrix), NOISE_STEP_DB)
+        network = None
+        # A network has learned every entry alike.
+        if (
+            self._networks is not None
+            and question.weights is None
+            and isinstance(matcher, GaussianAlongClearance | None)
+        ):
+            network = self._networks.get(question.sensing, learning, question.speed)
+        model = self.fitted(
+            coarse,
+            question.watched,
+            learning,
+            matcher,
+            speed=question.speed,
+            weights=question.weights,
+            network=network,
+        )
         looked_up = replace(model.match(question.lifted(coarse)), mode=learning.mode, notes=self._notes(learning))
         if effort == "fast" or not isinstance(model, FittedGaussian):
             return looked_up
-        refit = Refit(self._matrix, model, learning, question.speed, question.weights)
+        refit = Refit(self._matrix, model, learning, question.speed, question.weights, network)
         return merged(looked_up, refit.match(question.sensing, question.feature, question.watched, looked_up))
 
     def _notes(self, learning: Learning) -> tuple[str, ...]:

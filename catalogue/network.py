@@ -7,8 +7,10 @@ recordings of it tells more (docs/diagnosis.md, "The second opinion").
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import log_softmax
@@ -57,6 +59,14 @@ class Network:
             return Opinion(self, level, np.zeros(noise.size))
         return Opinion(self, level + lacking, (noise * (10.0 ** (0.1 * lacking) - 1.0)).ravel())
 
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of everything it is."""
+        found = hashlib.sha256(repr((self.labels, self.quietest, self.loudest)).encode())
+        for array in (self.centre, self.scale, *self.weights, *self.biases):
+            found.update(np.ascontiguousarray(array, np.float64).tobytes())
+        return found.hexdigest()
+
     def log_likelihoods(self, features: FloatArray, noise_db: FloatArray) -> FloatArray:
         """Return log likelihoods (m, hypotheses), up to a constant of each row, of levels (m, d) with noise (c,)."""
         noise = np.broadcast_to(noise_db, (len(features), len(noise_db)))
@@ -84,13 +94,13 @@ class Opinion:
     noise_db: FloatArray
     missing: FloatArray
 
-    def log_evidences(self, features: FloatArray, labels: Sequence[str], priors: Sequence[float]) -> FloatArray:
-        """Return log likelihood times prior (m, labels) of levels (m, d) for some of the network's hypotheses."""
+    def log_evidences(self, features: FloatArray, labels: Sequence[str]) -> FloatArray:
+        """Return log likelihoods (m, labels), up to a constant of each row, of levels (m, d)."""
         columns = [self.network.labels.index(label) for label in labels]
         shown = features
         if self.missing.any():
             shown = 10.0 * np.log10(10.0 ** (0.1 * features) + self.missing)
-        found: FloatArray = self.network.log_likelihoods(shown, self.noise_db)[:, columns] + np.log(priors)
+        found: FloatArray = self.network.log_likelihoods(shown, self.noise_db)[:, columns]
         return found
 
 

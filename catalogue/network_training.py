@@ -178,4 +178,3 @@ class NetworkTraining:
                 classifier.fit(inputs, index)
             tell(stage + 1)
         return classifier.coefs_, classifier.intercepts_
-

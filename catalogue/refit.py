@@ -9,8 +9,9 @@ import numpy as np
 from catalogue.gaussian import FittedGaussian, GaussianAlongClearance
 from catalogue.learning import Learning, rows_of, training_set
 from catalogue.matching import BoolArray, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
+from catalogue.network import Network
 from catalogue.observation import Sensing
-from catalogue.spectra import Spectra
+from catalogue.spectra import Spectra, band_widths
 
 OPEN_ABOVE = 1e-4
 """Probability above which a hypothesis takes part in a refit."""
@@ -36,6 +37,8 @@ class Refit:
         Drive speed, rad/s.
     weights : ndarray, shape (rows of the matrix,), optional
         How much each entry counts.
+    network : Network, optional
+        Whose opinion counts, too.
     settings : GaussianAlongClearance
     """
 
@@ -44,6 +47,7 @@ class Refit:
     learning: Learning
     speed: float | None = None
     weights: FloatArray | None = None
+    network: Network | None = None
     settings: GaussianAlongClearance = field(default_factory=GaussianAlongClearance)
 
     def match(self, sensing: Sensing, feature: FloatArray, watched: BoolArray, first: MatchResult) -> MatchResult:
@@ -52,7 +56,10 @@ class Refit:
         rows = {match.label: self._rows(match) for match in chosen}
         weights = None if self.weights is None else {label: self.weights[each] for label, each in rows.items()}
         training = training_set(self.matrix, sensing, watched, self.learning, rows=rows, weights=weights)
-        return self.settings.fit(training, self.model.model.projection).match(feature)
+        opinion = None
+        if self.network is not None:
+            opinion = self.network.opinion(sensing.noise, band_widths(self.matrix))
+        return self.settings.fit(training, self.model.model.projection, opinion).match(feature)
 
     def _rows(self, match: HypothesisMatch) -> IntArray:
         learning = replace(self.learning, most=self.learning.reach)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,9 +82,7 @@ def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str
     names = measurement.channel_names
     sensors = {sensor.name: sensor for sensor in machine.sensors}
     lists = f"columns: {', '.join(names)}; sensors of {machine.name}: {', '.join(sensors) or 'none'}"
-    frame = machine.links[machine.frame]
-    free = free_motions(machine)
-    if not free:
+    if not free_motions(machine):
         raise MeasurementError(
             measurement.name, rule=f"the frame of {machine.name} cannot move: sensors on it see nothing"
         )
@@ -109,18 +107,40 @@ def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str
         raise MeasurementError(measurement.name, rule=f"no column is a sensor; {lists}; map them: COLUMN=SENSOR")
     unused = [name for index, name in enumerate(names) if index not in found.values()]
     warnings = [f"columns not used, as they are no sensor of {machine.name}: {', '.join(unused)}"] if unused else []
-    chosen = [sensors[name] for name in found]
-    transform = sensor_transform([s.at for s in chosen], [s.direction for s in chosen], frame.cg)
-    body = rigid_body(transform[:, free])
-    if body.inverse is not None:
-        compared, channels = tuple(MOTIONS[index] for index in free), body.inverse
-    else:
-        compared, channels = tuple(found), np.eye(len(found))
+    transform, compared, channels = compared_channels(machine, tuple(found))
+    if compared == tuple(found):
         warnings.append("the sensors do not see all motions of the frame: they are compared one by one")
     columns = tuple(found.values())
     quantities = [measurement.channels[column].quantity for column in columns]
     derivatives = tuple(DERIVATIVES["acceleration"] - DERIVATIVES[quantity] for quantity in quantities)
     return SensorMap(columns, tuple(found), transform, compared, channels, derivatives, tuple(warnings))
+
+
+def compared_channels(
+    machine: Machine, names: Sequence[str]
+) -> tuple[npt.NDArray[np.float64], tuple[str, ...], npt.NDArray[np.float64]]:
+    """Return what some sensors see, and what is compared: fields of :class:`SensorMap`.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its frame can move.
+    names : sequence of str, (s,)
+        Of its sensors.
+
+    Returns
+    -------
+    transform : (s, 3) array
+    compared : tuple of str, (c,)
+    channels : (c, s) array
+    """
+    by_name = {sensor.name: sensor for sensor in machine.sensors}
+    chosen, free = [by_name[name] for name in names], free_motions(machine)
+    transform = sensor_transform([s.at for s in chosen], [s.direction for s in chosen], machine.links[machine.frame].cg)
+    body = rigid_body(transform[:, free])
+    if body.inverse is None:
+        return transform, tuple(names), np.eye(len(names))
+    return transform, tuple(MOTIONS[index] for index in free), body.inverse
 
 
 def without_columns(sensing: SensorMap, machine: Machine, left_out: Collection[int]) -> SensorMap | None:

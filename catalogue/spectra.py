@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from catalogue.entry import Hypothesis, Stratum
 from catalogue.matching import FloatArray, IntArray
 from catalogue.observation import PackedArray
@@ -45,3 +47,9 @@ class Spectra(Protocol):
 
     def clearance(self, rows: IntArray) -> FloatArray:
         """Radial clearances of rows, (m, joints), m."""
+
+
+def band_widths(spectra: Spectra) -> FloatArray:
+    """Return the widths (G,) of the feature bands at the machine's own drive speed, Hz."""
+    widths: FloatArray = np.diff(spectra.edges) * abs(spectra.nominal_speed) / (2.0 * np.pi)
+    return widths

@@ -118,7 +118,7 @@ class FittedTrees:
     def posterior(self, features: FloatArray) -> FloatArray:
         """Return the probabilities (m, hypotheses) of a block of feature vectors (m, d)."""
         prior = np.log([draws.prior for draws in self.entries.training.hypotheses])
-        return probabilities(self.log_evidence(features) / self.temperature + prior, 1.0)
+        return probabilities(self.log_evidence(features) / self.temperature + prior)
 
     def match(self, feature: FloatArray) -> MatchResult:
         """Return the full answer for one feature vector (d,).

@@ -51,6 +51,7 @@ def command(
     What is there already is kept; the same command again goes on where an interrupted one stopped.
     """
     from catalogue.build import build
+    from catalogue.network_building import train_networks
     from catalogue.plan import resolve_plan
     from catalogue.plan_check import check_plan
     from catalogue.plan_text import plan_lines
@@ -78,6 +79,9 @@ def command(
             index=index,
             progress=lambda state: line.show(state.done, state.total, rate=state.rate, left=state.eta),
         )
+    if not report.lost:
+        with ProgressLine("learning", "networks") as line:
+            train_networks(catalogue, workers=workers or processors(), progress=line.show)
     if as_json:
         print_json({"plan": {"name": wanted.name, "hash": wanted.hash}} | document(report, catalogue))
     else:

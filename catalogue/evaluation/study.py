@@ -22,6 +22,7 @@ from catalogue.features import prepare
 from catalogue.matching import Matcher
 from catalogue.model_library import ModelLibrary
 from catalogue.nearest import NearestEntry
+from catalogue.network_shelf import NetworkShelf
 from catalogue.store import Catalogue
 from catalogue.trees import ExtraTrees
 
@@ -242,7 +243,7 @@ class _Run:
     def answers(self, protocol: Protocol, without: tuple[str, ...], told: Callable[[], None]) -> _Found:
         truths, library, found = (
             self.truths(protocol),
-            ModelLibrary(self.catalogue.matrix),
+            ModelLibrary(self.catalogue.matrix, networks=NetworkShelf.of(self.catalogue)),
             _Found({setup: [] for setup in self.setups}),
         )
         for index, signal in self.recordings.ideal(protocol, truths):
