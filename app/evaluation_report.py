@@ -107,6 +107,11 @@ def details(row: Row) -> list[str]:
         row.refused
     )
     lines = [f"{' '.join(_setup(row))}: {'; '.join([f'{found.count} recordings', *lost])}"]
+    if found.hidden:
+        lines.append(
+            f"  worn joints that never open: {found.hidden} recordings, the same as of machines in order to a tenth of "
+            f"their noise; exact joints in the others: {percent(found.exact_of_seen)}"
+        )
     scores = [
         (each.joint, percent(each.precision), percent(each.recall), number(each.f1))
         for each in found.joints

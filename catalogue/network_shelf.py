@@ -15,12 +15,12 @@ import numpy as np
 from catalogue.keys import content_digest
 from catalogue.learning import Learning
 from catalogue.matching import FloatArray
-from catalogue.matrix import FeatureMatrix
 from catalogue.modelfile import read_network, write_model
 from catalogue.network import Network
 from catalogue.network_training import NetworkTraining
 from catalogue.observation import Sensing
 from catalogue.sensors import compared_channels, free_motions
+from catalogue.spectra import Spectra
 from catalogue.store import Catalogue
 from solver.machines.machine import Machine
 
@@ -34,30 +34,28 @@ class NetworkShelf:
 
     Parameters
     ----------
-    matrix : FeatureMatrix
-    machine : Machine
+    matrix : Spectra
+    own : Sensing or None
+        What all sensors of the machine see, with any noise; None where they see nothing: then there are no networks.
     folder : Path, optional
         Where networks are kept; they are trained anew for every shelf without it.
     training : NetworkTraining, optional
-
-    Attributes
-    ----------
-    own : Sensing or None
-        What all sensors of the machine see, with some noise; None where there are none.
     """
 
     def __init__(
-        self, matrix: FeatureMatrix, machine: Machine, folder: Path | None, training: NetworkTraining | None = None
+        self, matrix: Spectra, own: Sensing | None, folder: Path | None, training: NetworkTraining | None = None
     ) -> None:
         self._matrix, self._folder, self._training = matrix, folder, training or NetworkTraining()
-        self.own = own_sensing(machine, matrix)
+        self.own = own
         self._lock = threading.Lock()
         self._known: dict[str, Network] = {}
 
     @classmethod
     def of(cls, catalogue: Catalogue, *, kept: bool = True) -> NetworkShelf:
         """Return the shelf of a catalogue, with files in its folder or without."""
-        return cls(catalogue.matrix, catalogue.machine, catalogue.layout.networks if kept else None)
+        matrix = catalogue.matrix
+        own = own_sensing(catalogue.machine, matrix.cuts)
+        return cls(matrix, own, catalogue.layout.networks if kept else None)
 
     def wanted(self) -> Iterator[tuple[Learning, float]]:
         """Yield mode and drive speed (rad/s) of every network the catalogue should have, and has not."""
@@ -125,12 +123,11 @@ class NetworkShelf:
                 file.unlink(missing_ok=True)
 
 
-def own_sensing(machine: Machine, matrix: FeatureMatrix) -> Sensing | None:
+def own_sensing(machine: Machine, cuts: tuple[int, ...]) -> Sensing | None:
     """Return what all sensors of a machine see of an entry, with some noise; None where they see nothing."""
     if not machine.sensors or not free_motions(machine):
         return None
     transform, _, channels = compared_channels(machine, [sensor.name for sensor in machine.sensors])
-    cuts = matrix.cuts
     return Sensing(transform, channels, cuts, np.ones((len(cuts) - 1, len(channels))), np.ones(len(cuts) - 1))
 
 

@@ -30,6 +30,10 @@ class Spectra(Protocol):
     """Drive speed of the machine's file, rad/s."""
 
     @property
+    def speeds(self) -> tuple[float, ...]:
+        """Factors on that speed which it has spectra at, rising."""
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """Turning joints, the columns of :meth:`clearance`."""
 

@@ -45,6 +45,8 @@ class Answered:
         Of the answer.
     simulations : int
         Cases simulated for it.
+    hidden : bool
+        The recording cannot be told from one of the same machine in order, see :mod:`catalogue.evaluation.hidden`.
     """
 
     label: str
@@ -59,6 +61,7 @@ class Answered:
     trusted_p_value: float | None
     seconds: float
     simulations: int
+    hidden: bool = False
 
     @classmethod
     def of(cls, truth: Truth, answer: Diagnosis, seconds: float) -> Self:
@@ -145,6 +148,10 @@ class Figures:
         Of one answer, preparation of the recording left out; the worst includes learning for a new noise level.
     simulations : float or None
         Cases simulated for one answer, mean.
+    hidden : int
+        Recordings of worn machines that cannot be told from the same machines in order.
+    exact_of_seen : float or None
+        As `exact_set`, without those.
     """
 
     count: int
@@ -173,6 +180,8 @@ class Figures:
     seconds_median: float | None
     seconds_worst: float | None
     simulations: float | None
+    hidden: int
+    exact_of_seen: float | None
 
 
 def figures(
@@ -232,6 +241,8 @@ def figures(
         seconds_median=float(np.median(seconds)) if seconds else None,
         seconds_worst=float(np.max(seconds)) if seconds else None,
         simulations=_mean([answer.simulations for answer in answers]),
+        hidden=sum(answer.hidden for answer in answers),
+        exact_of_seen=_mean([joints_of[answer.first] == answer.worn for answer in answers if not answer.hidden]),
     )
 
 

@@ -8,12 +8,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+import numpy as np
+from numpy.typing import NDArray
+
 from catalogue.answer import Effort, ModeAsked
 from catalogue.cosine import CosineEntry
 from catalogue.diagnosis import Question, answer
 from catalogue.entry import Hypothesis
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.evaluation.differences import with_differences
+from catalogue.evaluation.hidden import hidden
 from catalogue.evaluation.metrics import Answered, Figures, figures
 from catalogue.evaluation.protocols import Protocol, protocols_of
 from catalogue.evaluation.recordings import Recordings, recorded
@@ -246,11 +250,15 @@ class _Run:
             ModelLibrary(self.catalogue.matrix, networks=NetworkShelf.of(self.catalogue)),
             _Found({setup: [] for setup in self.setups}),
         )
+        numbers: dict[Setup, list[int]] = {setup: [] for setup in self.setups}
+        signals: dict[int, NDArray[np.float64]] = {}
         for index, signal in self.recordings.ideal(protocol, truths):
             told()
             if signal is None:
                 found.failed += 1
                 continue
+            if "load" in protocol.differences:
+                signals[index] = signal
             recording = recorded(protocol, truths[index], signal)
             try:
                 prepared = prepare(recording, self.catalogue.machine, scheme=self.catalogue.scheme)
@@ -272,6 +280,11 @@ class _Run:
                     most=self.most,
                 )
                 found.answers[setup].append(Answered.of(truths[index], got, time.perf_counter() - begin))
+                numbers[setup].append(index)
+        unseen = hidden(protocol, truths, signals, self.recordings)
+        for setup, answers in found.answers.items():
+            marked = zip(numbers[setup], answers, strict=True)
+            found.answers[setup] = [replace(each, hidden=True) if i in unseen else each for i, each in marked]
         if not any(found.answers.values()):
             rule = f"{found.failed} failed, {found.refused} were refused"
             raise DiagnosisError(

@@ -28,6 +28,7 @@ class SpectraModel:
     edges = tuple(np.geomspace(0.5, 400.0, GROUPS + 1).tolist())
     nominal_speed = 2.0 * np.pi * 10.0
     joints = ("A", "B", "C")
+    speeds = (1.0,)
 
     def __init__(self, count: int, *, pairs: bool = False, wide: int = 0, seed: int = 1) -> None:
         generator = np.random.default_rng(seed)

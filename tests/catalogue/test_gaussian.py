@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from feature_model import HIGH, LOW, FeatureModel
 
-from catalogue.calibration import calibration_error, log_loss
+from catalogue.calibration import calibration_error, held_out, log_loss
 from catalogue.errors import MatchingError
 from catalogue.gaussian import FittedGaussian, GaussianAlongClearance
 from catalogue.matching import Draws, TrainingSet
@@ -192,7 +192,7 @@ def test_many_draws_are_split_once_and_few_are_held_out_in_turn() -> None:
     many = MODEL.training(240, np.random.default_rng(26))
     split = GaussianAlongClearance().fit(many)
     in_turn = GaussianAlongClearance(many_cases=1000).fit(many)
-    assert len(split.calibration.distances[0].values) == 60
+    assert len(split.calibration.distances[0].values) == np.sum(held_out(np.arange(240)))
     assert len(in_turn.calibration.distances[0].values) == 240
     features, truth, _ = MODEL.queries(60, np.random.default_rng(27))
     # Both know about the same: log-losses measured 0.003 apart.

@@ -95,7 +95,7 @@ def test_a_damaged_file_or_a_folder_that_cannot_be_written_costs_nothing_but_tim
     expected = ModelLibrary(MODEL, tmp_path).answer(sensing(), feature, WATCHED, "fast", "trusted")
     (file,) = tmp_path.glob("*.npz")
     whole = file.read_bytes()
-    for damaged in (whole[: len(whole) // 2], b"", b"PK", whole.replace(b'"format": 1', b'"format": 0')):
+    for damaged in (whole[: len(whole) // 2], b"", b"PK", whole.replace(b'"format": 2', b'"format": 0')):
         file.write_bytes(damaged)
         assert same(ModelLibrary(MODEL, tmp_path).answer(sensing(), feature, WATCHED, "fast", "trusted"), expected)
         assert file.read_bytes() != damaged
