@@ -13,7 +13,7 @@ from fastapi.openapi.utils import get_openapi
 from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 
-API_VERSION = "1.1.0"
+API_VERSION = "1.2.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {

@@ -32,6 +32,8 @@ from catalogue.diagnosis import Question, answer
 from catalogue.features import prepare
 from catalogue.measurement import read_measurement
 from catalogue.model_library import ModelLibrary
+from catalogue.network_building import train_networks
+from catalogue.network_shelf import NetworkShelf
 from catalogue.prepared import PreparedMeasurement
 from catalogue.store import Catalogue
 from solver.spectra.band_power import transform_power
@@ -82,10 +84,13 @@ def measure(folder: Path, models: Path) -> None:
         ask = partial(answer, sha256="0" * 64, catalogue=catalogue, question=question, suggesting=suggesting)
         return [timed(partial(ask, each, library=library))[0] for each in asked]
 
-    library = ModelLibrary(matrix, models)
+    trained, _ = timed(lambda: train_networks(folder, workers=2))
+    say("networks of both modes, trained side by side", trained)
+    networks = NetworkShelf.of(catalogue)
+    library = ModelLibrary(matrix, models, networks)
     say("fast, trusted, its model is fitted", *costs_of("fast", "trusted", library, first))
     say("fast, robust, its model is fitted", *costs_of("fast", "robust", library, first))
-    say("fast, trusted, its model is read", *costs_of("fast", "trusted", ModelLibrary(matrix, models), first))
+    say("fast, trusted, its model is read", *costs_of("fast", "trusted", ModelLibrary(matrix, models, networks), first))
     costs_of("fast", "auto", library, recordings)
     for effort in ("fast", "standard"):
         for mode in ("trusted", "robust", "auto"):

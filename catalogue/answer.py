@@ -178,10 +178,11 @@ class SuggestionShown(_Frozen):
 
 
 class MatcherIdentity(_Frozen):
-    """Which method matched."""
+    """Which method matched, and the SHA-256 of the network whose opinion counted, where there is one."""
 
     name: str
     version: str
+    network: str | None = None
 
 
 class Provenance(_Frozen):

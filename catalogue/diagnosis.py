@@ -253,7 +253,7 @@ def answer(
         machine_sha256=catalogue.machine.content_key,
         solver_version=solver.__version__,
         catalogue_solver_version=catalogue.manifest.solver_version,
-        matcher=MatcherIdentity(name=method.name, version=method.version),
+        matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,
     )
     asked = [question.effort, question.mode, question.coverage, *([question.budget] * (question.effort == "thorough"))]

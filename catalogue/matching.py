@@ -204,6 +204,8 @@ class MatchResult:
         Where the trusted mode was tried first and did not explain the measurement: its p-value.
     notes : tuple of str
         What was done, and what is doubtful, in words.
+    network : str, optional
+        SHA-256 of the network whose opinion counted, too.
     """
 
     hypotheses: tuple[HypothesisMatch, ...]
@@ -211,6 +213,7 @@ class MatchResult:
     mode: Mode = "trusted"
     trusted_p_value: float | None = None
     notes: tuple[str, ...] = ()
+    network: str | None = None
 
     @property
     def best(self) -> HypothesisMatch:

@@ -215,7 +215,10 @@ class ModelLibrary:
             weights=question.weights,
             network=network,
         )
-        looked_up = replace(model.match(question.lifted(coarse)), mode=learning.mode, notes=self._notes(learning))
+        asked = model.opinion.network.digest if isinstance(model, FittedGaussian) and model.opinion else None
+        looked_up = replace(
+            model.match(question.lifted(coarse)), mode=learning.mode, notes=self._notes(learning), network=asked
+        )
         if effort == "fast" or not isinstance(model, FittedGaussian):
             return looked_up
         refit = Refit(self._matrix, model, learning, question.speed, question.weights, network)

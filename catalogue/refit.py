@@ -88,4 +88,4 @@ def merged(first: MatchResult, refitted: MatchResult) -> MatchResult:
         replace(again[match.label], probability=mean[match.label] * scale) if match.label in again else match
         for match in first.hypotheses
     ]
-    return replace(ranked(matches, refitted.conformal), mode=first.mode, notes=first.notes)
+    return replace(ranked(matches, refitted.conformal), mode=first.mode, notes=first.notes, network=first.network)

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.1.0", "4184c6680b3cd825")
+OF_VERSION = ("1.2.0", "22338262bd6dea1f")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 

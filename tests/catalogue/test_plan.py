@@ -61,12 +61,10 @@ def test_presets_hold_what_they_say() -> None:
     assert counted(quick) == {"healthy": 128, "as-new": 128, **dict.fromkeys("ACEFO", 192)}
     standard = preset("standard").entries(QUICK_RETURN)
     pairs = ["+".join(pair) for pair in itertools.combinations("ACEFO", 2)]
-    # Half as many again in which the machine's own data are uncertain.
-    assert counted(standard) == {"healthy": 288, "as-new": 288, **dict.fromkeys(["A", "C", "E", "F", "O", *pairs], 576)}
-    assert Counter(entry.stratum for entry in standard) == {
-        "trusted": len(standard) * 2 // 3,
-        "wide": len(standard) // 3,
-    }
+    # As many again in which the machine's own data are uncertain.
+    twice = {"healthy": 768, "as-new": 768, **dict.fromkeys("ACEFO", 1536), **dict.fromkeys(pairs, 768)}
+    assert counted(standard) == twice
+    assert Counter(entry.stratum for entry in standard) == dict.fromkeys(("trusted", "wide"), len(standard) // 2)
     worn = [entry.clearances[0] for entry in quick if len(entry.worn) == 1]
     assert 3e-5 <= min(worn) < 3.1e-5
     assert 0.98e-3 < max(worn) <= 1e-3
@@ -237,7 +235,7 @@ def test_faulty_draws_with_fits_open_the_other_joints() -> None:
 def test_a_plan_is_shown_in_words() -> None:
     lines = plan_lines(preset("standard"), QUICK_RETURN)
     resolved = preset("standard").resolved(QUICK_RETURN)
-    assert lines[0] == f"plan standard, {resolved.hash[:12]}: 9216 cases (6144 trusted, 3072 wide)"
+    assert lines[0] == f"plan standard, {resolved.hash[:12]}: 16896 cases (8448 trusted, 8448 wide)"
     assert lines[1] == "hypotheses: healthy, as-new, 5 of a single, 10 of a pair"
     assert lines[4] == "contact laws: own 1, hertz 1"
     assert "drive.speed x 0.97 to 1.03" in lines[5]
