@@ -72,14 +72,15 @@ def held_out(entry: IntArray) -> BoolArray:
 def kept_apart(training: TrainingSet) -> tuple[TrainingSet, TrainingSet]:
     """Split a training set into what may be learned and what :func:`held_out` keeps for calibration.
 
-    Of a hypothesis without two cases on either side every fifth row is held out.
+    Where that leaves fewer than two cases of a hypothesis on a side, every fifth of its cases is held out; of a single
+    case, every fifth row.
     """
     learned, held = [], []
     for draws in training.hypotheses:
-        apart = held_out(draws.entry)
-        sides = [len(np.unique(draws.entry[side])) for side in (apart, ~apart)]
-        if min(sides) < 2:
-            apart = np.arange(len(draws.entry)) % 5 == 0
+        cases, case = np.unique(draws.entry, return_inverse=True)
+        apart = held_out(cases)[case]
+        if not 2 <= np.sum(held_out(cases)) <= len(cases) - 2:
+            apart = (case if len(cases) > 1 else np.arange(len(case))) % 5 == 0
         learned.append(draws.rows(~apart))
         held.append(draws.rows(apart))
     return TrainingSet(tuple(learned), training.watched), TrainingSet(tuple(held), training.watched)

@@ -188,10 +188,13 @@ class FeatureMatrix:
         if draws is not None:
             rows = rows[self._columns.column("draw")[rows] < draws]
         if speed is not None and len(self.speeds) > 1:
-            borders = np.sqrt(np.array(self.speeds[1:]) * self.speeds[:-1])
-            nearest = self.speeds[int(np.searchsorted(borders, abs(speed / self.nominal_speed)))]
-            rows = rows[self._columns.column("speed")[rows] == nearest]
+            rows = rows[self._columns.column("speed")[rows] == self.nearest_speed(speed)]
         return rows
+
+    def nearest_speed(self, speed: float) -> float:
+        """Return the one of :attr:`speeds` that is nearest to a drive speed [rad/s], as a ratio."""
+        borders = np.sqrt(np.array(self.speeds[1:]) * self.speeds[:-1])
+        return self.speeds[int(np.searchsorted(borders, abs(speed / self.nominal_speed)))]
 
     def packed(self, rows: IntArray) -> NDArray[np.float32]:
         """Spectra of some rows as they are stored, see :func:`catalogue.cross_power.pack`, (m, G, 9).

@@ -198,14 +198,13 @@ class ModelLibrary:
 
     def _answer(self, question: _Question, effort: Effort, learning: Learning, matcher: Matcher | None) -> MatchResult:
         coarse = rounded_sensing(question.sensing, band_widths(self._matrix), NOISE_STEP_DB)
-        network = None
-        # A network has learned every entry alike.
-        if (
-            self._networks is not None
-            and question.weights is None
-            and isinstance(matcher, GaussianAlongClearance | None)
-        ):
+        network, notes = None, self._notes(learning)
+        own_method = matcher is None or isinstance(matcher, GaussianAlongClearance)
+        # Where entries have weights none counts: a network has learned all entries alike.
+        if self._networks is not None and own_method and question.weights is None:
             network = self._networks.get(question.sensing, learning, question.speed)
+            if network is None and self._networks.applies(question.sensing, learning, question.speed):
+                notes = (*notes, "the catalogue's networks are not trained yet: building it again does that")
         model = self.fitted(
             coarse,
             question.watched,
@@ -216,12 +215,10 @@ class ModelLibrary:
             network=network,
         )
         asked = model.opinion.network.digest if isinstance(model, FittedGaussian) and model.opinion else None
-        looked_up = replace(
-            model.match(question.lifted(coarse)), mode=learning.mode, notes=self._notes(learning), network=asked
-        )
+        looked_up = replace(model.match(question.lifted(coarse)), mode=learning.mode, notes=notes, network=asked)
         if effort == "fast" or not isinstance(model, FittedGaussian):
             return looked_up
-        refit = Refit(self._matrix, model, learning, question.speed, question.weights, network)
+        refit = Refit(self._matrix, model, learning, question.speed, question.weights, network if asked else None)
         return merged(looked_up, refit.match(question.sensing, question.feature, question.watched, looked_up))
 
     def _notes(self, learning: Learning) -> tuple[str, ...]:

@@ -33,8 +33,24 @@ _TYPES = {
 }
 
 
-def write_model(folder: Path, key: str, model: FittedGaussian | Network) -> bool:
-    """Write a model under its key; False where the folder cannot be written, which only costs time later."""
+def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
+    """Write a model under its key; False where the folder cannot be written, which only costs time later.
+
+    Of the models there only the last :data:`KEPT` stay.
+    """
+    if not _write(folder, key, model):
+        return False
+    for file in sorted(folder.glob("*.npz"), key=written)[:-KEPT]:
+        file.unlink(missing_ok=True)
+    return True
+
+
+def write_network(folder: Path, key: str, network: Network) -> bool:
+    """Write a network under its key; False where the folder cannot be written."""
+    return _write(folder, key, network)
+
+
+def _write(folder: Path, key: str, model: FittedGaussian | Network) -> bool:
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = {"format": FORMAT, "key": key, "model": _plain(model, arrays)}
     content = io.BytesIO()
@@ -43,16 +59,9 @@ def write_model(folder: Path, key: str, model: FittedGaussian | Network) -> bool
     try:
         folder.mkdir(parents=True, exist_ok=True)
         publish(folder / f"{key}.npz", content.getvalue())
-        _prune(folder)
     except (OSError, CatalogueFileError):
         return False
     return True
-
-
-def _prune(folder: Path) -> None:
-    """Remove the models written first, beyond :data:`KEPT`; so those of former states of a catalogue go, too."""
-    for file in sorted(folder.glob("*.npz"), key=written)[:-KEPT]:
-        file.unlink(missing_ok=True)
 
 
 def written(file: Path) -> tuple[float, str]:

@@ -17,9 +17,9 @@ __all__ = ["train_networks"]
 def train_networks(
     folder: Path, *, workers: int = 1, progress: Callable[[int, int], None] | None = None
 ) -> tuple[str, ...]:
-    """Train the networks that a catalogue should have, and has not.
+    """Train the networks that a catalogue should have, and has not; forget those of its former states.
 
-    What is interrupted is trained when a diagnosis first asks for it, or by the next call.
+    What is interrupted is trained by the next call; diagnoses do without it until then, and say so.
 
     Parameters
     ----------
@@ -35,12 +35,22 @@ def train_networks(
     tuple of str
         Modes of those trained, in the order of asking.
     """
-    wanted = list(NetworkShelf.of(Catalogue.open(folder)).wanted())
-    if not wanted:
-        return ()
+    catalogue = Catalogue.open(folder)
+    wanted = list(NetworkShelf.of(catalogue).missing())
+    if wanted:
+        _train_all(folder, wanted, workers, progress or (lambda done, total: None))
+    for file in catalogue.layout.networks.glob("*.npz"):
+        # Of the state that is there now, which another builder may have made meanwhile.
+        if not file.name.startswith((catalogue.id[:12], Catalogue.open(folder).id[:12])):
+            file.unlink(missing_ok=True)
+    return tuple(learning.mode for learning, _ in wanted)
+
+
+def _train_all(
+    folder: Path, wanted: list[tuple[Learning, float]], workers: int, tell: Callable[[int, int], None]
+) -> None:
     count = min(workers, len(wanted))
     executor = LocalProcesses(count) if count > 1 else InProcess()
-    tell = progress or (lambda done, total: None)
     tell(0, len(wanted))
     try:
         waiting = {executor.submit(_train, (str(folder), learning, speed)) for learning, speed in wanted}
@@ -49,14 +59,12 @@ def train_networks(
             for future in done:
                 future.result()
             tell(len(wanted) - len(waiting), len(wanted))
-        executor.close()
     except BaseException:
         executor.close(at_once=True)
         raise
-    return tuple(learning.mode for learning, _ in wanted)
+    executor.close()
 
 
 def _train(asked: tuple[str, Learning, float]) -> None:
     folder, learning, speed = asked
-    shelf = NetworkShelf.of(Catalogue.open(folder))
-    shelf.get(shelf.own, learning, speed)
+    NetworkShelf.of(Catalogue.open(folder)).train(learning, speed)

@@ -1,7 +1,7 @@
-"""Networks of a catalogue, one for each mode and stored speed: trained once, kept as files.
+"""Networks of a catalogue, one for each mode and stored speed, kept as files.
 
-Training takes a minute, so networks are for one set of sensors: those of the machine's file, recorded up to the end of
-the bands. Recordings by fewer sensors, or at a lower sample rate, are answered by the curves alone.
+Training takes a minute, so it belongs to building a catalogue, and no diagnosis waits for it; and networks are for one
+set of sensors: those of the machine's file, recorded up to the end of the bands.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 
 from catalogue.keys import content_digest
 from catalogue.learning import Learning
-from catalogue.matching import FloatArray
-from catalogue.modelfile import read_network, write_model
+from catalogue.matching import FloatArray, Mode
+from catalogue.modelfile import read_network, write_network
 from catalogue.network import Network
 from catalogue.network_training import NetworkTraining
 from catalogue.observation import Sensing
@@ -24,7 +24,9 @@ from catalogue.spectra import Spectra
 from catalogue.store import Catalogue
 from solver.machines.machine import Machine
 
-__all__ = ["NetworkShelf"]
+__all__ = ["NetworkShelf", "own_sensing"]
+
+MODES: tuple[Mode, ...] = ("trusted", "robust")
 
 Progress = Callable[[int, int], None]
 
@@ -38,7 +40,7 @@ class NetworkShelf:
     own : Sensing or None
         What all sensors of the machine see, with any noise; None where they see nothing: then there are no networks.
     folder : Path, optional
-        Where networks are kept; they are trained anew for every shelf without it.
+        Where networks are kept; without it they live as long as the shelf.
     training : NetworkTraining, optional
     """
 
@@ -46,30 +48,58 @@ class NetworkShelf:
         self, matrix: Spectra, own: Sensing | None, folder: Path | None, training: NetworkTraining | None = None
     ) -> None:
         self._matrix, self._folder, self._training = matrix, folder, training or NetworkTraining()
-        self.own = own
+        self._own = own
+        self._arrangement = None if own is None else arrangement(own)
         self._lock = threading.Lock()
         self._known: dict[str, Network] = {}
 
     @classmethod
-    def of(cls, catalogue: Catalogue, *, kept: bool = True) -> NetworkShelf:
-        """Return the shelf of a catalogue, with files in its folder or without."""
+    def of(cls, catalogue: Catalogue) -> NetworkShelf:
+        """Return the shelf of a catalogue, with files in its folder."""
         matrix = catalogue.matrix
-        own = own_sensing(catalogue.machine, matrix.cuts)
-        return cls(matrix, own, catalogue.layout.networks if kept else None)
+        return cls(matrix, own_sensing(catalogue.machine, matrix.cuts), catalogue.layout.networks)
 
-    def wanted(self) -> Iterator[tuple[Learning, float]]:
-        """Yield mode and drive speed (rad/s) of every network the catalogue should have, and has not."""
-        for mode in ("trusted", "robust"):
-            learning = Learning.of(mode)
+    def missing(self, most: int | None = None) -> Iterator[tuple[Learning, float]]:
+        """Yield mode and drive speed (rad/s) of every network that there should be, and is not.
+
+        Parameters
+        ----------
+        most : int, optional
+            Entries of a hypothesis that are learned from, at most, as for :meth:`Learning.of`.
+        """
+        for mode in MODES:
+            learning = Learning.of(mode, most=most)
             for factor in self._matrix.speeds:
                 speed = factor * self._matrix.nominal_speed
-                if self._applies(learning, speed) and not self._is_kept(self._key(learning, speed)):
+                if self._applies(learning, speed) and self._found(self._key(learning, speed)) is None:
                     yield learning, speed
 
-    def get(
-        self, sensing: Sensing | None, learning: Learning, speed: float | None, progress: Progress | None = None
-    ) -> Network | None:
-        """Return the network for a recording, trained if there is none yet; None where there is to be none.
+    def train(self, learning: Learning, speed: float, progress: Progress | None = None) -> None:
+        """Train a network and keep it.
+
+        Parameters
+        ----------
+        learning : Learning
+        speed : float
+            Drive speed, rad/s.
+        progress : callable, optional
+            Called with the number of steps done and their total.
+        """
+        assert self._own is not None
+        whole, key = _whole(learning), self._key(learning, speed)
+        trained = self._training.train(self._matrix, self._own, whole, speed=speed, progress=progress)
+        # Where the folder cannot be written it is there for this shelf alone.
+        if self._folder is not None:
+            write_network(self._folder, key, trained)
+        with self._lock:
+            self._known[key] = trained
+
+    def applies(self, sensing: Sensing, learning: Learning, speed: float | None) -> bool:
+        """Whether there should be a network for a recording: its sensors are the machine's, and cases are enough."""
+        return arrangement(sensing) == self._arrangement and self._applies(learning, speed)
+
+    def get(self, sensing: Sensing, learning: Learning, speed: float | None) -> Network | None:
+        """Return the network for a recording; None where there is none.
 
         Parameters
         ----------
@@ -79,48 +109,26 @@ class NetworkShelf:
             Hypotheses that it leaves out are left in: a network answers for those it is asked of.
         speed : float, optional
             Drive speed, rad/s.
-        progress : callable, optional
-            Called with the number of steps done and their total, while one is trained.
         """
-        own = self.own
-        if (
-            own is None
-            or sensing is None
-            or arrangement(sensing) != arrangement(own)
-            or not self._applies(learning, speed)
-        ):
+        if not self.applies(sensing, learning, speed):
             return None
-        key = self._key(learning, speed)
-        # One at a time: who comes second finds it trained.
+        return self._found(self._key(learning, speed))
+
+    def _found(self, key: str) -> Network | None:
         with self._lock:
-            if key not in self._known:
-                found = None if self._folder is None else read_network(self._folder, key)
-                if found is None:
-                    found = self._training.train(self._matrix, own, _whole(learning), speed=speed, progress=progress)
-                    if self._folder is not None and write_model(self._folder, key, found):
-                        self._forget_others()
-                self._known[key] = found
-            return self._known[key]
+            if key not in self._known and self._folder is not None:
+                kept = read_network(self._folder, key)
+                if kept is not None:
+                    self._known[key] = kept
+            return self._known.get(key)
 
     def _applies(self, learning: Learning, speed: float | None) -> bool:
-        return self.own is not None and self._training.enough(self._matrix, _whole(learning), speed)
+        return self._own is not None and self._training.enough(self._matrix, _whole(learning), speed)
 
     def _key(self, learning: Learning, speed: float | None) -> str:
-        assert self.own is not None
-        speeds = np.array(self._matrix.speeds)
-        nearest = int(np.abs(speeds - abs((speed or 0.0) / self._matrix.nominal_speed)).argmin()) if speed else 0
-        asked = [arrangement(self.own), repr(_whole(learning)), learning.reach, repr(self._training), nearest]
+        at = None if speed is None else self._matrix.nearest_speed(speed)
+        asked = [self._arrangement, repr(_whole(learning)), learning.reach, repr(self._training), at]
         return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, *asked])}"
-
-    def _is_kept(self, key: str) -> bool:
-        return self._folder is not None and read_network(self._folder, key) is not None
-
-    def _forget_others(self) -> None:
-        """Remove networks of other states of the catalogue."""
-        assert self._folder is not None
-        for file in self._folder.glob("*.npz"):
-            if not file.name.startswith(self._matrix.id[:12]):
-                file.unlink(missing_ok=True)
 
 
 def own_sensing(machine: Machine, cuts: tuple[int, ...]) -> Sensing | None:
@@ -132,13 +140,14 @@ def own_sensing(machine: Machine, cuts: tuple[int, ...]) -> Sensing | None:
 
 
 def arrangement(sensing: Sensing) -> str:
-    """Return what two sets of sensors have in common whose compared channels see the same, in whatever order."""
+    """Return what two sets of sensors have in common whose compared channels see the same.
+
+    The order of the sensors does not matter where motions of the frame are compared, and does where the sensors are.
+    """
     rows: FloatArray = np.concatenate([sensing.transform, sensing.channels.T], axis=1)
-    if sensing.channels.shape[0] == sensing.channels.shape[1]:
-        ordered = rows  # sensors are compared themselves: then their order is that of the features
-    else:
-        ordered = rows[np.lexsort(rows.T)]
-    return content_digest([sensing.cuts, np.round(ordered, 9).tolist()])
+    if not np.array_equal(sensing.channels, np.eye(len(rows))):
+        rows = rows[np.lexsort(np.round(rows, 9).T)]
+    return content_digest([sensing.cuts, (np.round(rows, 9) + 0.0).tolist()])
 
 
 def _whole(learning: Learning) -> Learning:

@@ -23,6 +23,9 @@ from catalogue.spectra import Spectra
 
 __all__ = ["NetworkTraining"]
 
+LEAST_ON_EITHER_SIDE = 2
+"""Cases of a hypothesis that are learned from, and held out, at least."""
+
 FULL_BAND = 5000.0
 """Bandwidth [Hz] that noise is stated over: half of 10 kHz."""
 
@@ -52,7 +55,7 @@ class NetworkTraining:
     lengths : tuple of float
         Seconds, log-uniform; five revolutions at least.
     least_cases : int
-        Cases a hypothesis below which a network learns less than curves know.
+        Cases of worn joints, each hypothesis, below which a network learns less than curves know.
     """
 
     rows: int = 200_000
@@ -70,10 +73,16 @@ class NetworkTraining:
     version: str = "1"
 
     def enough(self, matrix: Spectra, learning: Learning, speed: float | None) -> bool:
-        """Whether every hypothesis of worn joints has cases enough."""
-        worn = [known.label for known in matrix.hypotheses if known.joints]
-        counts = [len(rows_of(matrix, label, learning, speed)) for label in worn]
-        return len(matrix.hypotheses) > 1 and bool(counts) and min(counts) >= self.least_cases
+        """Whether there are cases enough: of worn joints to learn from, of every hypothesis to calibrate on."""
+        counts = []
+        for known in matrix.hypotheses:
+            rows = rows_of(matrix, known.label, learning, speed)
+            apart = int(np.sum(held_out(rows)))
+            if min(apart, len(rows) - apart) < LEAST_ON_EITHER_SIDE:
+                return False
+            if known.joints:
+                counts.append(len(rows))
+        return len(matrix.hypotheses) > 1 and min(counts, default=0) >= self.least_cases
 
     def train(
         self,

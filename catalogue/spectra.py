@@ -33,6 +33,9 @@ class Spectra(Protocol):
     def speeds(self) -> tuple[float, ...]:
         """Factors on that speed which it has spectra at, rising."""
 
+    def nearest_speed(self, speed: float) -> float:
+        """The one of them that is nearest to a drive speed, rad/s."""
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Turning joints, the columns of :meth:`clearance`."""

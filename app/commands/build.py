@@ -79,9 +79,6 @@ def command(
             index=index,
             progress=lambda state: line.show(state.done, state.total, rate=state.rate, left=state.eta),
         )
-    if not report.lost:
-        with ProgressLine("learning", "networks") as line:
-            train_networks(catalogue, workers=workers or processors(), progress=line.show)
     if as_json:
         print_json({"plan": {"name": wanted.name, "hash": wanted.hash}} | document(report, catalogue))
     else:
@@ -92,6 +89,9 @@ def command(
         raise IncompleteBuildError(
             f"{len(report.lost)} cases could not be computed: {report.lost_reason}; the same command tries them again"
         )
+    # Last, so that what was built is told whatever becomes of it.
+    with ProgressLine("learning", "networks") as line:
+        train_networks(catalogue, workers=workers or processors(), progress=line.show)
 
 
 @contextmanager

@@ -29,7 +29,7 @@ from solver.machines.machine import Machine
 from solver.simulation.simulate import simulate_batch
 from solver.spectra.sensor import sensor_signals, sensor_transform
 
-__all__ = ["Recordings", "recorded"]
+__all__ = ["TOGETHER", "Recordings", "recorded"]
 
 FloatArray = NDArray[np.float64]
 

@@ -20,13 +20,13 @@ from catalogue.evaluation.differences import with_differences
 from catalogue.evaluation.hidden import hidden
 from catalogue.evaluation.metrics import Answered, Figures, figures
 from catalogue.evaluation.protocols import Protocol, protocols_of
-from catalogue.evaluation.recordings import Recordings, recorded
+from catalogue.evaluation.recordings import TOGETHER, Recordings, recorded
 from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.features import prepare
 from catalogue.matching import Matcher
 from catalogue.model_library import ModelLibrary
 from catalogue.nearest import NearestEntry
-from catalogue.network_shelf import NetworkShelf
+from catalogue.network_shelf import NetworkShelf, own_sensing
 from catalogue.store import Catalogue
 from catalogue.trees import ExtraTrees
 
@@ -171,7 +171,9 @@ def evaluate(
     wanted = protocols_of(protocols)
     if not catalogue.machine.sensors:
         raise DiagnosisError(f"machine {catalogue.machine.name}: has no sensors to record with")
-    run = _Run(catalogue, count, seed, tuple(setups), recordings or Recordings(), most)
+    run = _Run(
+        catalogue, count, seed, tuple(setups), recordings or Recordings(), most, networks_of(catalogue, setups, most)
+    )
     for protocol in wanted:
         run.hypotheses(protocol)  # Refused before anything is simulated.
     total = sum(2 if protocol.foreign else 1 for protocol in wanted) * count
@@ -203,6 +205,21 @@ def evaluate(
     return Study(catalogue.machine.name, catalogue.id, len(catalogue.entries), seed, count, tuple(rows))
 
 
+def networks_of(catalogue: Catalogue, setups: Sequence[Setup], most: int | None) -> NetworkShelf:
+    """Return networks that have seen `most` draws of a hypothesis, those trained first that are asked for."""
+    kept = NetworkShelf.of(catalogue)
+    shelf = (
+        kept
+        if most is None
+        else NetworkShelf(catalogue.matrix, own_sensing(catalogue.machine, catalogue.matrix.cuts), None)
+    )
+    modes = {setup.mode for setup in setups if setup.method == GAUSSIAN}
+    for learning, speed in shelf.missing(most):
+        if learning.mode in modes or "auto" in modes:
+            shelf.train(learning, speed)
+    return shelf
+
+
 @dataclass
 class _Found:
     answers: dict[Setup, list[Answered]]
@@ -218,6 +235,7 @@ class _Run:
     setups: tuple[Setup, ...]
     recordings: Recordings
     most: int | None
+    networks: NetworkShelf
 
     def hypotheses(self, protocol: Protocol) -> tuple[Hypothesis, ...]:
         found = protocol.hypotheses(self.catalogue)
@@ -247,11 +265,12 @@ class _Run:
     def answers(self, protocol: Protocol, without: tuple[str, ...], told: Callable[[], None]) -> _Found:
         truths, library, found = (
             self.truths(protocol),
-            ModelLibrary(self.catalogue.matrix, networks=NetworkShelf.of(self.catalogue)),
+            ModelLibrary(self.catalogue.matrix, networks=self.networks),
             _Found({setup: [] for setup in self.setups}),
         )
         numbers: dict[Setup, list[int]] = {setup: [] for setup in self.setups}
         signals: dict[int, NDArray[np.float64]] = {}
+        unseen: set[int] = set()
         for index, signal in self.recordings.ideal(protocol, truths):
             told()
             if signal is None:
@@ -259,6 +278,9 @@ class _Run:
                 continue
             if "load" in protocol.differences:
                 signals[index] = signal
+                if len(signals) == TOGETHER:
+                    unseen |= hidden(protocol, truths, signals, self.recordings)
+                    signals.clear()
             recording = recorded(protocol, truths[index], signal)
             try:
                 prepared = prepare(recording, self.catalogue.machine, scheme=self.catalogue.scheme)
@@ -281,7 +303,7 @@ class _Run:
                 )
                 found.answers[setup].append(Answered.of(truths[index], got, time.perf_counter() - begin))
                 numbers[setup].append(index)
-        unseen = hidden(protocol, truths, signals, self.recordings)
+        unseen |= hidden(protocol, truths, signals, self.recordings)
         for setup, answers in found.answers.items():
             marked = zip(numbers[setup], answers, strict=True)
             found.answers[setup] = [replace(each, hidden=True) if i in unseen else each for i, each in marked]

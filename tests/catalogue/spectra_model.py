@@ -69,6 +69,10 @@ class SpectraModel:
         rows = np.flatnonzero((self.label == label) & ((stratum is None) | (self.stratum == stratum)))
         return rows if draws is None else rows[:draws]
 
+    def nearest_speed(self, speed: float) -> float:
+        """There is one."""
+        return 1.0
+
     def packed(self, rows: IntArray) -> FloatArray:
         """Spectra of rows."""
         chosen: FloatArray = self.powers[rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +14,15 @@ from catalogue.calibration import fit_shares, held_out, kept_apart
 from catalogue.learning import Learning, training_set
 from catalogue.matching import TrainingSet
 from catalogue.model_library import ModelLibrary
-from catalogue.modelfile import read_network, write_model
+from catalogue.modelfile import read_network, write_network
 from catalogue.nearest import NearestEntry
 from catalogue.network import Network, Opinion
+from catalogue.network_building import train_networks
 from catalogue.network_shelf import NetworkShelf, arrangement
 from catalogue.network_training import NetworkTraining
 from catalogue.observation import Discrepancy, observe
 from catalogue.spectra import band_widths
+from catalogue.store import Catalogue
 
 MODEL = SpectraModel(300, wide=200)
 SMALL = NetworkTraining(rows=6000, blocks=10, layers=(32,), epochs=(4, 2))
@@ -63,7 +66,7 @@ def test_the_same_training_gives_the_same_network_and_files_give_it_back(tmp_pat
     again = SMALL.train(MODEL, sensing(), TRUSTED)
     assert again.digest == NETWORK.digest
     assert replace(NETWORK, loudest=0.0).digest != NETWORK.digest
-    assert write_model(tmp_path, "key", NETWORK)
+    assert write_network(tmp_path, "key", NETWORK)
     kept = read_network(tmp_path, "key")
     assert isinstance(kept, Network)
     assert kept.digest == NETWORK.digest
@@ -122,30 +125,100 @@ def shelf(folder: Path | None = None, training: NetworkTraining = SMALL) -> Netw
     return NetworkShelf(MODEL, sensing(), folder, training)
 
 
-def test_a_shelf_keeps_what_it_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "another-state.npz").write_bytes(b"")
+def test_a_shelf_keeps_what_it_trained(tmp_path: Path) -> None:
     first = shelf(tmp_path)
-    wanted = [learning.mode for learning, _ in first.wanted()]
-    assert wanted == ["trusted", "robust"]
+    assert [learning.mode for learning, _ in first.missing()] == ["trusted", "robust"]
+    assert first.get(sensing(), TRUSTED, None) is None
+    assert first.applies(sensing(), TRUSTED, None)
     told: list[tuple[int, int]] = []
-    found = first.get(sensing(1e-7), TRUSTED, None, lambda done, total: told.append((done, total)))
-    assert found is not None
+    first.train(TRUSTED, MODEL.nominal_speed, lambda done, total: told.append((done, total)))
     assert told[-1][0] == told[-1][1] > 10
-    assert not (tmp_path / "another-state.npz").exists()
-    assert [learning.mode for learning, _ in first.wanted()] == ["robust"]
-    monkeypatch.setattr(NetworkTraining, "train", None)  # nothing can be trained any more
-    for again in (first, shelf(tmp_path)):
-        kept = again.get(sensing(), TRUSTED, MODEL.nominal_speed)
-        assert kept is not None
-        assert kept.digest == found.digest
+    assert [learning.mode for learning, _ in first.missing()] == ["robust"]
+    found = [each.get(sensing(1e-7), TRUSTED, MODEL.nominal_speed) for each in (first, shelf(tmp_path))]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0].digest == found[1].digest
+    # What sees fewer hypotheses asks the same network; what has seen fewer draws is another one.
+    assert first.get(sensing(), Learning.of("trusted", without=("A",)), MODEL.nominal_speed) is found[0]
+    assert first.get(sensing(), Learning.of("trusted", most=280), MODEL.nominal_speed) is None
+
+
+def test_where_no_file_can_be_written_a_network_lives_with_its_shelf(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    for folder in (None, blocked):
+        one = shelf(folder)
+        one.train(TRUSTED, MODEL.nominal_speed)
+        assert one.get(sensing(), TRUSTED, MODEL.nominal_speed) is not None
+        assert shelf(folder).get(sensing(), TRUSTED, MODEL.nominal_speed) is None
 
 
 def test_there_is_no_network_of_few_cases_or_for_other_sensors() -> None:
-    assert shelf(training=replace(SMALL, least_cases=301)).get(sensing(), TRUSTED, None) is None
-    assert list(shelf(training=replace(SMALL, least_cases=301)).wanted()) == []
+    few = shelf(training=replace(SMALL, least_cases=301))
+    assert not few.applies(sensing(), TRUSTED, None)
+    assert list(few.missing()) == []
     turned = replace(sensing(), transform=np.eye(3)[::-1].copy())
-    assert shelf().get(turned, TRUSTED, None) is None
-    assert NetworkShelf(MODEL, None, None, SMALL).get(sensing(), TRUSTED, None) is None
+    assert not shelf().applies(turned, TRUSTED, None)
+    assert not NetworkShelf(MODEL, None, None, SMALL).applies(sensing(), TRUSTED, None)
+    # One healthy case cannot be both learned from and held out.
+    lonely = SpectraModel(300)
+    kept = np.flatnonzero((lonely.label != "healthy") | (np.arange(len(lonely.label)) == 0))
+    lonely.label, lonely.stratum = lonely.label[kept], lonely.stratum[kept]
+    lonely.clearances, lonely.powers = lonely.clearances[kept], lonely.powers[kept]
+    assert not NetworkShelf(lonely, sensing(), None, SMALL).applies(sensing(), TRUSTED, None)
+
+
+def test_speeds_of_a_catalogue_have_networks_of_their_own() -> None:
+    class Two(SpectraModel):
+        speeds = (0.5, 1.0)
+
+        def nearest_speed(self, speed: float) -> float:
+            return 0.5 if speed < 0.7 * self.nominal_speed else 1.0
+
+    both = NetworkShelf(Two(300), sensing(), None, SMALL)
+    assert [speed / MODEL.nominal_speed for _, speed in both.missing()] == [0.5, 1.0] * 2
+    both.train(TRUSTED, 0.5 * MODEL.nominal_speed)
+    assert both.get(sensing(), TRUSTED, 0.69 * MODEL.nominal_speed) is not None
+    assert both.get(sensing(), TRUSTED, 0.72 * MODEL.nominal_speed) is None
+
+
+def test_an_untrained_catalogue_answers_by_curves_and_says_so() -> None:
+    feature = held_rows().hypotheses[1].features[0]
+    answer = ModelLibrary(MODEL, networks=shelf()).answer(sensing(), feature, WATCHED, "fast", "trusted")
+    plain = ModelLibrary(MODEL).answer(sensing(), feature, WATCHED, "fast", "trusted")
+    assert [h.probability for h in answer.hypotheses] == [h.probability for h in plain.hypotheses]
+    assert answer.network is None
+    assert any("not trained yet" in note for note in answer.notes)
+    assert plain.notes == ()
+
+
+def test_no_case_of_a_small_hypothesis_is_on_both_sides() -> None:
+    training = training_set(MODEL, sensing(), WATCHED, TRUSTED)
+    for count in (2, 5, 12):
+        draws = training.hypotheses[0]
+        first = np.isin(draws.entry, np.unique(draws.entry)[:count])
+        learned, held = kept_apart(TrainingSet((draws.rows(first),), training.watched))
+        assert len(held.hypotheses[0].entry) > 0
+        assert not set(learned.hypotheses[0].entry) & set(held.hypotheses[0].entry)
+
+
+def test_building_trains_what_is_missing_and_forgets_former_states(
+    small_catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(small_catalogue.path, folder)
+    assert train_networks(folder) == ()  # too few cases
+    monkeypatch.setattr("catalogue.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
+    networks = Catalogue.open(folder).layout.networks
+    networks.mkdir()
+    (networks / "another-state.npz").write_bytes(b"")
+    told: list[tuple[int, int]] = []
+    modes = train_networks(folder, progress=lambda done, total: told.append((done, total)))
+    assert modes == ("trusted", "robust")
+    assert told == [(0, 2), (2, 2)]
+    names = {file.name[:12] for file in networks.iterdir()}
+    assert names == {small_catalogue.id[:12]}
+    assert train_networks(folder) == ()
 
 
 def test_the_order_of_columns_does_not_matter_where_motions_are_compared() -> None:
@@ -156,6 +229,12 @@ def test_the_order_of_columns_does_not_matter_where_motions_are_compared() -> No
     other = replace(four, transform=transform[order], channels=four.channels[:, order])
     assert arrangement(other) == arrangement(four)
     assert arrangement(replace(four, transform=transform[order])) != arrangement(four)
+    three = replace(four, transform=transform[:3], channels=np.linalg.inv(transform[:3]))
+    swapped = replace(three, transform=three.transform[[1, 0, 2]], channels=three.channels[:, [1, 0, 2]])
+    assert arrangement(swapped) == arrangement(three)
+    # Sensors that are compared themselves are features in their order.
+    alone = replace(four, transform=transform[:2], channels=np.eye(2), noise=four.noise[:, :2])
+    assert arrangement(replace(alone, transform=transform[[1, 0]])) != arrangement(alone)
 
 
 def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods() -> None:
