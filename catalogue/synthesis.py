@@ -20,7 +20,6 @@ from catalogue.cross_power import pack
 from catalogue.entry import Entry, Stratum
 from catalogue.errors import DiagnosisError
 from catalogue.keys import seed_from
-from catalogue.learning import prior
 from catalogue.matching import ClearanceEstimate, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
 from catalogue.observation import grouped
 from catalogue.population import Population
@@ -87,8 +86,7 @@ def refine(
     candidates : sequence of str
         Labels of its candidate set.
     mode : {"trusted", "robust"}
-        In the robust mode the machine's own data are varied, too, as far as the catalogue varies them, and what the
-        catalogue said is kept: it allows for modes of the frame, which the score of a single case does not.
+        In the robust mode the machine's own data are varied, too, as far as the catalogue varies them.
     settings : Synthesis, optional
     clock : callable, optional
         Tells the time in seconds.
@@ -114,15 +112,12 @@ def refine(
             cut_short = True
             break
         before = now
-    kept = cut_short or mode == "robust"
-    refined = _combined(recorded, result, searches, settings, whole=not kept)
+    refined = _combined(recorded, result, searches, settings)
     changed = refined.best.label != result.best.label
     count = sum(len(search.scores) for search in searches)
     said = f"{count} cases around {', '.join(search.match.label for search in searches)} in {generation} generations"
     if cut_short:
         said += f", cut short by the budget of {settings.budget:g} s"
-    if kept:
-        said += ", multiplied with what the catalogue said"
     if changed:
         said += f": {refined.best.label} in place of {result.best.label}"
     return Refined(refined, count, generation, clock() - begin, changed, cut_short, said)
@@ -229,12 +224,9 @@ def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[
     return float(-0.5 * np.sum((nu + 1.0) * np.log1p(z / nu) + np.log(variance))), levels
 
 
-def _combined(
-    recorded: Recorded, result: MatchResult, searches: Sequence[_Search], settings: Synthesis, *, whole: bool
-) -> MatchResult:
-    """Share the probability of the simulated hypotheses out anew, by how well their best cases fit.
+def _combined(recorded: Recorded, result: MatchResult, searches: Sequence[_Search], settings: Synthesis) -> MatchResult:
+    """Share the probability of the simulated hypotheses out anew: the catalogue's times how well their best cases fit.
 
-    Where it is the `whole` of what counts it replaces what the catalogue said of them, else it is multiplied with it.
     Nothing changes where no case of a hypothesis could be simulated.
     """
     if not all(search.best(1) for search in searches):
@@ -244,7 +236,7 @@ def _combined(
     for search in searches:
         scores = np.array([search.scores[place] for place in search.best(settings.elite)])
         fit = (logsumexp(scores) - np.log(len(scores))) / settings.temperature
-        evidence.append(fit + np.log(prior(search.match.joints) if whole else search.match.probability))
+        evidence.append(fit + np.log(search.match.probability))
     share = np.exp(np.array(evidence) - logsumexp(evidence))
     anew: Mapping[str, HypothesisMatch] = {
         search.match.label: _refitted(recorded, search, float(total * part), settings)

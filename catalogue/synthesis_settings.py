@@ -48,7 +48,7 @@ class Synthesis:
     generations: int = 5
     level_db: float = 1.0
     degrees_of_freedom: float = 8.0
-    temperature: float = 8.0
+    temperature: float = 12.0
     clearance_temperature: float = 12.0
     seed: int = 0
 
