@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from catalogue.errors import DiagnosisError
 from catalogue.gaussian import FittedGaussian, GaussianAlongClearance
@@ -121,7 +122,7 @@ class ModelLibrary:
         question = _Question(sensing, feature, watched, speed, weights)
         # On one thread: the matrices are small, and threads that wait for each other cost eleven times the time of the
         # sums they share (measured on two busy cores: 11 s against 1 s).
-        with threadpool_limits(limits=1, user_api="blas"):
+        with _libraries().limit(limits=1, user_api="blas"):
             if mode != "auto":
                 return self._answer(question, effort, Learning.of(mode, without=without, most=most), matcher)
             trusted = self._answer(question, effort, Learning.of("trusted", without=without, most=most), matcher)
@@ -227,6 +228,12 @@ class ModelLibrary:
         return (
             "the catalogue holds no draws of uncertain machines: only flexible modes and levels are taken as uncertain",
         )
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> ThreadpoolController:
+    """The libraries of linear algebra, loaded with this module; looking for them takes 2 ms, a fifth of an answer."""
+    return ThreadpoolController()
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,7 @@ class NetworkShelf:
         self._arrangement = None if own is None else arrangement(own)
         self._lock = threading.Lock()
         self._known: dict[str, Network] = {}
+        self._enough: dict[tuple[Learning, float | None], bool] = {}
 
     @classmethod
     def of(cls, catalogue: Catalogue) -> NetworkShelf:
@@ -123,11 +124,19 @@ class NetworkShelf:
             return self._known.get(key)
 
     def _applies(self, learning: Learning, speed: float | None) -> bool:
-        return self._own is not None and self._training.enough(self._matrix, _whole(learning), speed)
+        if self._own is None:
+            return False
+        # Counting the cases of all hypotheses takes longer than an answer by a model that is known.
+        asked = (_whole(learning), self._place(speed))
+        if asked not in self._enough:
+            self._enough[asked] = self._training.enough(self._matrix, asked[0], speed)
+        return self._enough[asked]
+
+    def _place(self, speed: float | None) -> float | None:
+        return None if speed is None else self._matrix.nearest_speed(speed)
 
     def _key(self, learning: Learning, speed: float | None) -> str:
-        at = None if speed is None else self._matrix.nearest_speed(speed)
-        asked = [self._arrangement, repr(_whole(learning)), learning.reach, repr(self._training), at]
+        asked = [self._arrangement, repr(_whole(learning)), learning.reach, repr(self._training), self._place(speed)]
         return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, *asked])}"
 
 
