@@ -37,7 +37,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
 
     @asynccontextmanager
     async def lifespan(application: FastAPI) -> AsyncIterator[None]:
-        store = Store(chosen.data)
+        store = Store(chosen.data, chosen.database)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s)
         service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool)
         application.state.service = service

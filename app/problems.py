@@ -132,7 +132,7 @@ def problem_of(error: Exception) -> Problem:
         return of_status(500, "The service failed in a way it did not foresee; the log has the details.")
     headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}
     named = getattr(error, "field", "")
-    entries = ({"field": named, "message": str(error)},) if named else ()
+    entries = ({"field": named, "message": one_line(str(error))},) if named else ()
     return Problem(kind.status, type_of(kind.slug), kind.title, one_line(str(error)), entries, headers)
 
 
@@ -171,5 +171,5 @@ def exit_status(error: Exception) -> int:
 
 
 def one_line(text: str) -> str:
-    """Return a message as one line, whatever a library put into it."""
-    return " ".join(text.split())
+    """Return a message as one line of characters that can be sent, whatever a library or a request put into it."""
+    return " ".join(text.encode("utf-8", "backslashreplace").decode().split())

@@ -24,6 +24,11 @@ class Settings(BaseSettings):
         default=Path(".jointplay/server"),
         description="Directory for uploaded recordings and the data base of results; made when missing.",
     )
+    database: str = Field(
+        default="",
+        description="Data base of results as a URL, postgresql://user@host/database; by default a file of SQLite in"
+        " `data`.",
+    )
     max_upload_mb: float = Field(
         default=200.0, gt=0, description="Largest upload in megabytes (10^6 bytes); a larger one is answered with 413."
     )

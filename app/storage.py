@@ -1,11 +1,10 @@
-"""What the service keeps: uploaded recordings as files by content, their descriptions and the diagnoses in SQLite."""
+"""What the service keeps: uploaded recordings as files by content, what is known of them in a database."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-import shutil
 import tempfile
 import threading
 from collections import Counter
@@ -15,20 +14,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
 
-from sqlalchemy import JSON, DateTime, ForeignKey, String, create_engine, event, select, text
-from sqlalchemy.dialects.sqlite import insert
-from sqlalchemy.engine import Engine
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, sessionmaker
+from sqlalchemy import JSON, BigInteger, ForeignKey, String, select, text
+from sqlalchemy.engine import URL
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
-from app.errors import AppError, UnknownDiagnosisError, UnknownMeasurementError
-
-SCHEMA_VERSION = 1
+from app.database import Database, UtcDateTime, database_url
+from app.errors import UnknownDiagnosisError, UnknownMeasurementError
+from catalogue.directory import sync_folder
 
 
 class Base(DeclarativeBase):
-    """Root of the tables."""
+    """Root of the tables.
 
-    type_annotation_map: ClassVar = {dict[str, Any]: JSON, datetime: DateTime(timezone=True)}
+    A new table needs no revision: one that is missing is made on opening. A change of one that is there does.
+    """
+
+    type_annotation_map: ClassVar = {dict[str, Any]: JSON, datetime: UtcDateTime}
 
 
 class MeasurementRow(Base):
@@ -40,7 +41,7 @@ class MeasurementRow(Base):
     id: Mapped[str] = mapped_column(String(32), unique=True)
     sha256: Mapped[str] = mapped_column(String(64))
     name: Mapped[str] = mapped_column(String(255))
-    size_bytes: Mapped[int]
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
     given_sample_rate_hz: Mapped[float | None]
     created_at: Mapped[datetime]
     summary: Mapped[dict[str, Any]]
@@ -84,35 +85,41 @@ class Upload:
 
 
 class Store:
-    """Recordings and diagnoses under one directory.
+    """Recordings under one directory, and what is known of them in a database.
 
     Parameters
     ----------
     directory : Path
         Made when missing.
+    url : str
+        The database; by default a file of SQLite in the directory.
+
+    Attributes
+    ----------
+    database : Database
+        Other modules keep their tables in it, too.
 
     Raises
     ------
     AppError
-        When the data base was made by a newer version of the program.
+        When the database was made by a newer version of the program.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, url: str = "") -> None:
         self._files = directory / "measurements"
         self._files.mkdir(parents=True, exist_ok=True)
-        self._engine = create_engine(f"sqlite:///{directory / 'service.sqlite'}")
-        event.listen(self._engine, "connect", configure)
-        adopt(self._engine, directory)
-        self._session = sessionmaker(self._engine, expire_on_commit=False)
+        file = URL.create("sqlite", database=str(directory / "service.sqlite"))
+        self.database = Database(database_url(url) if url else file, Base.metadata)
+        self._session = self.database.session
         self._lock = threading.Lock()
         self._in_use: Counter[str] = Counter()
 
     def close(self) -> None:
-        """Let go of the data base."""
-        self._engine.dispose()
+        """Let go of the database."""
+        self.database.close()
 
     def ready(self) -> bool:
-        """Return whether the data base answers."""
+        """Return whether the database answers."""
         with self._session() as session:
             return bool(session.execute(text("SELECT 1")).scalar_one())
 
@@ -131,14 +138,17 @@ class Store:
                     partial.write(block)
                 partial.flush()
                 os.fsync(partial.fileno())
+                target = self.path_of(digest.hexdigest())
+                target.parent.mkdir(exist_ok=True)
+                # Names have to outlive a loss of power, too, before anybody is told of them.
+                sync_folder(self._files)
+                with self._lock:
+                    os.replace(partial.name, target)
+                    self._in_use[digest.hexdigest()] += 1
+                sync_folder(target.parent)
             except BaseException:
-                os.unlink(partial.name)
+                Path(partial.name).unlink(missing_ok=True)
                 raise
-        target = self.path_of(digest.hexdigest())
-        target.parent.mkdir(exist_ok=True)
-        with self._lock:
-            self._in_use[digest.hexdigest()] += 1
-            shutil.move(partial.name, target)
         return Upload(target, digest.hexdigest(), size)
 
     def path_of(self, sha256: str) -> Path:
@@ -169,8 +179,10 @@ class Store:
             "created_at": now(),
             "summary": dict(summary),
         }
-        with self._session.begin() as session:
-            session.execute(insert(MeasurementRow).values(row).on_conflict_do_nothing(index_elements=["id"]))
+        with self.database.writing() as session:
+            session.execute(
+                self.database.insert(MeasurementRow).values(row).on_conflict_do_nothing(index_elements=["id"])
+            )
         return self.measurement(key)
 
     def measurement(self, key: str) -> MeasurementRow:
@@ -181,10 +193,12 @@ class Store:
         UnknownMeasurementError
             When there is none of this id.
         """
-        with self._session() as session:
-            row = session.scalar(select(MeasurementRow).where(MeasurementRow.id == key))
+        row = None
+        if is_id(key):
+            with self._session() as session:
+                row = session.scalar(select(MeasurementRow).where(MeasurementRow.id == key))
         if row is None:
-            raise UnknownMeasurementError(f"measurement {key}: there is none of this id", field="measurement")
+            raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
         return row
 
     def add_diagnosis(
@@ -206,8 +220,10 @@ class Store:
             "request": dict(request),
             "result": dict(result),
         }
-        with self._session.begin() as session:
-            session.execute(insert(DiagnosisRow).values(row).on_conflict_do_nothing(index_elements=["id"]))
+        with self.database.writing() as session:
+            session.execute(
+                self.database.insert(DiagnosisRow).values(row).on_conflict_do_nothing(index_elements=["id"])
+            )
         return self.diagnosis(key)
 
     def diagnosis(self, key: str) -> DiagnosisRow:
@@ -218,10 +234,12 @@ class Store:
         UnknownDiagnosisError
             When there is none of this id.
         """
-        with self._session() as session:
-            row = session.scalar(select(DiagnosisRow).where(DiagnosisRow.id == key))
+        row = None
+        if is_id(key):
+            with self._session() as session:
+                row = session.scalar(select(DiagnosisRow).where(DiagnosisRow.id == key))
         if row is None:
-            raise UnknownDiagnosisError(f"diagnosis {key}: there is none of this id")
+            raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
         return row
 
     def diagnoses(self, before: int | None, limit: int) -> list[DiagnosisRow]:
@@ -241,27 +259,15 @@ def newest(session: Session, table: Any, before: int | None, limit: int) -> Any:
     return query if before is None else query.where(table.number < before)
 
 
+def is_id(key: str) -> bool:
+    """Return whether a text can be an id; others must not reach a database (PostgreSQL refuses some characters)."""
+    return key.isascii() and key.isalnum() and len(key) <= 64
+
+
 def measurement_key(sha256: str, name: str, sample_rate_hz: float | None) -> str:
     """Return the id of a measurement: its bytes, and what its sender said of them."""
     content = json.dumps({"sha256": sha256, "name": name, "sample_rate_hz": sample_rate_hz}, sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:32]
-
-
-def configure(connection: Any, _record: Any) -> None:
-    """Set a new connection up: readers never wait for a writer, references are checked."""
-    for pragma in ("journal_mode = WAL", "foreign_keys = ON", "busy_timeout = 10000", "synchronous = NORMAL"):
-        connection.execute(f"PRAGMA {pragma}")
-
-
-def adopt(engine: Engine, directory: Path) -> None:
-    """Make the tables in a new data base; refuse one of another version."""
-    with engine.begin() as connection:
-        found = connection.execute(text("PRAGMA user_version")).scalar_one()
-        if found not in (0, SCHEMA_VERSION):
-            path = directory / "service.sqlite"
-            raise AppError(f"{path}: has layout {found}, made by another version; this one reads {SCHEMA_VERSION}")
-        Base.metadata.create_all(connection)
-        connection.execute(text(f"PRAGMA user_version = {SCHEMA_VERSION}"))
 
 
 def now() -> datetime:
@@ -270,5 +276,5 @@ def now() -> datetime:
 
 
 def aware(moment: datetime) -> datetime:
-    """Return a stored time as UTC; SQLite forgets the zone."""
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
+    """Return a stored time as UTC."""
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

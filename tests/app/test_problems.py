@@ -52,6 +52,11 @@ def test_a_field_is_named() -> None:
     }
 
 
+def test_what_cannot_be_sent_is_written_out() -> None:
+    problem = problems.problem_of(app.errors.BadFieldError("name: \ud800\n: is odd", field="name"))
+    assert problem.detail == problem.errors[0]["message"] == "name: \\ud800 : is odd"
+
+
 def test_a_busy_service_says_when_to_come_back() -> None:
     assert problems.problem_of(app.errors.BusyError("busy")).headers == {"Retry-After": "5"}
 

@@ -1,0 +1,134 @@
+"""The service's database: every kind, made anew, taken over from an earlier version, refused from a later one."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
+from pathlib import Path
+
+import databases
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import text
+
+from app.database import VERSION_TABLE, database_url, revision_of
+from app.errors import AppError, BadFieldError, UnknownMeasurementError
+from app.storage import Base, Store, Upload, aware
+
+UPLOAD = Upload(Path("nowhere"), "a" * 64, 5_000_000_000)
+
+
+@pytest.fixture(params=databases.KINDS)
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    with databases.database(request.param, tmp_path) as found:
+        yield found
+
+
+@pytest.fixture
+def store(url: str, tmp_path: Path) -> Iterator[Store]:
+    opened = Store(tmp_path, url)
+    yield opened
+    opened.close()
+
+
+def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> None:
+    first = store.add_measurement(UPLOAD, "a.csv", None, {"samples": 3})
+    again = store.add_measurement(UPLOAD, "a.csv", None, {"samples": 4})
+    assert (again.number, again.summary) == (first.number, {"samples": 3})
+    asked = store.add_diagnosis(first.id, "c" * 64, {"name": "m"}, {}, {"hash": "h"})
+    assert store.add_diagnosis(first.id, "c" * 64, {"name": "m"}, {}, {"hash": "h"}).number == asked.number
+    other = Store(tmp_path, url)
+    row = other.measurement(first.id)
+    other.close()
+    assert row.size_bytes == UPLOAD.size
+    assert row.created_at == first.created_at
+    assert row.created_at.utcoffset() == timedelta(0) == aware(row.created_at).utcoffset()
+    assert [found.id for found in store.diagnoses(None, 5)] == [asked.id]
+    assert store.ready()
+
+
+@pytest.mark.parametrize("key", ["0" * 32, "\0", "\ud800", "x" * 9000])
+def test_ids_that_are_none(store: Store, key: str) -> None:
+    with pytest.raises(UnknownMeasurementError):
+        store.measurement(key)
+
+
+def test_revisions_make_the_tables_that_the_program_uses(store: Store) -> None:
+    with store.database.engine.connect() as connection:
+        opts = {"version_table": VERSION_TABLE, "compare_type": not store.database.is_sqlite}  # its types are loose
+        context = MigrationContext.configure(connection, opts=opts)
+        assert compare_metadata(context, Base.metadata) == []
+
+
+def test_many_open_a_new_database_at_once(url: str, tmp_path: Path) -> None:
+    def opened(_number: int) -> bool:
+        found = Store(tmp_path, url)
+        try:
+            return found.ready()
+        finally:
+            found.close()
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(opened, range(8))) == [True] * 8
+
+
+def test_a_transaction_that_fails_leaves_nothing(store: Store) -> None:
+    def spoiled() -> None:
+        with store.database.writing() as session:
+            session.execute(text("DELETE FROM measurements"))
+            raise KeyError
+
+    kept = store.add_measurement(UPLOAD, "a.csv", None, {})
+    with pytest.raises(KeyError):
+        spoiled()
+    assert store.measurement(kept.id).id == kept.id
+
+
+def test_a_file_of_an_earlier_version_keeps_what_it_has(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    kept = store.add_measurement(UPLOAD, "a.csv", None, {})
+    store.close()
+    with sqlite3.connect(tmp_path / "service.sqlite") as connection:
+        connection.execute(f"DROP TABLE {VERSION_TABLE}")
+        connection.execute("PRAGMA user_version = 1")
+    connection.close()
+    store = Store(tmp_path)
+    assert store.measurement(kept.id).created_at == kept.created_at
+    with store.database.engine.connect() as found:
+        assert revision_of(found) == "0001"
+    store.close()
+
+
+def test_databases_of_later_versions_are_refused(url: str, tmp_path: Path) -> None:
+    store = Store(tmp_path, url)
+    with store.database.writing() as session:
+        session.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '9999'"))
+    store.close()
+    with pytest.raises(AppError, match="revision 9999, made by a newer version"):
+        Store(tmp_path, url)
+
+
+def test_a_file_of_another_layout_is_refused(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "service.sqlite") as connection:
+        connection.execute("PRAGMA user_version = 7")
+    connection.close()
+    with pytest.raises(AppError, match="has layout 7"):
+        Store(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("given", "rule"),
+    [
+        ("nonsense", "is no URL of a database"),
+        ("mysql://root:secret@host/x", "mysql: must be postgresql://"),
+        ("sqlite://", "sqlite: must be"),
+    ],
+)
+def test_settings_that_name_no_database(given: str, rule: str) -> None:
+    with pytest.raises(BadFieldError, match=rule) as caught:
+        database_url(given)
+    assert str(caught.value).startswith("JOINTPLAY_DATABASE: ")
+    assert "secret" not in str(caught.value)
