@@ -18,7 +18,7 @@ demo: $(STAMP) ## simulate a worn machine, build a small catalogue, find the wor
 	$(BIN)/python -m app.demo
 
 serve: $(STAMP) ## the web form and the HTTP API on http://127.0.0.1:8000
-	$(BIN)/jointplay serve
+	$(BIN)/jointplay serve --no-keys
 
 test: lint unit ## all checks: style, types, layers, tests
 

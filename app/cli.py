@@ -22,6 +22,7 @@ COMMANDS = {
     "export": "write a catalogue into one file for other programs: HDF5, NPZ or CSV",
     "diagnose": "rank the fault hypotheses of a catalogue for a measurement",
     "evaluate": "measure the diagnoses of a catalogue on recordings it has not seen",
+    "keys": "make, list and take back keys to the HTTP interface",
     "serve": "serve the HTTP interface and the web page",
 }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 
 class AppError(Exception):
     """Root of everything this layer raises on purpose; ``str()`` is one plain line.
@@ -69,6 +71,59 @@ class TimeLimitError(AppError):
 
 class WorkerDiedError(AppError):
     """A worker process ended before it answered, for instance for want of memory."""
+
+
+class UnauthorizedError(AppError):
+    """A request without a key that holds."""
+
+    headers: ClassVar = {"WWW-Authenticate": 'Bearer realm="jointplay"'}
+
+
+class ForbiddenError(AppError):
+    """A request that its key does not allow, or that a page of another site made a browser send.
+
+    Parameters
+    ----------
+    message : str
+    scope : str, optional
+        The scope that would be needed.
+    """
+
+    def __init__(self, message: str, scope: str = "") -> None:
+        super().__init__(message)
+        wanted = f'Bearer realm="jointplay", error="insufficient_scope", scope="{scope}"'
+        self.headers = {"WWW-Authenticate": wanted} if scope else {}
+
+
+class UnknownKeyError(AppError):
+    """No API key has this id."""
+
+
+class RateLimitedError(AppError):
+    """A client that asks too often.
+
+    Parameters
+    ----------
+    message : str
+    seconds : int
+        Time until it may ask again.
+    """
+
+    def __init__(self, message: str, seconds: int) -> None:
+        super().__init__(message)
+        self.headers = {"Retry-After": str(seconds)}
+
+
+class WrongHostError(AppError):
+    """A request that names a host which this service is not."""
+
+
+class SlowRequestError(AppError):
+    """A request whose body does not arrive."""
+
+
+class NotReadyError(AppError):
+    """Something that this service needs does not answer."""
 
 
 class OutputError(AppError):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.errors import BadRequestError, UploadTooLargeError
+from app.errors import BadRequestError, SlowRequestError, UploadTooLargeError
 
 JSON_BYTES = 1_000_000
 
@@ -19,10 +21,13 @@ class BodyLimit:
         The application behind.
     upload_bytes : int
         Largest multipart body; any other body may have at most `JSON_BYTES`.
+    receive_timeout : float
+        Longest pause between two parts of a body [s].
     """
 
-    def __init__(self, app: ASGIApp, upload_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, upload_bytes: int, receive_timeout: float) -> None:
         self._app = app
+        self._receive_timeout = receive_timeout
         self._upload_bytes = upload_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -35,16 +40,25 @@ class BodyLimit:
         limit = self._upload_bytes if multipart else min(JSON_BYTES, self._upload_bytes)
         declared = headers.get("content-length", "0")
         received = 0
+        whole = False
 
         async def counted() -> Message:
-            nonlocal received
+            nonlocal received, whole
             if not declared.isdecimal():
                 raise BadRequestError(f"Content-Length: {declared}: must be a whole number")
             # A declared length is refused before the first byte is read, an undeclared one when the limit is passed.
             if int(declared) > limit:
                 raise too_large(limit)
-            message = await receive()
+            # After the body the same call waits for the client to go, as long as an answer takes.
+            try:
+                async with asyncio.timeout(None if whole else self._receive_timeout):
+                    message = await receive()
+            except TimeoutError:
+                raise SlowRequestError(
+                    f"the request body paused for longer than {self._receive_timeout:g} s, the limit of this service"
+                ) from None
             received += len(message.get("body", b""))
+            whole = not message.get("more_body", False)
             if received > limit:
                 raise too_large(limit)
             return message

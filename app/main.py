@@ -12,9 +12,11 @@ from starlette.staticfiles import StaticFiles
 
 from app import handlers, openapi
 from app.catalogues import CatalogueShelf
+from app.gate import Gate
 from app.headers import SecurityHeaders
+from app.keys import Keys
 from app.limits import BodyLimit
-from app.routes import catalogues, diagnoses, health, machines, measurements, pages
+from app.routes import catalogues, diagnoses, health, machines, measurements, pages, signin
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store
@@ -41,6 +43,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s)
         service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool)
         application.state.service = service
+        application.state.keys = Keys(store.database)
         warming = asyncio.create_task(service.warm()) if warm else None
         try:
             yield
@@ -63,9 +66,13 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         application.include_router(module.router, prefix="/api/v1")
     application.include_router(health.router)
     application.include_router(pages.router, include_in_schema=False)
+    application.include_router(signin.router, include_in_schema=False)
     application.mount("/static", StaticFiles(directory=STATIC), name="static")
     handlers.install(application)
-    application.add_middleware(BodyLimit, upload_bytes=chosen.max_upload_bytes)
+    application.add_middleware(
+        BodyLimit, upload_bytes=chosen.max_upload_bytes, receive_timeout=chosen.receive_timeout_s
+    )
+    application.add_middleware(Gate, settings=chosen)
     application.add_middleware(SecurityHeaders)
-    application.openapi = openapi.documented(application)  # type: ignore[method-assign]
+    application.openapi = openapi.documented(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application

@@ -12,8 +12,9 @@ from fastapi.openapi.utils import get_openapi
 
 from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
+from app.scopes import scope_of
 
-API_VERSION = "1.2.0"
+API_VERSION = "1.3.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
@@ -27,6 +28,10 @@ DESCRIPTIONS = {
     503: "All workers are busy; Retry-After says when to try again.",
     504: "The computation took longer than the limit of the service.",
 }
+SCHEMES = {
+    "bearer": {"type": "http", "scheme": "bearer", "description": "A key: Authorization: Bearer KEY."},
+    "header": {"type": "apiKey", "in": "header", "name": "X-API-Key", "description": "A key: X-API-Key: KEY."},
+}
 COMPUTING = (400, 404, 409, 413, 415, 422, 500, 503, 504)
 
 
@@ -38,12 +43,19 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def documented(application: FastAPI) -> Callable[[], dict[str, Any]]:
-    """Return the function that makes the application's OpenAPI document, once."""
+def documented(application: FastAPI, *, keyed: bool) -> Callable[[], dict[str, Any]]:
+    """Return the function that makes the application's OpenAPI document, once.
+
+    Parameters
+    ----------
+    application : FastAPI
+    keyed : bool
+        Whether requests need keys.
+    """
 
     def document() -> dict[str, Any]:
         if application.openapi_schema is None:
-            application.openapi_schema = with_problems(
+            document = with_problems(
                 get_openapi(
                     title=application.title,
                     version=application.version,
@@ -52,6 +64,7 @@ def documented(application: FastAPI) -> Callable[[], dict[str, Any]]:
                     routes=application.routes,
                 )
             )
+            application.openapi_schema = with_security(document) if keyed else document
         return application.openapi_schema
 
     return document
@@ -74,12 +87,22 @@ def with_problems(document: dict[str, Any]) -> dict[str, Any]:
     return document
 
 
+def with_security(document: dict[str, Any]) -> dict[str, Any]:
+    """Say of every operation which scope a key needs for it."""
+    document["components"]["securitySchemes"] = SCHEMES
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            scope = scope_of(method.upper(), path)
+            operation["security"] = [{name: [scope.value]} for name in SCHEMES] if scope is not None else []
+    return document
+
+
 def main() -> None:
     """Print the document, for ``docs/openapi.json``."""
     from app.main import create_app
     from app.settings import Settings
 
-    sys.stdout.write(json.dumps(create_app(Settings()).openapi(), indent=1) + "\n")
+    sys.stdout.write(json.dumps(create_app(Settings(keys="required")).openapi(), indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -86,6 +86,13 @@ TABLE: dict[type[Exception], Kind] = {
     errors.BusyError: Kind(503, "busy", "All workers are busy"),
     errors.TimeLimitError: Kind(504, "time-limit", "The computation took too long"),
     errors.WorkerDiedError: Kind(500, "worker-died", "A worker process ended early"),
+    errors.UnauthorizedError: Kind(401, "unauthorized", "A key is needed"),
+    errors.ForbiddenError: Kind(403, "forbidden", "This is not allowed"),
+    errors.UnknownKeyError: Kind(404, "unknown-key", "No such key"),
+    errors.RateLimitedError: Kind(429, "too-many-requests", "Too many requests"),
+    errors.WrongHostError: Kind(421, "wrong-host", "This service has another name"),
+    errors.SlowRequestError: Kind(408, "slow-request", "The request did not arrive"),
+    errors.NotReadyError: Kind(503, "not-ready", "The service is not ready"),
     errors.OutputError: Kind(422, "output", "The result cannot be written"),
     errors.AddressError: Kind(500, "address", "The address cannot be used"),
     errors.UnassembledError: Kind(422, "unassembled", "The machine cannot be assembled"),
@@ -131,6 +138,7 @@ def problem_of(error: Exception) -> Problem:
     if kind is None:
         return of_status(500, "The service failed in a way it did not foresee; the log has the details.")
     headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}
+    headers |= getattr(error, "headers", {})
     named = getattr(error, "field", "")
     entries = ({"field": named, "message": one_line(str(error))},) if named else ()
     return Problem(kind.status, type_of(kind.slug), kind.title, one_line(str(error)), entries, headers)

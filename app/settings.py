@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -41,9 +42,31 @@ class Settings(BaseSettings):
     queue_limit: int = Field(
         default=32, ge=1, description="Number of requests that may wait for a worker; more are answered with 503."
     )
+    keys: Literal["required", "off"] = Field(
+        default="required",
+        description="Whether requests need an API key: required, or off where this computer alone can ask.",
+    )
+    hosts: str = Field(
+        default="localhost,127.0.0.1,::1",
+        description="Names under which the service may be asked (Host header), with commas between; * for any.",
+    )
+    rate_limit_per_s: float = Field(
+        default=1000.0, gt=0, description="Requests a second that one key, or one address without key, may make."
+    )
+    rate_burst: float = Field(
+        default=2000.0, ge=1, description="Requests that may come at once before the limit a second counts; then 429."
+    )
+    receive_timeout_s: float = Field(
+        default=30.0, gt=0, description="Longest time that the body of a request may pause, in seconds; then 408."
+    )
     page_size: int = Field(default=50, ge=1, le=500, description="Number of items in one page of a list.")
 
     @property
     def max_upload_bytes(self) -> int:
         """Largest request body that is read, in bytes; multipart framing is included."""
         return int(self.max_upload_mb * 1e6)
+
+    @property
+    def allowed_hosts(self) -> frozenset[str]:
+        """Names of `hosts`, in lower case."""
+        return frozenset(name.strip().lower() for name in self.hosts.split(",") if name.strip())

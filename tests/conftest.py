@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
 from hypothesis import settings
+
+# What tests ask a service is not who may ask; those that ask just that make keys of their own.
+os.environ.setdefault("JOINTPLAY_KEYS", "off")
 
 # Examples are drawn the same way in every run, and a slow first call (an import, a compilation) is no failure.
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from app.errors import AddressError
+
+if TYPE_CHECKING:
+    from app.settings import Settings
 
 
 @click.command("serve")
@@ -29,7 +33,12 @@ from app.errors import AddressError
     help="Directory for uploads and results (JOINTPLAY_DATA) [default: .jointplay/server].",
 )
 @click.option("--workers", type=click.IntRange(1, 256), help="Processes that compute (JOINTPLAY_WORKERS) [default: 2].")
-def command(host: str, port: int, catalogues: Path | None, data: Path | None, workers: int | None) -> None:
+@click.option(
+    "--no-keys", is_flag=True, help="Ask for no API keys (JOINTPLAY_KEYS=off); only where this computer alone can ask."
+)
+def command(
+    host: str, port: int, catalogues: Path | None, data: Path | None, workers: int | None, no_keys: bool
+) -> None:
     """Serve the HTTP interface (/api/v1, /openapi.json) and the web page (/).
 
     Every setting may also come from the environment, as JOINTPLAY_ and the setting's name in capitals.
@@ -41,19 +50,44 @@ def command(host: str, port: int, catalogues: Path | None, data: Path | None, wo
     from app.settings import Settings
 
     given: dict[str, Any] = {"catalogues": catalogues, "data": data, "workers": workers}
+    given["keys"] = "off" if no_keys else None
     try:
         settings = Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
         first = error.errors()[0]
         raise click.UsageError(f"JOINTPLAY_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
+    if settings.keys == "off" and not loopback(host):
+        raise AddressError(
+            f"{host}: without keys (--no-keys) only this computer itself may ask: 127.0.0.1, ::1, localhost"
+        )
+    settings = answering(settings, host)
     if not settings.catalogues.is_dir():
         click.echo(f"jointplay: {settings.catalogues}: no catalogues there yet; `jointplay build` makes one", err=True)
     listener = listen(host, port)
     click.echo(f"jointplay: serving http://{host}:{listener.getsockname()[1]}", err=True)
+    if settings.keys == "required":
+        click.echo("jointplay: requests need a key; `jointplay keys create NAME` makes one", err=True)
     server = uvicorn.Server(uvicorn.Config(create_app(settings, warm=True), server_header=False, log_level="info"))
     server.run(sockets=[listener])
     if not server.started:
         raise click.exceptions.Exit(1)
+
+
+def loopback(host: str) -> bool:
+    """Return whether only this computer can reach an address; a name that others could stand behind is none."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def answering(settings: Settings, host: str) -> Settings:
+    """Return settings under which a service answers to the address that it listens at, besides the names they hold."""
+    try:
+        every = ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        every = False
+    return settings if every else settings.model_copy(update={"hosts": f"{settings.hosts},{host}"})
 
 
 def listen(host: str, port: int) -> socket.socket:

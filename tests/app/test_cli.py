@@ -65,6 +65,7 @@ def test_every_command_explains_itself(name: str) -> None:
         (["diagnose", "x.csv", "--catalogue", "c", "--map", "left"], "must be COLUMN=SENSOR"),
         (["diagnose", "x.csv", "--catalogue", "c", "--speed", "0 rpm"], "must be greater than 0"),
         (["serve", "--port", "99999"], "99999"),
+        (["keys", "create", "x", "--scope", "all"], "all"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(

@@ -224,7 +224,7 @@ def refusal_of(server: str, header: str, body: bytes) -> bytes:
     """What comes back for a body that never ends."""
     url = httpx.URL(server)
     head = (
-        f"POST {API}/measurements HTTP/1.1\r\nHost: x\r\n"
+        f"POST {API}/measurements HTTP/1.1\r\nHost: localhost\r\n"
         f"Content-Type: multipart/form-data; boundary=x\r\n{header}\r\n\r\n"
     )
     with socket.create_connection((url.host, url.port), timeout=20) as connection:

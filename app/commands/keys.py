@@ -1,0 +1,123 @@
+"""``jointplay keys``: make, list and take back the keys to a service's HTTP interface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from app.commands.parameters import json_option, print_json
+from app.commands.tables import table
+from app.scopes import Scope
+
+if TYPE_CHECKING:
+    from app.keys import Key, Keys
+
+data_option = click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="The service's directory (JOINTPLAY_DATA) [default: .jointplay/server].",
+)
+
+
+@click.group("keys")
+def command() -> None:
+    """Keys that clients send as `Authorization: Bearer KEY` or `X-API-Key: KEY`.
+
+    Of their secrets only hashes are kept.
+    """
+
+
+@command.command("create")
+@click.argument("name")
+@click.option(
+    "--scope",
+    "scopes",
+    type=click.Choice([scope.value for scope in Scope]),
+    multiple=True,
+    default=("read", "match"),
+    show_default=True,
+    help="What it may be used for; may be given several times.",
+)
+@click.option(
+    "--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long it holds, from now."
+)
+@data_option
+@json_option
+def create(name: str, scopes: tuple[str, ...], days: int, data: Path | None, as_json: bool) -> None:
+    """Make a key and print it, once: it cannot be shown again. NAME says whose it is."""
+    with keys_of(data) as keys:
+        key, token = keys.create(name, frozenset(Scope(scope) for scope in scopes), timedelta(days=days))
+    if as_json:
+        print_json({**described(key), "key": token})
+        return
+    click.echo(f"jointplay: key {key.id} for {' '.join(sorted(key.scopes))}, until {day(key.expires_at)}", err=True)
+    click.echo(token)
+
+
+@command.command("list")
+@data_option
+@json_option
+def list_keys(data: Path | None, as_json: bool) -> None:
+    """List keys, those included that have expired or were revoked."""
+    with keys_of(data) as keys:
+        found = keys.all()
+    if as_json:
+        print_json([described(key) for key in found])
+        return
+    rows = [
+        (key.id, key.name, " ".join(sorted(key.scopes)), day(key.created_at), day(key.expires_at), key.state)
+        for key in found
+    ]
+    click.echo(table(("id", "name", "scopes", "made", "holds until", "state"), rows))
+
+
+@command.command("revoke")
+@click.argument("identity", metavar="ID")
+@data_option
+@json_option
+def revoke(identity: str, data: Path | None, as_json: bool) -> None:
+    """Take the key ID back: from now on it opens nothing, and no session that was opened with it."""
+    with keys_of(data) as keys:
+        key = keys.revoke(identity)
+    if as_json:
+        print_json(described(key))
+    else:
+        click.echo(f"jointplay: key {key.id} ({key.name}) is revoked", err=True)
+
+
+@contextmanager
+def keys_of(data: Path | None) -> Iterator[Keys]:
+    """Open the keys of a service's database, for the time of a ``with`` block."""
+    from app.keys import Keys
+    from app.settings import Settings
+    from app.storage import Store
+
+    settings = Settings() if data is None else Settings(data=data)
+    store = Store(settings.data, settings.database)
+    try:
+        yield Keys(store.database)
+    finally:
+        store.close()
+
+
+def described(key: Key) -> dict[str, object]:
+    """Return what is printed of a key as JSON."""
+    return {
+        "id": key.id,
+        "name": key.name,
+        "scopes": sorted(key.scopes),
+        "created_at": key.created_at.isoformat(),
+        "expires_at": key.expires_at.isoformat(),
+        "state": key.state,
+    }
+
+
+def day(moment: datetime) -> str:
+    """Return a date."""
+    return moment.date().isoformat()

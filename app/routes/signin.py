@@ -1,0 +1,75 @@
+"""Signing in with a key, for browsers: the key goes into a form once, a session into a cookie."""
+
+from __future__ import annotations
+
+from urllib.parse import parse_qs
+
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import RedirectResponse, Response
+
+from app.errors import UnauthorizedError, UnsupportedMediaError
+from app.gate import COOKIE
+from app.keys import SESSION, Keys
+from app.routes.pages import templates
+from app.service import of_request
+from app.uploads import media_type
+
+router = APIRouter()
+FORM = "application/x-www-form-urlencoded"
+
+
+@router.get("/sign-in")
+async def form(request: Request) -> Response:
+    """Show the form; without keys there is nothing to sign in to."""
+    place = local(request.query_params.get("next", "/"))
+    if of_request(request).settings.keys == "off":
+        return RedirectResponse(place, status_code=303)
+    return shown(request, place, "", 200)
+
+
+@router.post("/sign-in")
+async def sign_in(request: Request) -> Response:
+    """Open a session for a key."""
+    if media_type(request) != FORM:
+        raise UnsupportedMediaError(f"Content-Type: {media_type(request) or 'none'}: must be {FORM}")
+    fields = parse_qs((await request.body()).decode("utf-8", "replace"))
+    place = local(fields.get("next", ["/"])[0])
+    keys: Keys = request.app.state.keys
+    try:
+        key = await run_in_threadpool(keys.find, fields.get("key", [""])[0].strip())
+    except UnauthorizedError as error:
+        return shown(request, place, str(error), 401)
+    token = await run_in_threadpool(keys.open_session, key)
+    response = RedirectResponse(place, status_code=303)
+    response.set_cookie(
+        COOKIE,
+        token,
+        max_age=int(SESSION.total_seconds()),
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+    return response
+
+
+@router.post("/sign-out")
+async def sign_out(request: Request) -> Response:
+    """End the session."""
+    keys: Keys = request.app.state.keys
+    await run_in_threadpool(keys.close_session, request.cookies.get(COOKIE, ""))
+    response = RedirectResponse("/sign-in", status_code=303)
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+    return response
+
+
+def shown(request: Request, place: str, message: str, status: int) -> Response:
+    """Return the page with the form."""
+    members = {"place": place, "message": message, "timeout_ms": 60_000}
+    return templates.TemplateResponse(request, "sign_in.html", members, status_code=status)
+
+
+def local(place: str) -> str:
+    """Return a path of this service; anything that a browser would take for another site becomes the first page."""
+    plain = place.startswith("/") and not place.startswith("//") and "\\" not in place and place.isprintable()
+    return place if plain else "/"

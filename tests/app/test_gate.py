@@ -1,0 +1,93 @@
+"""Rate limits, host names, and bodies that never come."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from small_service import serving
+
+from app.commands.serve import answering, loopback
+from app.rates import KEPT, TokenBuckets
+from app.settings import Settings
+
+API = "/api/v1"
+
+
+@pytest.fixture(scope="module")
+def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A service with little patience: five requests, then one in a thousand seconds; a tenth of a second for a body."""
+    data = tmp_path_factory.mktemp("strict")
+    settings = Settings(
+        catalogues=data, data=data, workers=1, rate_limit_per_s=0.001, rate_burst=5, receive_timeout_s=0.1
+    )
+    with serving(settings) as address:
+        yield address
+
+
+def test_a_bucket_empties_and_fills() -> None:
+    present = [0.0]
+    buckets = TokenBuckets(rate=2, burst=3, clock=lambda: present[0])
+    assert [buckets.take("a") for _ in range(4)] == [0, 0, 0, 0.5]
+    assert buckets.take("b") == 0
+    present[0] = 0.5
+    assert buckets.take("a") == 0
+    assert buckets.take("a") == 0.5
+    present[0] = 1000
+    assert [buckets.take("a") for _ in range(4)] == [0, 0, 0, 0.5]
+
+
+def test_buckets_do_not_grow_without_end() -> None:
+    buckets = TokenBuckets(rate=1, burst=1, clock=lambda: 0.0)
+    for client in range(KEPT + 10):
+        buckets.take(str(client))
+    assert len(buckets) == KEPT
+
+
+def test_a_request_stops_waiting_for_its_body_and_a_client_is_slowed_down(strict: str) -> None:
+    url = httpx.URL(strict)
+    head = f"POST {API}/measurements HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=x\r\n"
+    with socket.create_connection((url.host, url.port), timeout=20) as connection:
+        connection.sendall(f"{head}Content-Length: 100\r\n\r\n--x".encode())
+        assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
+    answers = [httpx.get(f"{strict}{API}/machines") for _ in range(5)]
+    assert [answer.status_code for answer in answers] == [200] * 4 + [429]
+    assert 900 < int(answers[-1].headers["retry-after"]) <= 1000
+    assert answers[-1].json()["type"] == "urn:jointplay:problem:too-many-requests"
+    assert httpx.get(f"{strict}/healthz").status_code == 200
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "", "[", "localhost.evil.example"])
+def test_a_host_that_we_are_not_is_refused(client: httpx.Client, host: str) -> None:
+    refused = client.get(f"{API}/machines", headers={"Host": host})
+    assert refused.status_code == 421
+    assert refused.json()["type"] == "urn:jointplay:problem:wrong-host"
+
+
+@pytest.mark.parametrize("host", ["localhost", "LOCALHOST:99", "127.0.0.1:8000", "[::1]:8000"])
+def test_a_host_that_we_are_is_answered(client: httpx.Client, host: str) -> None:
+    assert client.get(f"{API}/machines", headers={"Host": host}).status_code == 200
+
+
+def test_pages_of_other_sites_send_nothing_here(client: httpx.Client) -> None:
+    send = {"json": {"measurement": "x", "catalogue": "x"}}
+    for headers in ({"Sec-Fetch-Site": "cross-site"}, {"Sec-Fetch-Site": "same-site"}, {"Origin": "http://x.example"}):
+        assert client.post(f"{API}/diagnoses", headers=headers, **send).status_code == 403  # type: ignore[arg-type]
+    assert client.post(f"{API}/diagnoses", headers={"Sec-Fetch-Site": "same-origin"}, **send).status_code == 404  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("host", "alone"),
+    [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("::", False)],
+)
+def test_loopback(host: str, alone: bool) -> None:
+    assert loopback(host) is alone
+
+
+def test_the_address_listened_at_is_answered_to(tmp_path: Path) -> None:
+    settings = Settings(data=tmp_path, hosts="Jointplay.example")
+    assert answering(settings, "192.0.2.7").allowed_hosts == {"jointplay.example", "192.0.2.7"}
+    assert answering(settings, "0.0.0.0") is settings
