@@ -75,10 +75,19 @@ class CatalogueShelf:
         UnknownCatalogueError
             When there is none.
         """
+        known = self.unchanged(name)
+        if known is not None:
+            return known
         for offer in self.offers():
             if name in (offer.description.id, offer.description.name):
                 return offer
         raise UnknownCatalogueError(f"catalogue: {name[:80]}: there is none of this id or name", field="catalogue")
+
+    def unchanged(self, name: str) -> Offer | None:
+        """Return the catalogue of an id or folder name if it was looked at before and is as it was; a few stats."""
+        with self._lock:
+            known = [each for each in self._offers.values() if name in (each.description.id, each.description.name)]
+        return next((each for each in known if stamp_of(each.path) == each.stamp), None)
 
     def _paths(self) -> list[Path]:
         if CatalogueDirectory(self._directory).manifest.is_file():

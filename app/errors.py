@@ -57,6 +57,10 @@ class UploadTooLargeError(AppError):
     """A request body over the size limit."""
 
 
+class NotAcceptableError(AppError):
+    """A client that takes none of the forms there are."""
+
+
 class UnsupportedMediaError(AppError):
     """A request body of a type that this address does not take."""
 

@@ -14,12 +14,13 @@ from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "1.3.0"
+API_VERSION = "1.4.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
     400: "The request cannot be read.",
     404: "There is none of this name or id.",
+    406: "There is no form that `Accept` allows.",
     409: "The catalogue cannot be used as it is.",
     413: "The body is larger than the limit of the service.",
     415: "This type of body is not taken here.",

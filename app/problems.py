@@ -82,6 +82,7 @@ TABLE: dict[type[Exception], Kind] = {
     errors.BadFieldError: Kind(422, "invalid-field", "A field breaks a rule"),
     errors.BadCursorError: Kind(400, "invalid-cursor", "The page cursor is not valid"),
     errors.UploadTooLargeError: Kind(413, "too-large", "The upload is too large"),
+    errors.NotAcceptableError: Kind(406, "not-acceptable", "No form that the client takes"),
     errors.UnsupportedMediaError: Kind(415, "unsupported-media", "This type of body is not taken here"),
     errors.BusyError: Kind(503, "busy", "All workers are busy"),
     errors.TimeLimitError: Kind(504, "time-limit", "The computation took too long"),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from app import tasks
 from app.catalogues import CatalogueShelf
+from app.entries import EntryShelf
 from app.errors import BadFieldError
 from app.schemas import DiagnosisRequest
 from app.settings import Settings
@@ -28,6 +29,7 @@ class Service:
     store: Store
     shelf: CatalogueShelf
     pool: WorkerPool
+    entries: EntryShelf = field(default_factory=EntryShelf)
 
     async def warm(self) -> None:
         """Let every worker load what a diagnosis needs, so that the first one does not wait for it."""

@@ -23,7 +23,15 @@ from catalogue.keys import canonical_json
 from catalogue.shard import Shard, ShardHeader
 from catalogue.variants import Variant
 
-__all__ = ["SCHEMA_VERSION", "decode_shard", "encode_shard", "read_arrays", "write_arrays", "write_growing"]
+__all__ = [
+    "SCHEMA_VERSION",
+    "arrays_image",
+    "decode_shard",
+    "encode_shard",
+    "read_arrays",
+    "write_arrays",
+    "write_growing",
+]
 
 SCHEMA_VERSION = 2
 """Of shard files and of the catalogue folder; a change that older programs cannot read raises it."""
@@ -150,6 +158,25 @@ def _stratum(text: str) -> Stratum:
     return cast(Stratum, text)
 
 
+def arrays_image(
+    arrays: Mapping[str, NDArray[Any]],
+    *,
+    units: Mapping[str, str] | None = None,
+    attributes: Mapping[str, str | float | int | bool | tuple[str, ...]] | None = None,
+) -> bytes:
+    """Return an HDF5 file of named arrays, as :func:`write_arrays` writes it; the same arrays give the same bytes."""
+    with _LOCK, h5py.File.in_memory(track_order=True) as file:
+        for name, array in arrays.items():
+            dataset = _dataset(file, name, array)
+            if units and name in units:
+                dataset.attrs["unit"] = units[name]
+        for name, value in (attributes or {}).items():
+            file.attrs[name] = np.array(value, dtype=_TEXT) if isinstance(value, tuple) else value
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
+
+
 def write_arrays(
     path: str | Path,
     arrays: Mapping[str, NDArray[Any]],
@@ -177,16 +204,7 @@ def write_arrays(
     CatalogueFileError
         The file cannot be written.
     """
-    with _LOCK, h5py.File.in_memory(track_order=True) as file:
-        for name, array in arrays.items():
-            dataset = _dataset(file, name, array)
-            if units and name in units:
-                dataset.attrs["unit"] = units[name]
-        for name, value in (attributes or {}).items():
-            file.attrs[name] = np.array(value, dtype=_TEXT) if isinstance(value, tuple) else value
-        file.flush()
-        image: bytes = file.id.get_file_image()
-    publish(Path(path), image)
+    publish(Path(path), arrays_image(arrays, units=units, attributes=attributes))
 
 
 def write_growing(

@@ -193,10 +193,7 @@ class Catalogue:
         CatalogueFileError
             Its shard is missing, does not match its checksum, or cannot be read.
         """
-        found = self.matrix.find(key) if len(key) >= 8 else ()
-        if len(found) != 1:
-            raise EntryNotFoundError(key)
-        entry, outcome = next(self.cases(np.array(found)))
+        entry, outcome = next(self.cases(np.array([self.row(key)])))
         return StoredEntry(
             key=entry.key,
             hypothesis=entry.hypothesis.label,
@@ -216,6 +213,24 @@ class Catalogue:
             power=None if outcome.power is None else outcome.power.astype(np.complex64),
             spread_db=None if outcome.spread_db is None else outcome.spread_db.astype(np.float32),
         )
+
+    def row(self, key: str) -> int:
+        """Row of :attr:`matrix` of one entry; raises EntryNotFoundError as :meth:`entry`, which names a key so."""
+        found = self.matrix.find(key) if len(key) >= 8 else ()
+        if len(found) != 1:
+            raise EntryNotFoundError(key)
+        return found[0]
+
+    def address(self, key: str) -> tuple[str, int]:
+        """Where one entry is: SHA-256 of its shard, and position there. The two determine all of it; nothing is read.
+
+        Raises
+        ------
+        EntryNotFoundError
+            There is none, or more than one.
+        """
+        number, position = self.matrix.places(np.array([self.row(key)]))[0].tolist()
+        return self._shard_names[number], position
 
     def cases(self, rows: NDArray[np.int64]) -> Iterator[tuple[Entry, Outcome]]:
         """Cases of some rows of :attr:`matrix` in full, in the order of the rows; only their shards are read.

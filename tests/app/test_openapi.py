@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.3.0", "9fe969fb948087b9")
+OF_VERSION = ("1.4.0", "3b3b85a17584addf")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
