@@ -37,7 +37,9 @@ class SecurityHeaders:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)  # a page of its own kind may say something stricter
             await send(message)
 
         await self._app(scope, receive, with_headers if scope["type"] == "http" else send)

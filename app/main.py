@@ -16,7 +16,7 @@ from app.gate import Gate
 from app.headers import SecurityHeaders
 from app.keys import Keys
 from app.limits import BodyLimit
-from app.routes import catalogues, diagnoses, entries, health, machines, measurements, pages, signin
+from app.routes import catalogues, diagnoses, entries, health, machines, measurements, pages, reports, signin
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store
@@ -62,7 +62,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         redoc_url=None,
         lifespan=lifespan,
     )
-    for module in (machines, catalogues, entries, measurements, diagnoses):
+    for module in (machines, catalogues, entries, measurements, diagnoses, reports):
         application.include_router(module.router, prefix="/api/v1")
     application.include_router(health.router)
     application.include_router(pages.router, include_in_schema=False)

@@ -1,0 +1,237 @@
+"""What a report says: plain lines and tables, the same in HTML and PDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from app import words
+from app.storage import DiagnosisRow, MeasurementRow, aware
+
+SHOWN_HYPOTHESES = 5
+SHOWN_SUGGESTIONS = 3
+SHOWN_WARNINGS = 4
+SHOWN_WIDTH = 64  # characters of a name from outside: one page has to do
+
+NO_ZONE = (
+    "Severity is not judged here: a matched clearance says how much play there is, not how severe the vibration is."
+    " No zone of ISO 20816 (or ISO 10816) is derived from a match; zones need the broad-band velocity of the machine,"
+    " measured as they ask."
+)
+LIMITS = (
+    "Links are taken to be rigid and to move in a plane. Compared were only the hypotheses of this catalogue: a cause"
+    " that is not among them (a loose mount, a bearing, an unbalance) is not named, and probabilities count among"
+    " these hypotheses alone. Intervals hold the clearance in 90 % of cases if the hypothesis is right."
+)
+
+
+@dataclass(frozen=True)
+class Named:
+    """One line of a table of facts."""
+
+    name: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything a report says.
+
+    Parameters
+    ----------
+    title : str
+    verdict : str
+        fault, healthy or unknown.
+    sentence : str
+        The verdict in one sentence.
+    facts : tuple of Named
+        Asset, machine and measurement.
+    likelihood, severity : tuple of str
+        How sure, and how large: never mixed.
+    hypotheses : tuple of tuple of str
+        Label, probability, clearance with interval, distance.
+    suggestions : tuple of str
+        What would tell the first two apart.
+    inspection : tuple of str
+        What to look at.
+    method : tuple of Named
+        Versions and hashes.
+    warnings, limits : tuple of str
+    """
+
+    title: str
+    verdict: str
+    sentence: str
+    facts: tuple[Named, ...]
+    likelihood: tuple[str, ...]
+    severity: tuple[str, ...]
+    hypotheses: tuple[tuple[str, str, str, str], ...]
+    suggestions: tuple[str, ...]
+    inspection: tuple[str, ...]
+    method: tuple[Named, ...]
+    warnings: tuple[str, ...]
+    limits: tuple[str, ...]
+
+
+def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None = None) -> Report:
+    """Return what the report of a diagnosis says.
+
+    Parameters
+    ----------
+    row : DiagnosisRow
+    measurement : MeasurementRow
+        Its recording.
+    asset : str, optional
+        External id of the machine that was measured, where the diagnosis names it.
+    """
+    result = row.result
+    return Report(
+        title=f"Joint play of {cut(asset or result['machine'])}",
+        verdict=result["verdict"],
+        sentence=words.sentence(result),
+        facts=facts(row, measurement, asset),
+        likelihood=(
+            words.set_sentence(result),
+            f"{capital(words.fit_sentence(result))}. {words.mode_sentence(result)}",
+        ),
+        severity=(*sizes(result), NO_ZONE),
+        hypotheses=tuple(ranked(entry) for entry in result["hypotheses"][:SHOWN_HYPOTHESES]),
+        suggestions=suggestions(result),
+        inspection=inspection(result),
+        method=method(row),
+        warnings=tuple(warnings(result["warnings"])),
+        limits=(LIMITS,),
+    )
+
+
+def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> tuple[Named, ...]:
+    """Return who was measured, how and when."""
+    summary = measurement.summary
+    channels = ", ".join(channel["name"] for channel in summary["channels"])
+    return (
+        *((Named("Asset", cut(asset)),) if asset else ()),
+        Named("Machine", cut(row.result["machine"])),
+        Named("Recording", f"{cut(measurement.name)}, received {moment(measurement)}"),
+        Named("Length", f"{summary['duration_s']:.4g} s at {summary['sample_rate_hz']:.6g} Hz"),
+        Named("Channels", cut(channels)),
+        Named("Drive speed", f"{row.result['drive_speed_rpm']:.5g} rpm"),
+        Named("Diagnosed", moment(row)),
+    )
+
+
+def moment(row: DiagnosisRow | MeasurementRow) -> str:
+    """Return when a row was made."""
+    return f"{aware(row.created_at):%Y-%m-%d %H:%M} UTC"
+
+
+def ranked(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Return one row of the ranking."""
+    several = len(entry["joints"]) > 1
+    found = "; ".join(words.clearance(each, name if several else "") for name, each in entry["joints"].items())
+    return words.label(entry), words.percent(entry["probability"]), found or "–", f"{entry['distance_db']:.1f} dB"
+
+
+def sizes(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return how large the play is, if there is any, whatever its probability."""
+    worn = suspected(result)
+    if worn is None:
+        return ("No size of play is given, because no joint is named as worn.",)
+    found = "; ".join(f"{joint}: {words.clearance(each, '', '90 %: ')}" for joint, each in worn["joints"].items())
+    return (f"Radial clearance if {words.label(worn)} is the cause: {found}.",)
+
+
+def suspected(result: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the most probable hypothesis of a worn joint of a verdict "fault"; ``None`` for other verdicts."""
+    if result["verdict"] != "fault":
+        return None
+    hypotheses: Sequence[Mapping[str, Any]] = result["hypotheses"]
+    return next((entry for entry in hypotheses if entry["joints"]), None)
+
+
+def suggestions(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what would tell the first two hypotheses apart, or that nothing is suggested."""
+    first = {words.label(entry) for entry in result["hypotheses"][:2]}
+    wanted = [each for each in result["suggestions"] if first <= set(each["hypotheses"])] or result["suggestions"]
+    lines = tuple(
+        f"{capital(each['kind'])} {each['what']}: {' and '.join(each['hypotheses'])} are mistaken for each other in"
+        f" {words.percent(each['error'])} of cases then, {words.percent(each['error_now'])} now."
+        for each in wanted[:SHOWN_SUGGESTIONS]
+    )
+    if lines:
+        return lines
+    if len(result["hypotheses"]) < 2:
+        return ("There is no second hypothesis.",)
+    second = result["hypotheses"][1]
+    return (
+        f"The diagnosis suggests no further measurement; the second hypothesis, {words.label(second)}, has a"
+        f" probability of {words.percent(second['probability'])}.",
+    )
+
+
+def inspection(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what to look at, by verdict."""
+    back = "Report what was found to this diagnosis (its finding), so that later answers can be judged by it."
+    if result["verdict"] == "healthy":
+        return ("No inspection follows from this recording. Repeat the measurement at the usual interval.",)
+    worn = suspected(result)
+    if worn is None:
+        return (
+            "No joint can be named. Check sensors, their mounting and directions, the drive speed, mounts and"
+            " foundation, then measure again; inspect for causes that the catalogue does not hold.",
+            back,
+        )
+    lines = [
+        f"Joint {joint}: with the drive locked out, measure the play across the pin; expected are {double(each)} of"
+        " diametral play (twice the radial clearance)."
+        for joint, each in worn["joints"].items()
+    ]
+    others = [label for label in result["candidate_set"] if label not in (words.label(worn), "healthy", "as-new")]
+    if others:
+        lines.append(f"If that is not found, look at {words.enumerate_words(others)} next.")
+    return (*lines, back)
+
+
+def double(entry: Mapping[str, Any]) -> str:
+    """Return the interval of the diametral play."""
+    low, high = entry["interval_um"]
+    return f"{words.micrometres(2 * low)} to {words.micrometres(2 * high)} µm"
+
+
+def method(row: DiagnosisRow) -> tuple[Named, ...]:
+    """Return everything that determined the answer."""
+    result = row.result
+    origin = result["provenance"]
+    matcher = origin["matcher"]
+    baseline = result["baseline"]
+    shown = "none"
+    if baseline is not None:
+        shown = f"{cut(baseline['measurement'])}, {'used' if baseline['used'] else 'not used'}"
+    versions = f"solver {origin['solver_version']} (catalogue: {origin['catalogue_solver_version']}),"
+    return (
+        Named("Diagnosis", f"{row.id}, answer {result['hash']}"),
+        Named("Recording", f"SHA-256 {origin['measurement_sha256']}"),
+        Named("Catalogue", f"SHA-256 {origin['catalogue_sha256']}"),
+        Named("Machine", f"SHA-256 {origin['machine_sha256']}"),
+        Named("Network", f"SHA-256 {matcher['network']}" if matcher["network"] else "none"),
+        Named("Versions", f"{versions} matcher {matcher['name']} {matcher['version']}"),
+        Named("Settings", f"effort {result['effort']}, mode {result['mode']['used']}, baseline {shown}"),
+        Named("Steps", ", ".join(f"{step['name']} {step['version']}" for step in origin["recipe"])),
+    )
+
+
+def warnings(lines: Sequence[str]) -> list[str]:
+    """Return the warnings that fit on the page, and how many do not."""
+    shown = [cut(line, 160) for line in lines[:SHOWN_WARNINGS]]
+    more = len(lines) - len(shown)
+    return [*shown, f"{more} more in the answer itself"] if more else shown
+
+
+def cut(text: str, width: int = SHOWN_WIDTH) -> str:
+    """Return a text from outside at a bounded length."""
+    return text if len(text) <= width else f"{text[: width - 1]}…"
+
+
+def capital(text: str) -> str:
+    """Return a text with its first letter as a capital."""
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,62 @@
+"""The report of a diagnosis, as HTML or PDF."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from app.etags import matches, respond
+from app.negotiation import chosen_type
+from app.openapi import problems
+from app.reports.content import Report, report_of
+from app.reports.figures import Figures, figures_of
+from app.reports.html import html, policy
+from app.reports.pdf import pdf
+from app.service import Service, of_request
+
+router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
+
+HTML_TYPE, PDF_TYPE = "text/html", "application/pdf"
+FORMATS = {"html": HTML_TYPE, "pdf": PDF_TYPE}
+CONTENT = {HTML_TYPE: {"schema": {"type": "string"}}, PDF_TYPE: {"schema": {"type": "string", "format": "binary"}}}
+
+Format = Annotated[Literal["html", "pdf"] | None, Query(description="In place of `Accept`.")]
+
+
+@router.get(
+    "/{key}/report",
+    response_class=Response,
+    responses={
+        200: {"description": "The report.", "content": CONTENT},
+        **problems(404, 406, 422, 500, 503, 504),
+    },
+)
+async def report(request: Request, key: str, format: Format = None) -> Response:
+    """Return the report of a diagnosis, one page for a work order, as HTML or PDF by `Accept` or `format`."""
+    service = of_request(request)
+    media = FORMATS[format] if format else chosen_type(request, (HTML_TYPE, PDF_TYPE))
+    said, figures = await run_in_threadpool(found, service, key)
+    page = await run_in_threadpool(html, said, figures)
+    digest = hashlib.sha256(page.encode()).hexdigest()
+    if media == HTML_TYPE:
+        answer = Response(page, media_type=HTML_TYPE, headers={"Content-Security-Policy": policy()})
+    else:
+        # Both say the same, so that the page tells whether a client holds the document already, without making it.
+        digest = f"{digest}-pdf"
+        held = matches(request, digest)
+        name = f'inline; filename="diagnosis-{key}.pdf"'
+        made = b"" if held else await service.pool.run(pdf, said, figures)
+        answer = Response(made, media_type=PDF_TYPE, headers={"Content-Disposition": name})
+    answer = respond(request, answer, digest)
+    answer.headers["Vary"] = "Accept"
+    return answer
+
+
+def found(service: Service, key: str) -> tuple[Report, Figures]:
+    """Return what the report of a stored diagnosis says and shows."""
+    row = service.store.diagnosis(key)
+    return report_of(row, service.store.measurement(row.measurement)), figures_of(row)

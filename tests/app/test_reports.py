@@ -1,0 +1,194 @@
+"""The report of a diagnosis: what it says, one page as HTML and as PDF."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from html import unescape
+from typing import Any
+from xml.etree import ElementTree
+
+import httpx
+import pytest
+from pypdf import PdfReader
+
+from app import words
+from app.reports.content import NO_ZONE, Report, report_of
+from app.reports.figures import figures_of, spectrum
+from app.reports.html import html
+from app.reports.pdf import pdf
+from app.settings import Settings
+from app.spectra import Band, Comparison
+from app.storage import DiagnosisRow, MeasurementRow, Store
+
+API = "/api/v1"
+NAME = "press <7> & 'co'.csv"
+
+
+@pytest.fixture(scope="module")
+def diagnosis(client: httpx.Client, worn: bytes) -> dict[str, Any]:
+    files = {"file": (NAME, worn)}
+    fields = {"catalogue": "slider-crank", "effort": "fast"}
+    answer = client.post(f"{API}/diagnoses", files=files, data=fields)
+    assert answer.status_code == 201, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+@pytest.fixture(scope="module")
+def rows(settings: Settings, diagnosis: dict[str, Any]) -> Iterator[tuple[DiagnosisRow, MeasurementRow]]:
+    store = Store(settings.data)
+    row = store.diagnosis(diagnosis["id"])
+    yield row, store.measurement(row.measurement)
+    store.close()
+
+
+def changed(row: DiagnosisRow, **members: Any) -> DiagnosisRow:
+    """The same diagnosis with another answer."""
+    return DiagnosisRow(
+        id=row.id, machine=row.machine, created_at=row.created_at, result={**row.result, **members}, request=row.request
+    )
+
+
+def text_of(document: bytes) -> str:
+    (page,) = PdfReader(io.BytesIO(document)).pages
+    return " ".join(page.extract_text().split())
+
+
+def everything(report: Report) -> str:
+    return " ".join(
+        [
+            *report.likelihood,
+            *report.severity,
+            *report.suggestions,
+            *report.inspection,
+            *report.warnings,
+            *report.limits,
+        ]
+    )
+
+
+def test_html_says_the_verdict_and_escapes_names(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
+    answer = client.get(f"{API}/diagnoses/{diagnosis['id']}/report")
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    assert answer.headers["vary"] == "Accept"
+    assert words.sentence(diagnosis) in unescape(answer.text)
+    assert "press &lt;7&gt; &amp; &#39;co&#39;.csv" in answer.text
+    assert "<7>" not in answer.text
+    assert answer.text.count("<svg") == 4
+    assert diagnosis["provenance"]["catalogue_sha256"] in answer.text
+
+
+def test_html_loads_nothing_and_says_so(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
+    answer = client.get(f"{API}/diagnoses/{diagnosis['id']}/report")
+    policy = answer.headers["content-security-policy"]
+    assert policy.startswith("default-src 'none'; style-src 'sha256-")
+    assert "unsafe" not in policy
+    assert not re.findall(r"<script|<link|<img|\bsrc=|url\(|@import|\sstyle=", answer.text)
+    assert set(re.findall(r"https?://[^\s\"'<]+", answer.text)) == {"http" + "://www.w3.org/2000/svg"}
+
+
+def test_pdf_is_one_page_with_the_verdict(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
+    answer = client.get(f"{API}/diagnoses/{diagnosis['id']}/report", headers={"Accept": "application/pdf"})
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"] == "application/pdf"
+    assert f"diagnosis-{diagnosis['id']}.pdf" in answer.headers["content-disposition"]
+    said = text_of(answer.content)
+    assert words.sentence(diagnosis) in said
+    assert NAME in said
+    assert diagnosis["provenance"]["measurement_sha256"] in said
+    assert "s2-y" in said, "the drawing has its labels"
+    assert "rotation of the frame" in said, "the spectra are there"
+
+
+def test_the_form_is_chosen_by_query_before_accept(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
+    place = f"{API}/diagnoses/{diagnosis['id']}/report"
+    answer = client.get(place, params={"format": "pdf"}, headers={"Accept": "text/html"})
+    assert answer.content.startswith(b"%PDF-")
+    assert client.get(place, params={"format": "odt"}).status_code == 422
+    refused = client.get(place, headers={"Accept": "image/png"})
+    assert refused.status_code == 406
+    assert "text/html" in refused.json()["detail"]
+    assert client.get(f"{API}/diagnoses/none/report").status_code == 404
+
+
+@pytest.mark.parametrize("form", ["html", "pdf"])
+def test_the_same_report_is_not_sent_twice(client: httpx.Client, diagnosis: dict[str, Any], form: str) -> None:
+    place = f"{API}/diagnoses/{diagnosis['id']}/report?format={form}"
+    first = client.get(place)
+    again = client.get(place, headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert client.get(place).content == first.content
+
+
+def test_severity_and_likelihood_stand_apart(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
+    report = report_of(*rows)
+    assert "µm" not in " ".join(report.likelihood)
+    assert NO_ZONE in report.severity
+    assert "probability" not in " ".join(report.severity)
+    assert "µm" in report.severity[0]
+
+
+def test_the_play_to_be_measured_is_twice_the_clearance(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
+    row, measurement = rows
+    hypotheses = [
+        {"label": "A", "joints": {"A": {"clearance_um": 200.0, "interval_um": [150.0, 260.0]}}, "probability": 0.8},
+        {"label": "B", "joints": {"B": {"clearance_um": 90.0, "interval_um": [60.0, 99.0]}}, "probability": 0.2},
+    ]
+    told = [{**entry, "distance_db": 1.0} for entry in hypotheses]
+    report = report_of(changed(row, verdict="fault", hypotheses=told, candidate_set=["A", "B"]), measurement)
+    assert "300 to 520 µm of diametral play" in report.inspection[0]
+    assert report.inspection[1] == "If that is not found, look at B next."
+    assert report.suggestions[0].endswith("the second hypothesis, B, has a probability of 20 %.")
+
+
+def test_what_tells_the_first_two_apart_comes_first(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
+    row, measurement = rows
+    first, second, third = (entry["label"] for entry in row.result["hypotheses"][:3])
+    numbers = {"separation_now": 1.0, "separation": 3.0, "error_now": 0.2, "error": 0.03}
+    told = [
+        {"kind": "speed", "what": "96 rpm", "hypotheses": [first, third], **numbers},
+        {"kind": "sensor", "what": "s3-y", "hypotheses": [first, second], **numbers},
+    ]
+    report = report_of(changed(row, suggestions=told), measurement)
+    assert len(report.suggestions) == 1
+    assert report.suggestions[0].startswith(f"Sensor s3-y: {first} and {second} are mistaken")
+
+
+@pytest.mark.parametrize("verdict", ["healthy", "unknown"])
+def test_no_joint_is_to_be_opened_without_a_fault(rows: tuple[DiagnosisRow, MeasurementRow], verdict: str) -> None:
+    report = report_of(changed(rows[0], verdict=verdict), rows[1])
+    assert "drive locked out" not in everything(report)
+    assert "µm" not in " ".join(report.severity)
+
+
+def test_much_text_stays_on_one_page(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
+    row, measurement = rows
+    numbers = {"separation_now": 1.0, "separation": 3.0, "error_now": 0.2, "error": 0.03}
+    first, second = (entry["label"] for entry in row.result["hypotheses"][:2])
+    told = [{"kind": "direction", "what": "y at (0.2, -0.1) m", "hypotheses": [first, second], **numbers}] * 9
+    full = changed(row, warnings=["<script>alert(1)</script> & more " * 30] * 20, suggestions=told)
+    report, figures = report_of(full, measurement, "W" * 300), figures_of(full)
+    said = text_of(pdf(report, figures))
+    assert "16 more in the answer itself" in said
+    assert "Steps sensors" in said, "the last table is there"
+    page = html(report, figures)
+    assert "<script" not in page
+    assert "W" * 65 not in page
+
+
+def test_a_spectrum_rings_the_bands_that_stand_out() -> None:
+    bands = tuple(Band(float(order), -20.0 + order, -20.0, 2.0, float(order)) for order in range(1, 11))
+    drawn = ElementTree.fromstring(spectrum(Comparison("s1 <x>", bands)))
+    circles = [each for each in drawn.iter() if each.tag.endswith("circle")]
+    rings = [each for each in circles if each.get("fill") == "none"]
+    dots = [each for each in circles if each.get("fill") != "none"]
+    assert (len(dots), len(rings)) == (10, 3)
+    assert {ring.get("cx") for ring in rings} == {dot.get("cx") for dot in dots[-3:]}
+    assert "s1 <x>" in [each.text for each in drawn.iter()]
+
+
+def test_a_single_band_can_be_drawn() -> None:
+    ElementTree.fromstring(spectrum(Comparison("x", (Band(1.0, -20.0, -20.0, 0.0, 0.0),))))
