@@ -57,6 +57,14 @@ class UploadTooLargeError(AppError):
     """A request body over the size limit."""
 
 
+class ShippedMachineError(AppError):
+    """A machine under the name of one that ships with the program."""
+
+
+class PreconditionError(AppError):
+    """A condition of the request (``If-Match``, ``If-None-Match``) that does not hold."""
+
+
 class NotAcceptableError(AppError):
     """A client that takes none of the forms there are."""
 

@@ -17,6 +17,8 @@ from app.headers import SecurityHeaders
 from app.keys import Keys
 from app.limits import BodyLimit
 from app.routes import catalogues, diagnoses, entries, health, machines, measurements, pages, reports, signin
+from app.machine_store import MachineStore
+from app.routes import catalogues, diagnoses, entries, health, machines, measurements, pages, signin
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store
@@ -41,7 +43,8 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
     async def lifespan(application: FastAPI) -> AsyncIterator[None]:
         store = Store(chosen.data, chosen.database)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s)
-        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool)
+        put_there = MachineStore(chosen.data / "machines")
+        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there)
         application.state.service = service
         application.state.keys = Keys(store.database)
         warming = asyncio.create_task(service.warm()) if warm else None

@@ -14,7 +14,7 @@ from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "1.5.0"
+API_VERSION = "1.6.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
@@ -22,6 +22,7 @@ DESCRIPTIONS = {
     404: "There is none of this name or id.",
     406: "There is no form that `Accept` allows.",
     409: "The catalogue cannot be used as it is.",
+    412: "A condition of the request (`If-Match`, `If-None-Match`) does not hold.",
     413: "The body is larger than the limit of the service.",
     415: "This type of body is not taken here.",
     422: "The content breaks a rule; the detail names file, field, value and rule.",

@@ -82,6 +82,8 @@ TABLE: dict[type[Exception], Kind] = {
     errors.BadFieldError: Kind(422, "invalid-field", "A field breaks a rule"),
     errors.BadCursorError: Kind(400, "invalid-cursor", "The page cursor is not valid"),
     errors.UploadTooLargeError: Kind(413, "too-large", "The upload is too large"),
+    errors.ShippedMachineError: Kind(409, "shipped-machine", "The machine ships with the program"),
+    errors.PreconditionError: Kind(412, "precondition", "A condition of the request does not hold"),
     errors.NotAcceptableError: Kind(406, "not-acceptable", "No form that the client takes"),
     errors.UnsupportedMediaError: Kind(415, "unsupported-media", "This type of body is not taken here"),
     errors.BusyError: Kind(503, "busy", "All workers are busy"),
@@ -140,7 +142,7 @@ def problem_of(error: Exception) -> Problem:
         return of_status(500, "The service failed in a way it did not foresee; the log has the details.")
     headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}
     headers |= getattr(error, "headers", {})
-    named = getattr(error, "field", "")
+    named = error.path if isinstance(error, solver_errors.MachineError) else getattr(error, "field", "")
     entries = ({"field": named, "message": one_line(str(error))},) if named else ()
     return Problem(kind.status, type_of(kind.slug), kind.title, one_line(str(error)), entries, headers)
 

@@ -36,13 +36,14 @@ class ProblemDocument(BaseModel):
 
 
 class MachineItem(Shape):
-    """A machine that ships with the program."""
+    """A machine."""
 
     name: str
     content_key: str = Field(description="SHA-256 of the machine's content; also its ETag.")
     links: int
     turning_joints: list[str]
     sliding_joints: list[str]
+    shipped: bool = Field(description="Whether it ships with the program; others were put there.")
     sensors: list[str]
 
 

@@ -13,6 +13,7 @@ from app import tasks
 from app.catalogues import CatalogueShelf
 from app.entries import EntryShelf
 from app.errors import BadFieldError
+from app.machine_store import MachineStore
 from app.schemas import DiagnosisRequest
 from app.settings import Settings
 from app.storage import DiagnosisRow, MeasurementRow, Store, Upload
@@ -29,6 +30,7 @@ class Service:
     store: Store
     shelf: CatalogueShelf
     pool: WorkerPool
+    machines: MachineStore
     entries: EntryShelf = field(default_factory=EntryShelf)
 
     async def warm(self) -> None:

@@ -81,6 +81,27 @@ def diagnose(
     return document
 
 
+def check_machine(text: str, name: str) -> str:
+    """Read a machine file and return it as canonical JSON; it is checked as ``jointplay check`` does.
+
+    Parameters
+    ----------
+    text : str
+        YAML or JSON.
+    name : str
+        What messages call it.
+    """
+    from solver.machines.fault import FaultState
+    from solver.machines.machine import parse_machine
+    from solver.simulation.account import account
+    from solver.simulation.simulate import check_assembly
+
+    machine = parse_machine(text, name)
+    account(machine, FaultState({}))
+    check_assembly(machine)
+    return machine.canonical_json()
+
+
 def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     """Load what diagnosing needs, and the models last fitted to some catalogues; return how many models those are.
 

@@ -1,64 +1,116 @@
-"""Machines that ship with the program."""
+"""Machines: those that ship with the program, and those that were put there."""
 
 from __future__ import annotations
 
 import json
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from app import paging
-from app.errors import UnknownMachineError
-from app.etags import respond
+from app import paging, tasks
+from app.errors import BadRequestError, UnsupportedMediaError
+from app.etags import Conditions, respond, tag
+from app.machine_store import check_name
 from app.openapi import problems
 from app.schemas import MachineItem, MachinePage
 from app.service import of_request
+from app.uploads import media_type
 from solver.machines.drawing import machine_svg
-from solver.machines.machine import Machine, shipped_machine, shipped_machine_names
+from solver.machines.machine import Machine, shipped_machine_names
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
 Cursor = Annotated[str | None, Query(max_length=200, description="`next_cursor` of the page before.")]
 Limit = Annotated[int | None, Query(ge=1, le=500, description="Number of items in the page.")]
 
+JSON_TYPE = "application/json"
+YAML_TYPES = ("application/yaml", "application/x-yaml", "text/yaml", "text/x-yaml")
+FILE: dict[str, Any] = {"type": "object", "description": "A machine file; see docs/machine-file.md."}
+SHOWN: dict[str, Any] = {"content": {JSON_TYPE: {"schema": FILE}}}
+BODY = {"required": True, "content": {JSON_TYPE: {"schema": FILE}, YAML_TYPES[0]: {"schema": {"type": "string"}}}}
+PUT_SHOWN: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The machine of this name is this one now; there was one before.", **SHOWN},
+    201: {"description": "There was no machine of this name.", **SHOWN},
+}
+
 
 @router.get("", responses=problems(400, 422))
 def machines(request: Request, cursor: Cursor = None, limit: Limit = None) -> MachinePage:
     """List the machines by name."""
+    service = of_request(request)
     after = paging.decode(cursor) if cursor is not None else ""
-    size = limit or of_request(request).settings.page_size
-    names = [name for name in shipped_machine_names() if name > after]
-    items = [item(name, shipped_machine(name)) for name in names[:size]]
+    size = limit or service.settings.page_size
+    names = [name for name in service.machines.names() if name > after]
+    items = [item(name, service.machines.find(name)) for name in names[:size]]
     return MachinePage(items=items, next_cursor=paging.encode(names[size - 1]) if len(names) > size else None)
 
 
-@router.get("/{name}", responses=problems(404))
+@router.get("/{name}", responses={200: {"description": "The machine.", **SHOWN}, **problems(404)})
 def machine(request: Request, name: str) -> Response:
     """Return a machine as the JSON form of its file, everything left out filled in."""
-    found = known(name)
-    document = Response(json.dumps(found.model_dump(), indent=2, allow_nan=False), media_type="application/json")
-    return respond(request, document, found.content_key)
+    found = of_request(request).machines.find(name)
+    return respond(request, document(found), found.content_key)
+
+
+@router.put(
+    "/{name}",
+    responses={**PUT_SHOWN, **problems(400, 409, 412, 413, 415, 422, 500, 503, 504)},
+    openapi_extra={"requestBody": BODY},
+)
+async def put(request: Request, name: str) -> Response:
+    """Store a machine file (JSON or YAML) under a name, after the checks of `jointplay check`.
+
+    The same file again changes nothing. `If-None-Match: *` stores only a new one, `If-Match` with the entity tag of
+    `GET` only in the place of that one.
+    """
+    service = of_request(request)
+    check_name(name)
+    text = file_text(media_type(request), await request.body())
+    content = await service.pool.run(tasks.check_machine, text, name)
+    stored, created = await run_in_threadpool(service.machines.put, name, content, Conditions.of(request))
+    answer = document(stored)
+    answer.status_code = 201 if created else 200
+    answer.headers["ETag"] = tag(stored.content_key)
+    if created:
+        answer.headers["Location"] = f"/api/v1/machines/{name}"
+    return answer
 
 
 @router.get("/{name}/drawing.svg", responses=problems(404), response_class=Response)
 def drawing(request: Request, name: str) -> Response:
     """Return the drawing of a machine in its drawn pose."""
-    found = known(name)
+    found = of_request(request).machines.find(name)
     return respond(request, Response(machine_svg(found), media_type="image/svg+xml"), f"drawing-{found.content_key}")
 
 
-def known(name: str) -> Machine:
-    """Return a shipped machine.
+def document(found: Machine) -> Response:
+    """Return a machine as JSON."""
+    return Response(json.dumps(found.model_dump(), indent=2, allow_nan=False), media_type=JSON_TYPE)
+
+
+def file_text(kind: str, content: bytes) -> str:
+    """Return the text of a machine file in the body of a request.
 
     Raises
     ------
-    UnknownMachineError
-        When there is none of this name.
+    UnsupportedMediaError
+        When the body is neither JSON nor YAML by its type.
+    BadRequestError
+        When it is no text, or JSON by its type alone.
     """
-    if name not in shipped_machine_names():
-        raise UnknownMachineError(f"machine: {name[:80]}: there is none of this name")
-    return shipped_machine(name)
+    if kind not in (JSON_TYPE, *YAML_TYPES):
+        raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {YAML_TYPES[0]}")
+    try:
+        text = content.decode("utf-8-sig")
+        if kind == JSON_TYPE:
+            json.loads(text)  # what it holds is read by the reader of machine files, which refuses doubled keys
+    except UnicodeDecodeError:
+        raise BadRequestError("the body is not text in UTF-8") from None
+    except (ValueError, RecursionError) as error:
+        raise BadRequestError(f"the body is not JSON: {error}") from None
+    return text
 
 
 def item(name: str, found: Machine) -> MachineItem:
@@ -69,5 +121,6 @@ def item(name: str, found: Machine) -> MachineItem:
         links=len(found.links),
         turning_joints=list(found.turning_joints),
         sliding_joints=list(found.sliding_joints),
+        shipped=name in shipped_machine_names(),
         sensors=[sensor.name for sensor in found.sensors],
     )
