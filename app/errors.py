@@ -37,6 +37,14 @@ class UnknownDiagnosisError(AppError):
     """No stored diagnosis has this id."""
 
 
+class UnknownBuildError(AppError):
+    """No build has this id."""
+
+
+class BuildEndedError(AppError):
+    """A build that has ended already, and cannot be cancelled."""
+
+
 class UnknownPageError(AppError):
     """No page of the web form has this address."""
 

@@ -8,17 +8,19 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI
+from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
 from app import handlers, openapi
+from app.build_queue import BuildQueue
+from app.build_runner import BuildRunner
 from app.catalogues import CatalogueShelf
 from app.gate import Gate
 from app.headers import SecurityHeaders
 from app.keys import Keys
 from app.limits import BodyLimit
-from app.routes import catalogues, diagnoses, entries, health, machines, measurements, pages, reports, signin
 from app.machine_store import MachineStore
-from app.routes import catalogues, diagnoses, entries, health, machines, measurements, pages, signin
+from app.routes import builds, catalogues, diagnoses, entries, health, machines, measurements, pages, reports, signin
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store
@@ -44,15 +46,20 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         store = Store(chosen.data, chosen.database)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s)
         put_there = MachineStore(chosen.data / "machines")
-        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there)
+        queue = BuildQueue(store.database)
+        runner = BuildRunner(queue, chosen.catalogues, chosen.builds, chosen.build_lease_s)
+        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner)
         application.state.service = service
         application.state.keys = Keys(store.database)
+        runner.start()
         warming = asyncio.create_task(service.warm()) if warm else None
         try:
             yield
         finally:
             if warming is not None:
                 warming.cancel()
+            service.stop()
+            await run_in_threadpool(runner.close)
             pool.close()
             store.close()
 
@@ -65,7 +72,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         redoc_url=None,
         lifespan=lifespan,
     )
-    for module in (machines, catalogues, entries, measurements, diagnoses, reports):
+    for module in (machines, catalogues, entries, builds, measurements, diagnoses, reports):
         application.include_router(module.router, prefix="/api/v1")
     application.include_router(health.router)
     application.include_router(pages.router, include_in_schema=False)

@@ -77,6 +77,8 @@ TABLE: dict[type[Exception], Kind] = {
     errors.UnknownCatalogueError: Kind(404, "unknown-catalogue", "No such catalogue"),
     errors.UnknownMeasurementError: Kind(404, "unknown-measurement", "No such measurement"),
     errors.UnknownDiagnosisError: Kind(404, "unknown-diagnosis", "No such diagnosis"),
+    errors.UnknownBuildError: Kind(404, "unknown-build", "No such build"),
+    errors.BuildEndedError: Kind(409, "build-ended", "The build has ended already"),
     errors.UnknownPageError: Kind(404, "unknown-page", "No such page"),
     errors.BadRequestError: Kind(400, "unreadable-request", "The request cannot be read"),
     errors.BadFieldError: Kind(422, "invalid-field", "A field breaks a rule"),

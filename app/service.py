@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 from dataclasses import dataclass, field
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from app import tasks
+from app.build_queue import BuildQueue
+from app.build_runner import BuildRunner
 from app.catalogues import CatalogueShelf
 from app.entries import EntryShelf
 from app.errors import BadFieldError
@@ -31,7 +34,16 @@ class Service:
     shelf: CatalogueShelf
     pool: WorkerPool
     machines: MachineStore
+    builds: BuildQueue
+    runner: BuildRunner
     entries: EntryShelf = field(default_factory=EntryShelf)
+    stopping: threading.Event = field(default_factory=threading.Event)
+    """Set when the server is to stop: answers that go on and on then end."""
+
+    def stop(self) -> None:
+        """Let everything end that would go on by itself: streams of events, and builds, which others take up."""
+        self.stopping.set()
+        self.runner.stop()
 
     async def warm(self) -> None:
         """Let every worker load what a diagnosis needs, so that the first one does not wait for it."""

@@ -59,6 +59,17 @@ class Settings(BaseSettings):
     receive_timeout_s: float = Field(
         default=30.0, gt=0, description="Longest time that the body of a request may pause, in seconds; then 408."
     )
+    builds: int = Field(
+        default=1,
+        ge=0,
+        le=64,
+        description="Number of catalogues that are built at a time; with 0 other servers of the same database do it.",
+    )
+    build_lease_s: float = Field(
+        default=30.0,
+        ge=1.0,
+        description="Seconds after which another server takes up a build whose server gives no sign of life.",
+    )
     page_size: int = Field(default=50, ge=1, le=500, description="Number of items in one page of a list.")
 
     @property

@@ -67,7 +67,15 @@ def command(
     click.echo(f"jointplay: serving http://{host}:{listener.getsockname()[1]}", err=True)
     if settings.keys == "required":
         click.echo("jointplay: requests need a key; `jointplay keys create NAME` makes one", err=True)
-    server = uvicorn.Server(uvicorn.Config(create_app(settings, warm=True), server_header=False, log_level="info"))
+    application = create_app(settings, warm=True)
+
+    class Server(uvicorn.Server):
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            # Before it waits for answers to end: a stream of events would go on as long as somebody reads it.
+            application.state.service.stop()
+            await super().shutdown(sockets)
+
+    server = Server(uvicorn.Config(application, server_header=False, log_level="info", timeout_graceful_shutdown=30))
     server.run(sockets=[listener])
     if not server.started:
         raise click.exceptions.Exit(1)

@@ -1,0 +1,69 @@
+"""From a request to a build in the queue: everything that can be refused is refused before."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from app.build_queue import BuildQueue, BuildRow
+from app.build_schemas import BuildRequest
+from app.errors import BadFieldError, UnknownMachineError
+from app.machine_store import MachineStore
+from catalogue.directory import CatalogueDirectory
+from catalogue.errors import PlanError
+from catalogue.manifest import Manifest
+from catalogue.plan import Plan, parse_plan, preset
+from catalogue.plan_check import check_plan
+from solver.machines.machine import Machine
+
+
+def order(queue: BuildQueue, machines: MachineStore, folder: Path, wanted: BuildRequest) -> BuildRow:
+    """Put a build into the queue.
+
+    Parameters
+    ----------
+    queue : BuildQueue
+    machines : MachineStore
+    folder : Path
+        Where the catalogues are.
+    wanted : BuildRequest
+
+    Raises
+    ------
+    BadFieldError
+        There is no such machine or plan, or the plan does not fit the machine.
+    CatalogueMismatchError
+        The catalogue is there, but of another machine, or made otherwise.
+    """
+    machine = machine_of(machines, wanted.machine)
+    plan = plan_of(wanted.plan, machine)
+    if CatalogueDirectory(folder).manifest.is_file():
+        rule = "this service serves one catalogue alone; set JOINTPLAY_CATALOGUES to a folder of catalogues"
+        raise BadFieldError(f"catalogue: {wanted.catalogue}: {rule}", field="catalogue")
+    layout = CatalogueDirectory(folder / wanted.catalogue)
+    if layout.manifest.is_file():
+        Manifest.read(layout).check_accepts(machine, plan.resolved(machine), Path(wanted.catalogue))
+    content = json.loads(machine.canonical_json())
+    return queue.add(content, plan.content, plan.hash, wanted.catalogue, wanted.workers)
+
+
+def machine_of(machines: MachineStore, name: str) -> Machine:
+    """Return the machine of a name."""
+    try:
+        return machines.find(name)
+    except UnknownMachineError as error:
+        raise BadFieldError(str(error), field="machine") from None
+
+
+def plan_of(given: Mapping[str, Any] | str, machine: Machine) -> Plan:
+    """Return a shipped plan, or the one that is given, if it fits the machine."""
+    try:
+        # By name alone: a text never is a path here.
+        plan = preset(given) if isinstance(given, str) else parse_plan(given)
+        check_plan(plan, machine)
+    except PlanError as error:
+        text = str(error)
+        raise BadFieldError(text if text.startswith("plan: ") else f"plan: {text}", field="plan") from None
+    return plan

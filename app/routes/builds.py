@@ -1,0 +1,136 @@
+"""Builds of catalogues: asking for one, following it, stopping it."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import StreamingResponse
+
+from app import paging
+from app.build_orders import order
+from app.build_queue import ENDED
+from app.build_schemas import BuildOut, BuildPage, BuildRequest, build_out
+from app.errors import UnsupportedMediaError
+from app.etags import respond
+from app.openapi import problems
+from app.routes.diagnoses import JSON_TYPE, parsed
+from app.routes.machines import Cursor, Limit
+from app.service import Service, of_request
+from app.uploads import media_type
+
+router = APIRouter(prefix="/builds", tags=["builds"])
+log = logging.getLogger(__name__)
+
+STREAM_TYPE = "text/event-stream"
+LOOK_S = 0.5
+HEARTBEAT_S = 15.0
+
+
+def body() -> dict[str, Any]:
+    """Return the description of the body that a build is asked for with."""
+    schema = BuildRequest.model_json_schema(ref_template="#/components/schemas/{model}")
+    return {"required": True, "content": {JSON_TYPE: {"schema": schema}}}
+
+
+@router.post(
+    "",
+    status_code=202,
+    responses=problems(400, 409, 413, 415, 422, 500, 503),
+    openapi_extra={"requestBody": body()},
+)
+async def ask(request: Request, response: Response) -> BuildOut:
+    """Build a catalogue, or go on with one; it is stored before this is answered, and outlives the server."""
+    service = of_request(request)
+    kind = media_type(request)
+    if kind != JSON_TYPE:
+        raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE}")
+    try:
+        wanted = BuildRequest.model_validate(parsed(await request.body()))
+    except ValidationError as error:
+        raise RequestValidationError(error.errors()) from None
+    row = await run_in_threadpool(order, service.builds, service.machines, service.settings.catalogues, wanted)
+    service.runner.wake()
+    response.headers["Location"] = f"/api/v1/builds/{row.id}"
+    return build_out(row)
+
+
+@router.get("", responses=problems(400, 422))
+def builds(request: Request, cursor: Cursor = None, limit: Limit = None) -> BuildPage:
+    """List the builds, the newest first."""
+    service = of_request(request)
+    size = limit or service.settings.page_size
+    rows = service.builds.listed(paging.decode_number(cursor), size + 1)
+    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    return BuildPage(items=[build_out(row) for row in rows[:size]], next_cursor=following)
+
+
+@router.get("/{key}", response_model=BuildOut, responses=problems(404))
+def build(request: Request, key: str) -> Response:
+    """Return a build, and how far it is."""
+    document = Response(build_out(of_request(request).builds.find(key)).model_dump_json(), media_type=JSON_TYPE)
+    return respond(request, document, hashlib.sha256(document.body).hexdigest())
+
+
+@router.post("/{key}/cancel", status_code=202, responses=problems(404, 409))
+def cancel(request: Request, key: str) -> BuildOut:
+    """Stop a build: one that is queued at once, one that runs within a second or so. What was computed is kept."""
+    return build_out(of_request(request).builds.cancel(key))
+
+
+@router.get(
+    "/{key}/events",
+    response_class=StreamingResponse,
+    responses={
+        200: {
+            "description": "Events `state`, whose data is the build as JSON: how it is now, then every change. The"
+            " stream ends with the build; asked again with the `Last-Event-ID` of then, 204 tells that no more comes.",
+            "content": {STREAM_TYPE: {"schema": {"type": "string"}}},
+        },
+        204: {"description": "The build has ended, and the client knows."},
+        **problems(404),
+    },
+)
+async def events(request: Request, key: str) -> Response:
+    """Follow a build: server-sent events."""
+    service = of_request(request)
+    row = await run_in_threadpool(service.builds.find, key)
+    text = build_out(row).model_dump_json()
+    if row.state in ENDED and request.headers.get("last-event-id") == event_id(text):
+        return Response(status_code=204)
+    return StreamingResponse(followed(service, key), media_type=STREAM_TYPE, headers={"Cache-Control": "no-store"})
+
+
+async def followed(service: Service, key: str) -> AsyncIterator[str]:
+    """Give the state of a build whenever it has changed, and a sign of life in between."""
+    shown, last = "", time.monotonic()
+    while not service.stopping.is_set():
+        try:
+            row = await run_in_threadpool(service.builds.find, key)
+        except SQLAlchemyError as error:  # whoever listens learns more when it is back
+            log.warning("build %s cannot be followed: %s", key, str(error).partition("\n")[0])
+        else:
+            text = build_out(row).model_dump_json()
+            if text != shown:
+                yield f"event: state\nid: {event_id(text)}\ndata: {text}\n\n"
+                shown, last = text, time.monotonic()
+            if row.state in ENDED:
+                return
+        if time.monotonic() - last >= HEARTBEAT_S:
+            yield ": alive\n\n"
+            last = time.monotonic()
+        await asyncio.sleep(LOOK_S)
+
+
+def event_id(text: str) -> str:
+    """Return the id of an event: the same state has the same."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
