@@ -73,6 +73,16 @@ class PreconditionError(AppError):
     """A condition of the request (``If-Match``, ``If-None-Match``) that does not hold."""
 
 
+class KeyReusedError(AppError):
+    """An ``Idempotency-Key`` that was used for another request."""
+
+
+class KeyInUseError(AppError):
+    """An ``Idempotency-Key`` whose first request is not answered yet."""
+
+    headers: ClassVar = {"Retry-After": "2"}
+
+
 class NotAcceptableError(AppError):
     """A client that takes none of the forms there are."""
 

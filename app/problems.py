@@ -86,6 +86,8 @@ TABLE: dict[type[Exception], Kind] = {
     errors.UploadTooLargeError: Kind(413, "too-large", "The upload is too large"),
     errors.ShippedMachineError: Kind(409, "shipped-machine", "The machine ships with the program"),
     errors.PreconditionError: Kind(412, "precondition", "A condition of the request does not hold"),
+    errors.KeyReusedError: Kind(422, "idempotency-key-reused", "The key was used for another request"),
+    errors.KeyInUseError: Kind(409, "idempotency-key-in-use", "The first request with this key is not answered yet"),
     errors.NotAcceptableError: Kind(406, "not-acceptable", "No form that the client takes"),
     errors.UnsupportedMediaError: Kind(415, "unsupported-media", "This type of body is not taken here"),
     errors.BusyError: Kind(503, "busy", "All workers are busy"),

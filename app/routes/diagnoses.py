@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from app import paging
 from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from app.etags import respond
+from app.idempotency import IdempotencyKey, once
 from app.openapi import COMPUTING, problems
 from app.results import DiagnosisOut, diagnosis_out
 from app.routes.machines import Cursor, Limit
@@ -50,8 +51,14 @@ def body() -> dict[str, Any]:
     return {"required": True, "content": {JSON_TYPE: {"schema": schema}, MULTIPART: {"schema": FORM}}}
 
 
-@router.post("", status_code=201, responses=problems(*COMPUTING), openapi_extra={"requestBody": body()})
-async def ask(request: Request, response: Response) -> DiagnosisOut:
+@router.post(
+    "",
+    status_code=201,
+    response_model=DiagnosisOut,
+    responses=problems(*COMPUTING),
+    openapi_extra={"requestBody": body()},
+)
+async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
     """Diagnose a stored measurement (JSON), or a file sent in the same call (multipart)."""
     service = of_request(request)
     kind = media_type(request)
@@ -61,9 +68,13 @@ async def ask(request: Request, response: Response) -> DiagnosisOut:
         wanted = await from_form(request, service)
     else:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
-    row = await service.diagnose(wanted)
-    response.headers["Location"] = f"/api/v1/diagnoses/{row.id}"
-    return diagnosis_out(row)
+
+    async def answered() -> Response:
+        row = await service.diagnose(wanted)
+        headers = {"Location": f"/api/v1/diagnoses/{row.id}"}
+        return Response(diagnosis_out(row).model_dump_json(), 201, headers, JSON_TYPE)
+
+    return await once(request, idempotency_key, service.store.database, wanted.model_dump(mode="json"), answered)
 
 
 @router.get("", responses=problems(400, 422))

@@ -8,6 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from app import paging
 from app.errors import BadFieldError
 from app.etags import respond
+from app.idempotency import IdempotencyKey, once
 from app.openapi import problems
 from app.routes.machines import Cursor, Limit
 from app.schemas import MeasurementOut, MeasurementPage
@@ -32,18 +33,25 @@ BODY = {
 @router.post(
     "",
     status_code=201,
-    responses=problems(400, 413, 415, 422, 500, 503, 504),
+    response_model=MeasurementOut,
+    responses=problems(400, 409, 413, 415, 422, 500, 503, 504),
     openapi_extra={"requestBody": BODY},
 )
-async def upload(request: Request, response: Response) -> MeasurementOut:
+async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
     """Store a recording; the same bytes under the same name give the same measurement again."""
     service = of_request(request)
     async with received_form(request, service.store, frozenset({"sample_rate"})) as form:
         if form.file is None:
             raise BadFieldError("file: is missing", field="file")
-        row = await service.add_measurement(form.file, form.file_name, rate_of(form.fields.get("sample_rate")))
-    response.headers["Location"] = f"/api/v1/measurements/{row.id}"
-    return measurement_out(row)
+        file, name, rate = form.file, form.file_name, rate_of(form.fields.get("sample_rate"))
+
+        async def answered() -> Response:
+            row = await service.add_measurement(file, name, rate)
+            headers = {"Location": f"/api/v1/measurements/{row.id}"}
+            return Response(measurement_out(row).model_dump_json(), 201, headers, "application/json")
+
+        content = [file.sha256, name, form.fields]
+        return await once(request, idempotency_key, service.store.database, content, answered)
 
 
 @router.get("", responses=problems(400, 422))

@@ -1,0 +1,128 @@
+"""``Idempotency-Key``: done once, answered the same; other requests, failures, two at once."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from starlette.requests import Request
+from starlette.responses import Response
+
+import app.idempotency
+from app.errors import KeyInUseError, KeyReusedError
+from app.idempotency import KEPT, LEASE, once
+from app.storage import Store, now
+
+API = "/api/v1"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Any:
+    opened = Store(tmp_path)
+    yield opened
+    opened.close()
+
+
+class Work:
+    """Something that is done; counts how often."""
+
+    def __init__(self, status: int = 201) -> None:
+        self.done = 0
+        self.status = status
+
+    async def __call__(self) -> Response:
+        self.done += 1
+        return Response(f"number {self.done}", self.status, {"Location": f"/things/{self.done}"})
+
+
+def ask(store: Store, work: Any, content: object = "a", key: str | None = "k", client: str = "") -> Response:
+    scope = {"type": "http", "method": "POST", "path": "/things", "headers": [], "state": {"key": client or None}}
+    scope |= {"scheme": "http", "server": ("127.0.0.1", 80), "query_string": b""}
+    return asyncio.run(once(Request(scope), key, store.database, content, work))
+
+
+def test_done_once_and_answered_the_same(store: Store) -> None:
+    work = Work()
+    first, again = ask(store, work), ask(store, work)
+    assert work.done == 1
+    assert (again.status_code, again.raw_headers, again.body) == (201, first.raw_headers, first.body)
+    assert ask(store, work, key=None).body == b"number 2"
+    assert ask(store, work, key="other").body == b"number 3"
+    assert ask(store, work, client="another client").body == b"number 4"
+
+
+def test_another_request_is_refused(store: Store) -> None:
+    work = Work()
+    ask(store, work, {"x": 1, "y": 2})
+    assert ask(store, work, {"y": 2, "x": 1}).body == b"number 1"
+    with pytest.raises(KeyReusedError):
+        ask(store, work, {"x": 1})
+    assert work.done == 1
+
+
+def test_two_at_once(store: Store) -> None:
+    inner = Work()
+
+    async def outer() -> Response:
+        with pytest.raises(KeyInUseError):
+            await asyncio.to_thread(ask, store, inner)
+        return Response("whole", 201)
+
+    assert ask(store, outer).body == b"whole"
+    assert inner.done == 0
+
+
+def test_a_failure_frees_the_key(store: Store) -> None:
+    async def fails() -> Response:
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        ask(store, fails)
+    assert ask(store, Work(422)).status_code == 422
+    assert ask(store, Work()).status_code == 201
+
+
+def test_keys_end(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    work = Work()
+    ask(store, work)
+    for later, done in ((KEPT - timedelta(seconds=60), 1), (KEPT + timedelta(seconds=60), 2)):
+        monkeypatch.setattr(app.idempotency, "now", lambda later=later: now() + later)
+        ask(store, work)
+        assert work.done == done
+
+
+def test_a_key_whose_server_died_is_free_after_a_while(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert app.idempotency.reserve(store.database, "place", "print") is None  # and nobody settles it
+    with pytest.raises(KeyInUseError):
+        app.idempotency.reserve(store.database, "place", "print")
+    monkeypatch.setattr(app.idempotency, "now", lambda: now() + LEASE + timedelta(seconds=1))
+    assert app.idempotency.reserve(store.database, "place", "print") is None
+
+
+def test_over_http(client: httpx.Client, worn: bytes) -> None:
+    def send(key: str, content: bytes = worn, name: str = "twice.csv") -> httpx.Response:
+        return client.post(f"{API}/measurements", files={"file": (name, content)}, headers={"Idempotency-Key": key})
+
+    first, again = send("m-1"), send("m-1")
+    assert (first.status_code, again.status_code) == (201, 201)
+    assert (again.content, again.headers["location"]) == (first.content, first.headers["location"])
+    other = send("m-1", worn + b"\n")
+    assert (other.status_code, other.json()["type"]) == (422, "urn:jointplay:problem:idempotency-key-reused")
+    assert send("m-2", b"nothing").status_code == 422
+    assert send("m-2").status_code == 201  # the refusal was not kept
+    assert send("").status_code == 422
+    assert send("with blank").status_code == 422
+
+    wanted = {"measurement": first.json()["id"], "catalogue": "slider-crank", "effort": "fast", "speed": "606.8 rpm"}
+
+    def diagnose(**more: str) -> httpx.Response:
+        return client.post(f"{API}/diagnoses", json={**wanted, **more}, headers={"Idempotency-Key": "d-1"})
+
+    one, two = diagnose(), diagnose()
+    assert (one.status_code, two.content, two.headers["location"]) == (201, one.content, one.headers["location"])
+    assert client.get(one.headers["location"]).content == one.content
+    assert diagnose(effort="standard").status_code == 422
