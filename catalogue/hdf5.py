@@ -290,3 +290,88 @@ def read_arrays(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, An
     except OSError as error:
         raise CatalogueFileError(path, f"cannot be read as HDF5 ({' '.join(str(error).split())})") from error
     return arrays, attributes
+
+
+def foreign_arrays(content: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, str]]:
+    """Arrays and texts of somebody else's HDF5 file; nothing outside the file is followed.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+    most_bytes : int
+        Most bytes that its arrays may take together; counted before any is read.
+
+    Returns
+    -------
+    arrays : dict of str to ndarray, str or list of str
+        Members of groups under dotted names; attributes of the file that are numbers, too. MATLAB's texts and cells
+        of texts are texts.
+    units : dict of str to str
+        Of the arrays that have an attribute ``unit`` or ``units``.
+
+    Raises
+    ------
+    OSError, RuntimeError, ValueError
+        It is damaged; or declares more than allowed, or samples it does not hold.
+    """
+    arrays: dict[str, Any] = {}
+    units: dict[str, str] = {}
+    with _LOCK, h5py.File.in_memory(content) as file:
+        arrays.update({name: value for name, value in file.attrs.items() if np.asarray(value).dtype.kind in "iuf"})
+        found = list(_members(file, "", 0))
+        if sum(item.nbytes for _, item in found) > most_bytes:
+            raise ValueError(f"its arrays take more than {most_bytes / 1e6:g} MB, the most that is read")
+        for name, item in found:
+            value = _foreign_value(file, item)
+            if value is None:
+                continue
+            arrays[name] = value
+            for attribute in ("unit", "units"):
+                text = item.attrs.get(attribute)
+                if text is not None:
+                    units[name] = text.decode("latin-1") if isinstance(text, bytes) else str(text)
+    return arrays, units
+
+
+def _members(group: h5py.Group, prefix: str, depth: int) -> Iterable[tuple[str, h5py.Dataset]]:
+    for name in group:
+        # MATLAB keeps what cells refer to in #refs#; links out of the file are not followed.
+        if name.startswith("#") or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        item = group[name]
+        if isinstance(item, h5py.Dataset):
+            yield f"{prefix}{name}", item
+        elif isinstance(item, h5py.Group) and depth < 4:
+            yield from _members(item, f"{prefix}{name}.", depth + 1)
+
+
+def _foreign_value(file: h5py.File, item: h5py.Dataset) -> Any:
+    """Numbers, texts, or None for what is neither."""
+    if item.external or item.is_virtual:
+        raise ValueError(f"{item.name} lies in another file")
+    if item.size is None:
+        return None
+    if h5py.check_string_dtype(item.dtype):
+        texts = [str(each) for each in np.asarray(item.asstr("utf-8", "replace")[()]).reshape(-1)]
+        return texts[0] if len(texts) == 1 else texts
+    if h5py.check_ref_dtype(item.dtype):
+        cells = [file[reference] for reference in np.asarray(item[()]).reshape(-1) if reference]
+        if all(isinstance(cell, h5py.Dataset) and cell.dtype == np.uint16 and cell.size < 4096 for cell in cells):
+            return [_characters(cell) for cell in cells]
+        return None
+    if item.dtype.kind not in "iufc" or not item.size:
+        return None
+    if item.attrs.get("MATLAB_class") == b"char":
+        return _characters(item) if item.size < 4096 else None
+    if item.chunks is not None:
+        wanted = int(np.prod([-(-size // chunk) for size, chunk in zip(item.shape, item.chunks, strict=True)]))
+        if item.id.get_num_chunks() < wanted:
+            raise ValueError(f"{item.name} declares {item.size} numbers, but not all of them are in the file")
+    elif item.id.get_storage_size() < item.nbytes:
+        raise ValueError(f"{item.name} declares {item.size} numbers, but they are not in the file")
+    return item[()]
+
+
+def _characters(item: h5py.Dataset) -> str:
+    return "".join(map(chr, np.asarray(item[()]).reshape(-1).tolist()))

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
-import io
 import math
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +12,16 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.channel_units import ChannelUnit, parse_unit
+from catalogue.channel_units import ChannelUnit
 from catalogue.errors import MeasurementError
-from catalogue.readers import Limits, RawColumn, RawRecording, reader_for
+from catalogue.file_bytes import decompressed, file_bytes
+from catalogue.import_profile import ImportProfile, profile_beside
+from catalogue.measured_columns import understood_columns
+from catalogue.readers import Limits, RawRecording, known_ending, read_raw
 from catalogue.time_base import TimeBase, even_time_base
 from catalogue.waveform import Flaw, inspect_waveform
 from solver.spectra.spectrum import Quantity
 
-TIME_NAMES = frozenset({"time", "t", "zeit", "temps", "tempo", "tiempo", "tijd", "tid", "czas"})
-FREQUENCY_NAMES = frozenset({"frequency", "freq", "f", "frequenz", "fréquence", "frecuencia", "frequenza"})
 SI_UNITS: dict[Quantity, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 
 
@@ -95,13 +93,14 @@ def read_measurement(
     sample_rate: float | None = None,
     units: Mapping[str, str] | None = None,
     limits: Limits | None = None,
+    profile: ImportProfile | None = None,
 ) -> Measurement:
     """Read a recording from a file or from bytes.
 
     Parameters
     ----------
     source : path or bytes
-        CSV, TSV or TXT, plain or gzipped.
+        CSV, TSV or TXT, UFF 58 or 58b, WAV, MAT, TDMS, HDF5, NPZ or JSON, plain or gzipped.
     name : str, optional
         What to call it; its suffix says what kind of file it is. Needed with bytes.
     sample_rate : float, optional
@@ -110,6 +109,8 @@ def read_measurement(
         For columns whose label has none.
     limits : Limits, optional
         How much is read.
+    profile : ImportProfile, optional
+        What the file does not say; of a path, the profile that lies beside it unless one is given.
 
     Returns
     -------
@@ -122,15 +123,19 @@ def read_measurement(
     """
     limits = limits or Limits()
     if isinstance(source, bytes):
-        title = name or "recording.csv"
-        data = source
+        title, data = name or "recording.csv", source
     else:
         title = name or Path(source).name
-        data = _read_file(Path(source), title, limits)
-    reader = reader_for(title)
+        data = file_bytes(Path(source), limits)
+        profile = profile or profile_beside(Path(source))
+    profile = profile or ImportProfile()
     if len(data) > limits.file_bytes:
         raise MeasurementError(title, rule=f"is larger than {limits.file_bytes / 1e6:g} MB, the most that is read")
-    raw = reader(_decompressed(data, title, limits), title, limits)
+    if data[:2] == b"\x1f\x8b" or title.lower().endswith(".gz"):
+        known_ending(title)  # what is not read anyway need not be unpacked
+    raw = profile.applied(read_raw(decompressed(data, title, limits), title, limits, **profile.table))
+    if sample_rate is None and profile.sample_rate_hz is not None:
+        sample_rate = profile.sample_rate_hz
     return measurement_of(
         raw, sample_rate=sample_rate, units=units, limits=limits, sha256=hashlib.sha256(data).hexdigest()
     )
@@ -171,11 +176,14 @@ def measurement_of(
     if len(raw.values) < limits.min_samples:
         rule = f"{len(raw.values)} samples; at least {limits.min_samples} are needed"
         raise MeasurementError(raw.source, rule=rule)
-    understood = _understood_columns(raw, dict(units or {}))
+    if raw.relative:
+        rule = 'holds fractions of a full scale and does not say which: give full_scale, such as "5 g"'
+        raise MeasurementError(raw.source, None, "full_scale", rule=rule)
+    understood = understood_columns(raw, dict(units or {}))
     facts = list(raw.facts)
     base = _time_base(raw, understood, sample_rate)
     facts += base.facts
-    warnings = list(base.warnings)
+    warnings = [*raw.warnings, *base.warnings]
     channels, signals = [], []
     flaws: list[Flaw] = []
     for index, (column, unit) in enumerate(zip(raw.columns, understood, strict=True)):
@@ -208,68 +216,6 @@ def measurement_of(
         sha256=sha256 or hashlib.sha256(np.ascontiguousarray(raw.values).tobytes()).hexdigest(),
         flaws=tuple(flaws),
     )
-
-
-def _read_file(path: Path, title: str, limits: Limits) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(limits.file_bytes + 1)
-    except OSError as error:
-        raise MeasurementError(str(path), rule=f"cannot be read: {error.strerror or error}") from None
-
-
-def _decompressed(data: bytes, title: str, limits: Limits) -> bytes:
-    if not data.startswith(b"\x1f\x8b"):
-        if title.lower().endswith(".gz"):
-            raise MeasurementError(title, rule="is not a gzip file")
-        decoded = data
-    else:
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-                decoded = packed.read(limits.decoded_bytes + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise MeasurementError(title, rule=f"is a damaged gzip file: {error}") from None
-    if len(decoded) > limits.decoded_bytes:
-        raise MeasurementError(title, rule=f"holds more than {limits.decoded_bytes / 1e6:g} MB, the most that is read")
-    return decoded
-
-
-def _understood_columns(raw: RawRecording, given: dict[str, str]) -> list[ChannelUnit | None]:
-    """Unit of each column; None for a column that is left out."""
-    unknown = sorted(set(given) - {column.name for column in raw.columns})
-    if unknown:
-        names = ", ".join(column.name for column in raw.columns)
-        raise MeasurementError(
-            raw.source, None, unknown[0], rule=f"a unit is given for it, but the columns are {names}"
-        )
-    first = raw.columns[0]
-    first_unit = parse_unit(given.get(first.name) or first.unit or "")
-    if first.name.lower() in FREQUENCY_NAMES or (first_unit is not None and first_unit.quantity == "frequency"):
-        raise MeasurementError(
-            raw.source, None, first.label, rule="the file holds a spectrum, not a recording over time"
-        )
-    understood = [_unit_of(column, given, raw.source) for column in raw.columns]
-    if not any(unit is not None and unit.quantity != "time" for unit in understood):
-        column = raw.columns[-1]
-        rule = "no column is a displacement, velocity or acceleration"
-        raise MeasurementError(raw.source, None, column.name, column.unit, rule)
-    return understood
-
-
-def _unit_of(column: RawColumn, given: dict[str, str], source: str) -> ChannelUnit | None:
-    text = given.get(column.name) or column.unit
-    if text is None:
-        rule = "has no unit: write it in the header, as in 's1-x [m/s2]', or give it"
-        raise MeasurementError(source, None, column.name, rule=rule)
-    unit = parse_unit(text)
-    if column.name in given and unit is None:
-        raise MeasurementError(
-            source, None, column.name, text, "is not a unit of displacement, velocity, acceleration or time"
-        )
-    named_time = column.name.lower() in TIME_NAMES
-    if named_time and (unit is None or unit.quantity != "time"):
-        raise MeasurementError(source, None, column.name, text, "is not a unit of time")
-    return None if unit is not None and unit.quantity == "frequency" else unit
 
 
 def _time_base(raw: RawRecording, units: list[ChannelUnit | None], given: float | None) -> TimeBase:

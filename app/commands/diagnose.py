@@ -22,6 +22,7 @@ from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
     from catalogue.answer import Effort, ModeAsked
+    from catalogue.import_profile import ImportProfile
 
 
 @click.command("diagnose")
@@ -61,6 +62,13 @@ if TYPE_CHECKING:
 )
 @click.option("--unit", "units", type=Pairs("COLUMN=UNIT"), multiple=True, help="Unit of a column that names none.")
 @click.option(
+    "--profile",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="How to read the recording: names, units, full scale, decimal comma and more, in YAML or JSON.",
+)
+@click.option("--full-scale", metavar="VALUE UNIT", help='What the full scale of a WAV file stands for, such as "5 g".')
+@click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Draw measured and matched."
 )
 @json_option
@@ -75,6 +83,8 @@ def command(
     sample_rate: float | None,
     mapping: Sequence[tuple[str, str]],
     units: Sequence[tuple[str, str]],
+    profile: Path | None,
+    full_scale: str | None,
     plot: Path | None,
     as_json: bool,
 ) -> None:
@@ -91,10 +101,11 @@ def command(
 
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
     opened = Catalogue.open(existing_catalogue(catalogue))
-    recording = read_measurement(measurement, sample_rate=sample_rate, units=given_units or None)
+    told = told_of(profile, full_scale)
+    recording = read_measurement(measurement, sample_rate=sample_rate, units=given_units or None, profile=told)
     in_order = None
     if baseline is not None:
-        in_order = read_measurement(baseline, sample_rate=sample_rate, units=given_units or None)
+        in_order = read_measurement(baseline, sample_rate=sample_rate, units=given_units or None, profile=told)
     diagnosis = diagnose(
         recording,
         opened,
@@ -116,6 +127,18 @@ def command(
         click.echo(report(result))
         if plot is not None:
             click.echo(f"drawn: {plot}")
+
+
+def told_of(profile: Path | None, full_scale: str | None) -> ImportProfile | None:
+    """Return what the options say of the recording's file; None where they say nothing."""
+    from catalogue.import_profile import ImportProfile, load_profile
+
+    if profile is None and full_scale is None:
+        return None
+    told = ImportProfile() if profile is None else load_profile(profile)
+    if full_scale is not None:
+        told = told.model_copy(update={"full_scale": full_scale, "full_scale_m_s2": None})
+    return told
 
 
 def report(result: Mapping[str, Any]) -> str:

@@ -1,40 +1,35 @@
-"""Readers of recordings, one a kind of file, found by suffix."""
+"""Readers of recordings, one a kind of file, found by content and by ending."""
 
 from __future__ import annotations
 
-from pathlib import PurePath
+from typing import Any
 
-from catalogue.errors import MeasurementError
+from catalogue.readers.cell import CELL
 from catalogue.readers.csv import read_csv
-from catalogue.readers.raw import Limits, RawColumn, RawRecording, Reader
+from catalogue.readers.kinds import kind_of, known_ending
+from catalogue.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm
+from catalogue.readers.validity import checked
 
-__all__ = ["READERS", "Limits", "RawColumn", "RawRecording", "Reader", "reader_for"]
-
-#: Suffix in small letters to reader; a new kind of file is a new row.
-READERS: dict[str, Reader] = {".csv": read_csv, ".tsv": read_csv, ".txt": read_csv}
+__all__ = ["Limits", "RawColumn", "RawRecording", "Reader", "SpectrumForm", "known_ending", "read_raw"]
 
 
-def reader_for(name: str) -> Reader:
-    """Reader for a file of this name; ``.gz`` at its end does not count.
+def read_raw(data: bytes, source: str, limits: Limits, **table: Any) -> RawRecording:
+    """Read a file: a table of text here, everything else in a capped process; what comes back is checked.
 
     Parameters
     ----------
-    name : str
-
-    Returns
-    -------
-    Reader
+    data : bytes
+        Decompressed.
+    source : str
+        Its name, whose ending says what kind of file it is where the content does not.
+    limits : Limits
+    **table
+        What is known of a table of text; see :func:`catalogue.readers.csv.read_csv`.
 
     Raises
     ------
     MeasurementError
-        When no reader has the suffix.
     """
-    path = PurePath(name)
-    suffix = path.suffix.lower()
-    if suffix == ".gz":
-        suffix = PurePath(path.stem).suffix.lower()
-    if suffix not in READERS:
-        known = ", ".join(sorted(READERS))
-        raise MeasurementError(name, rule=f"kind of file {suffix or 'without suffix'!s} is not read; known: {known}")
-    return READERS[suffix]
+    kind = kind_of(data, source)
+    raw = read_csv(data, source, limits, **table) if kind is None else CELL.read(kind, data, source, limits)
+    return checked(raw, limits)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from catalogue.channel_units import parse_unit, split_label
 from catalogue.errors import MeasurementError
-from catalogue.readers.dialect import Dialect, Layout, find_layout, header_fields, header_line, is_comment
+from catalogue.readers.dialect import Dialect, Layout, dialects_of, find_layout, header_fields, header_line, is_comment
 from catalogue.readers.raw import Limits, RawColumn, RawRecording
 
 #: Lines looked at for the header and the dialect.
@@ -30,7 +30,16 @@ _INTERVAL = re.compile(
 _VALUE = re.compile(r"(?<![\w.,])(\d+(?:[.,]\d+)*(?:[eE][+-]?\d+)?)\W{0,3}([A-Za-zµμ/]*)")
 
 
-def read_csv(data: bytes, source: str, limits: Limits) -> RawRecording:
+def read_csv(
+    data: bytes,
+    source: str,
+    limits: Limits,
+    *,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    skipped: int = 0,
+    names: Sequence[str] | None = None,
+) -> RawRecording:
     """Read a table of numbers.
 
     Parameters
@@ -40,6 +49,12 @@ def read_csv(data: bytes, source: str, limits: Limits) -> RawRecording:
     source : str
         What messages call it.
     limits : Limits
+    delimiter, decimal : str, optional
+        Found out unless given.
+    skipped : int
+        First lines that are not looked at.
+    names : sequence of str, optional
+        Of all columns: the file needs no header then.
 
     Returns
     -------
@@ -53,19 +68,28 @@ def read_csv(data: bytes, source: str, limits: Limits) -> RawRecording:
     text, encoding = _decode(data, source)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     head = list(itertools.islice(io.StringIO(text), HEAD_LINES))
-    layout = find_layout(head)
+    layout = find_layout(head, dialects_of(delimiter, decimal), skipped)
     if layout is None:
         raise _no_table(head, source)
     if layout.columns > limits.columns:
         rule = f"{layout.columns} columns; at most {limits.columns} are read"
         raise MeasurementError(source, layout.first + 1, rule=rule)
-    columns, header = _columns(head, layout, source)
+    looked_at = ["\n"] * min(skipped, len(head)) + head[skipped:]
+    if names is not None and header_line(looked_at, layout) is None:
+        labels = [(name, *split_label(name)) for name in names]
+        columns = tuple(RawColumn(*label, f"column {number}") for number, label in enumerate(labels, start=1))
+        header: set[int] = set()
+        if len(columns) != layout.columns:
+            rule = f"the profile names {len(columns)} channels, the file has {layout.columns}"
+            raise MeasurementError(source, layout.first + 1, rule=rule)
+    else:
+        columns, header = _columns(looked_at, layout, source)
     facts = [f"text in {encoding}, {layout.dialect.words}"]
-    rate, rate_facts, used = _stated_rate(head[: layout.first], layout.dialect, source)
+    rate, rate_facts, used = _stated_rate(looked_at[: layout.first], layout.dialect, source)
     facts += rate_facts
     facts += [
         f"line {number + 1}: {' '.join(line.split())[:80]!r}: not used"
-        for number, line in enumerate(head[: layout.first])
+        for number, line in enumerate(looked_at[: layout.first])
         if line.strip() and number not in header and number not in used
     ]
     values = _numbers(text, head, layout, columns, source)

@@ -76,13 +76,24 @@ class Layout:
     columns: int
 
 
-def find_layout(lines: Sequence[str]) -> Layout | None:
+def dialects_of(delimiter: str | None, decimal: str | None) -> tuple[Dialect, ...]:
+    """Dialects with this delimiter and this decimal sign, where they are known."""
+    return tuple(
+        dialect for dialect in DIALECTS if delimiter in (None, dialect.delimiter) and decimal in (None, dialect.decimal)
+    )
+
+
+def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, skipped: int = 0) -> Layout | None:
     """Dialect and beginning of the table in the first lines of a file.
 
     Parameters
     ----------
     lines : sequence of str
         The first few hundred lines are enough.
+    dialects : sequence of Dialect
+        That come into question.
+    skipped : int
+        First lines that no table begins in.
 
     Returns
     -------
@@ -91,8 +102,8 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
         line above (the header), then the one with most columns. None when no dialect does.
     """
     best: tuple[tuple[bool, int, int], Layout] | None = None
-    for preference, dialect in enumerate(DIALECTS):
-        layout = _table_of(lines, dialect)
+    for preference, dialect in enumerate(dialects):
+        layout = _table_of(lines, dialect, skipped)
         if layout is None:
             continue
         header = header_line(lines, layout)
@@ -127,10 +138,10 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "%", "//"))
 
 
-def _table_of(lines: Sequence[str], dialect: Dialect) -> Layout | None:
+def _table_of(lines: Sequence[str], dialect: Dialect, skipped: int) -> Layout | None:
     first, columns, found = 0, 0, 0
     for index, line in enumerate(lines):
-        if not line.strip() or is_comment(line):
+        if index < skipped or not line.strip() or is_comment(line):
             continue
         fields = dialect.split(line)
         if all(map(dialect.is_cell, fields)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +24,18 @@ class Limits:
         Most columns.
     min_samples : int
         Fewest samples of a recording.
+    reader_memory : int
+        Bytes that the process of a foreign reader may take beyond what it has before it sees the file.
+    reader_seconds : float
+        Its time for one file.
     """
 
     file_bytes: int = 200_000_000
     decoded_bytes: int = 400_000_000
     columns: int = 256
     min_samples: int = 256
+    reader_memory: int = 1_000_000_000
+    reader_seconds: float = 20.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,31 @@ class RawColumn:
     position: str
 
 
+@dataclass(frozen=True)
+class SpectrumForm:
+    """What the numbers of a spectrum are; None is what the file does not say.
+
+    Parameters
+    ----------
+    scaling : {"psd", "power", "amplitude"} or None
+        Power spectral density; squares; linear amplitudes.
+    detector : {"rms", "peak", "peak-to-peak"} or None
+        Of amplitudes and powers; a density is of rms.
+    decibel : bool
+        Levels in dB.
+    reference : float or None
+        Of levels [unit of the column].
+    line_widths : float or None
+        Equivalent noise bandwidth of the window, lines: 1.5 for Hann.
+    """
+
+    scaling: Literal["psd", "power", "amplitude"] | None = None
+    detector: Literal["rms", "peak", "peak-to-peak"] | None = None
+    decibel: bool = False
+    reference: float | None = None
+    line_widths: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class RawRecording:
     """A recording as a file holds it: units as written, nothing judged yet.
@@ -71,6 +103,16 @@ class RawRecording:
         What was understood so far, one line each.
     line_of : callable
         Line of the file a sample came from, or None.
+    warnings : tuple of str
+        What a diagnosis should mention, one line each.
+    declared : int or None
+        Samples a channel that the file says it has.
+    relative : bool
+        Values are fractions of a full scale that the file does not say.
+    ceiling : float or None
+        Largest value the file's coding can hold (PCM); samples there are clipped.
+    form : SpectrumForm or None
+        What the numbers of a spectrum are; None for a recording over time.
     """
 
     source: str
@@ -79,6 +121,11 @@ class RawRecording:
     sample_rate: float | None = None
     facts: tuple[str, ...] = ()
     line_of: Callable[[int], int | None] = field(default=lambda sample: None)
+    warnings: tuple[str, ...] = ()
+    declared: int | None = None
+    relative: bool = False
+    ceiling: float | None = None
+    form: SpectrumForm | None = None
 
 
 #: From bytes (decompressed), the name for messages and the limits to a recording; raises MeasurementError.

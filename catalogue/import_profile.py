@@ -1,0 +1,277 @@
+"""Mapping profiles: what a file does not say of itself, and the program must not guess, in YAML or JSON.
+
+A profile beside a recording, ``shaper.wav.json`` for ``shaper.wav``, is found by itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from catalogue.channel_units import parse_unit, split_label
+from catalogue.errors import MeasurementError
+from catalogue.readers.raw import RawColumn, RawRecording, SpectrumForm
+from solver.errors import MachineError
+from solver.machines.yamlfile import read_tree
+
+__all__ = ["ImportProfile", "SpectrumSaid", "Tacho", "load_profile", "parse_profile", "profile_beside"]
+
+#: Endings of a profile that lies beside its recording.
+BESIDE = (".json", ".yaml", ".yml")
+
+#: Equivalent noise bandwidth of windows, lines (Harris 1978, table I).
+WINDOWS = {"rectangular": 1.0, "hann": 1.5, "hamming": 1.36, "blackman": 1.73, "flattop": 3.77}
+
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class SpectrumSaid(_Part):
+    """What the numbers of a spectrum are; see :class:`catalogue.readers.raw.SpectrumForm`."""
+
+    scaling: Literal["psd", "power", "amplitude"] | None = None
+    detector: Literal["rms", "peak", "peak-to-peak"] | None = None
+    decibel: bool | None = None
+    reference: Positive | None = None
+    window: Literal["rectangular", "hann", "hamming", "blackman", "flattop"] | None = None
+
+
+class Tacho(_Part):
+    """A column with pulses of the drive's shaft.
+
+    Parameters
+    ----------
+    column : str
+        Any unit will do.
+    pulses_per_revolution : int
+    threshold : float, optional
+        Level that a pulse crosses, as the file has it; half way between the channel's ends unless given.
+    edge : {"rising", "falling"}
+    """
+
+    column: Text
+    pulses_per_revolution: Annotated[int, Field(ge=1, le=10_000)] = 1
+    threshold: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    edge: Literal["rising", "falling"] = "rising"
+
+
+class ImportProfile(_Part):
+    """How to read files of one origin.
+
+    Parameters
+    ----------
+    delimiter, decimal : str, optional
+        Of a table of text; found out unless given. ``tab`` and ``blank`` stand for themselves.
+    skip_lines : int
+        First lines of a table of text that are not looked at.
+    channels : list of str, optional
+        Names of all columns or channels, in the file's order; in place of those of the file.
+    units : mapping of column to unit
+        In place of the file's.
+    sensors : mapping of column to sensor
+        Of the machine.
+    ignore : list of str
+        Columns that are left out.
+    time_column : str, optional
+    sample_rate_hz : float, optional
+        Of a file without times.
+    full_scale_m_s2 : float or list of float, optional
+        Acceleration that a WAV file's full scale stands for, of all channels or of each.
+    full_scale : str, optional
+        The same as number and unit: "5 g", "25 mm/s".
+    spectrum : SpectrumSaid, optional
+    tacho : Tacho, optional
+    """
+
+    delimiter: Literal[",", ";", "|", "tab", "blank"] | None = None
+    decimal: Literal[".", ","] | None = None
+    skip_lines: Annotated[int, Field(ge=0, le=10_000)] = 0
+    channels: Annotated[tuple[Text, ...], Field(max_length=256)] | None = None
+    units: Annotated[dict[Text, Text], Field(max_length=256)] = {}
+    sensors: Annotated[dict[Text, Text], Field(max_length=256)] = {}
+    ignore: Annotated[tuple[Text, ...], Field(max_length=256)] = ()
+    time_column: Text | None = None
+    sample_rate_hz: Positive | None = None
+    full_scale_m_s2: Positive | Annotated[tuple[Positive, ...], Field(min_length=1, max_length=256)] | None = None
+    full_scale: Text | None = None
+    spectrum: SpectrumSaid | None = None
+    tacho: Tacho | None = None
+
+    @property
+    def table(self) -> dict[str, Any]:
+        """What the reader of text needs to know."""
+        delimiter = {"tab": "\t", "blank": " "}.get(self.delimiter or "", self.delimiter)
+        return {"delimiter": delimiter, "decimal": self.decimal, "skipped": self.skip_lines, "names": self.channels}
+
+    def applied(self, raw: RawRecording) -> RawRecording:
+        """Return what a reader found with what the profile says of it.
+
+        Parameters
+        ----------
+        raw : RawRecording
+
+        Raises
+        ------
+        MeasurementError
+            The profile does not fit the file.
+        """
+        raw = self._scaled(self._named(raw))
+        names = [column.name for column in raw.columns]
+        told = list(raw.facts)
+        for field, wanted in (("units", self.units), ("sensors", self.sensors), ("ignore", self.ignore)):
+            unknown = next((name for name in wanted if name not in names), None)
+            if unknown is not None:
+                raise MeasurementError(
+                    raw.source, None, unknown, rule=f"the profile's {field} names it; columns are {', '.join(names)}"
+                )
+        if self.time_column is not None and self.time_column not in names:
+            rule = f"is the profile's time_column; columns are {', '.join(names)}"
+            raise MeasurementError(raw.source, None, self.time_column, rule=rule)
+        columns, kept = [], []
+        for index, column in enumerate(raw.columns):
+            if column.name in self.ignore:
+                continue
+            name = "time" if column.name == self.time_column else self.sensors.get(column.name, column.name)
+            unit = self.units.get(column.name, column.unit)
+            if (name, unit) != (column.name, column.unit):
+                told.append(f"{column.position} {column.label!r}: {name} in {unit or 'no unit'}, as the profile says")
+            columns.append(RawColumn(column.label, name, unit, column.position))
+            kept.append(index)
+        if not kept:
+            raise MeasurementError(raw.source, rule="the profile ignores all columns")
+        return dataclasses.replace(
+            raw,
+            columns=tuple(columns),
+            values=raw.values[:, kept],
+            facts=tuple(told),
+            form=self._form(raw),
+        )
+
+    def _named(self, raw: RawRecording) -> RawRecording:
+        if self.channels is None:
+            return raw
+        if len(self.channels) != len(raw.columns):
+            rule = f"the profile names {len(self.channels)} channels, the file has {len(raw.columns)}"
+            raise MeasurementError(raw.source, rule=rule)
+        labels = [split_label(name) for name in self.channels]
+        columns = tuple(
+            dataclasses.replace(column, name=name, unit=unit or column.unit)
+            for column, (name, unit) in zip(raw.columns, labels, strict=True)
+        )
+        return dataclasses.replace(raw, columns=columns)
+
+    def _scaled(self, raw: RawRecording) -> RawRecording:
+        """Turn fractions of a full scale into what they stand for."""
+        if self.full_scale_m_s2 is None and self.full_scale is None:
+            return raw
+        if not raw.relative:
+            raise MeasurementError(
+                raw.source, None, "full_scale", rule="is given, but the file does not hold fractions of one"
+            )
+        if self.full_scale is not None:
+            value, unit = full_scale_of(self.full_scale, raw.source)
+            factors = np.full(len(raw.columns), value)
+        else:
+            given = self.full_scale_m_s2
+            factors = np.atleast_1d(np.array(given, dtype=np.float64))
+            unit = "m/s2"
+            if len(factors) not in (1, len(raw.columns)):
+                rule = f"{len(factors)} values for {len(raw.columns)} channels"
+                raise MeasurementError(raw.source, None, "full_scale_m_s2", rule=rule)
+            factors = np.broadcast_to(factors, len(raw.columns))
+        columns = tuple(dataclasses.replace(column, unit=unit) for column in raw.columns)
+        fact = f"full scale {', '.join(f'{factor:.6g}' for factor in np.unique(factors))} {unit}, as the profile says"
+        return dataclasses.replace(
+            raw, columns=columns, values=raw.values * factors, relative=False, facts=(*raw.facts, fact)
+        )
+
+    def _form(self, raw: RawRecording) -> SpectrumForm | None:
+        said = self.spectrum
+        if said is None:
+            return raw.form
+        form = raw.form or SpectrumForm()
+        widths = None if said.window is None else WINDOWS[said.window]
+        for field, ours, files in (
+            ("scaling", said.scaling, form.scaling),
+            ("detector", said.detector, form.detector),
+            ("window", widths, form.line_widths),
+        ):
+            if ours is not None and files is not None and ours != files:
+                rule = f"the profile says {ours}, the file {files}"
+                raise MeasurementError(raw.source, None, f"spectrum.{field}", rule=rule)
+        return SpectrumForm(
+            scaling=said.scaling or form.scaling,
+            detector=said.detector or form.detector,
+            decibel=form.decibel if said.decibel is None else said.decibel,
+            reference=said.reference or form.reference,
+            line_widths=widths or form.line_widths,
+        )
+
+
+def full_scale_of(text: str, source: str) -> tuple[float, str]:
+    """Number and unit of "5 g".
+
+    Raises
+    ------
+    MeasurementError
+    """
+    number, _, unit = text.strip().partition(" ")
+    try:
+        value = float(number)
+    except ValueError:
+        value = float("nan")
+    parsed = parse_unit(unit)
+    if not (np.isfinite(value) and value > 0) or parsed is None or parsed.quantity in ("time", "frequency"):
+        raise MeasurementError(source, None, "full_scale", text, 'must be a number and a unit, such as "5 g"')
+    return value, unit.strip()
+
+
+def parse_profile(text: str, source: str) -> ImportProfile:
+    """Profile of a YAML or JSON text.
+
+    Raises
+    ------
+    MeasurementError
+        Naming the path, the value and the rule.
+    """
+    try:
+        return ImportProfile.model_validate(read_tree(text, source))
+    except MachineError as error:
+        raise MeasurementError(source, None, error.path or None, error.value, error.rule) from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = ".".join(map(str, first["loc"]))
+        shown = None if first["type"] == "missing" else str(first["input"])[:80]
+        raise MeasurementError(source, None, path or None, shown, first["msg"].lower()) from None
+
+
+def load_profile(path: str | Path) -> ImportProfile:
+    """Profile of a file.
+
+    Raises
+    ------
+    MeasurementError
+        It cannot be read, or as :func:`parse_profile`.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise MeasurementError(str(path), rule=f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise MeasurementError(str(path), rule="is not a text file in UTF-8") from None
+    return parse_profile(text, str(path))
+
+
+def profile_beside(path: Path) -> ImportProfile | None:
+    """Profile that lies beside a recording, if one does: its name (without .gz) and .json, .yaml or .yml."""
+    name = path.name.removesuffix(".gz")
+    found = next((path.with_name(name + each) for each in BESIDE if path.with_name(name + each).is_file()), None)
+    return None if found is None else load_profile(found)
