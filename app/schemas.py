@@ -147,7 +147,8 @@ class DiagnosisRequest(Shape):
         Field(
             default={},
             max_length=64,
-            description="Measurement column to sensor of the machine; columns named like a sensor need no entry.",
+            description="Measurement column to sensor of the machine; columns named like a sensor need no entry, and"
+            " one with an empty sensor is left out.",
         ),
     ]
 

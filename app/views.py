@@ -7,7 +7,7 @@ from typing import Any
 
 from app import words
 from app.pictures import machine_picture
-from app.spectra import Comparison, comparisons
+from app.spectra import Band, Comparison, comparisons, deciding
 from app.storage import DiagnosisRow, MeasurementRow, aware
 from solver.machines.machine import parse_machine
 
@@ -25,6 +25,8 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         Its recording.
     """
     result = row.result
+    found = comparisons(result)
+    decided = deciding(found)
     return {
         "id": row.id,
         "verdict": result["verdict"],
@@ -39,7 +41,10 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "set_sentence": words.set_sentence(result),
         "chart_hint": words.fit_sentence(result),
         "drawing": machine_picture(parse_machine(row.machine), result["joint_probabilities"]),
-        "charts": [chart(comparison) for comparison in comparisons(result)],
+        "rival": result["evidence"].get("rival"),
+        "best": words.label(result["hypotheses"][0]),
+        "decided": [decision(comparison, band) for comparison, band in decided],
+        "charts": [chart(comparison, [band for other, band in decided if other is comparison]) for comparison in found],
     }
 
 
@@ -62,7 +67,18 @@ def ranking(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def chart(comparison: Comparison) -> dict[str, Any]:
+def decision(comparison: Comparison, band: Band) -> dict[str, str]:
+    """Return the row of a band that decided."""
+    return {
+        "channel": comparison.title,
+        "order": f"{band.order:.3g}",
+        "measured": f"{band.measured_db:.1f}",
+        "matched": f"{band.predicted_db:.1f}",
+        "rival": "–" if band.rival_db is None else f"{band.rival_db:.1f}",
+    }
+
+
+def chart(comparison: Comparison, decided: Sequence[Band] = ()) -> dict[str, Any]:
     """Return one chart: its data for the script and its content in words for those who do not see it."""
     worst = max(comparison.bands, key=lambda band: abs(band.measured_db - band.predicted_db))
     return {
@@ -74,9 +90,17 @@ def chart(comparison: Comparison) -> dict[str, Any]:
         "data": {
             "label": comparison.label,
             "orders": [band.order for band in comparison.bands],
-            "measured": [band.measured_db for band in comparison.bands],
-            "predicted": [band.predicted_db for band in comparison.bands],
             "upper": [band.predicted_db + 2 * band.spread_db for band in comparison.bands],
             "lower": [band.predicted_db - 2 * band.spread_db for band in comparison.bands],
+            "lines": [
+                {"name": "matched", "look": "matched", "levels": [band.predicted_db for band in comparison.bands]},
+                {"name": "second", "look": "rival", "levels": [band.rival_db for band in comparison.bands]},
+                {"name": "measured", "look": "measured", "levels": [band.measured_db for band in comparison.bands]},
+                {
+                    "name": "decided",
+                    "look": "decided",
+                    "levels": [band.measured_db if band in decided else None for band in comparison.bands],
+                },
+            ],
         },
     }

@@ -66,6 +66,10 @@ class BandEvidence(_Frozen):
         Level re 1 (m/s2)^2 or 1 (rad/s2)^2: measured, expected under the best hypothesis, and its standard deviation.
     z : float
         (measured - predicted) / spread.
+    rival_db : float or None
+        Level expected under the rival; None without one.
+    favours_best : float or None
+        Log-likelihood ratio of the best hypothesis to the rival in this band alone, as if it depended on no other.
     """
 
     order: float
@@ -76,13 +80,23 @@ class BandEvidence(_Frozen):
     predicted_db: float
     spread_db: float
     z: float
+    rival_db: float | None = None
+    favours_best: float | None = None
 
 
 class Evidence(_Frozen):
-    """Measured against predicted levels under the best hypothesis: single orders, and bands above them."""
+    """Measured against predicted levels under the best hypothesis: single orders, and bands above them.
+
+    Attributes
+    ----------
+    orders, bands : tuple of BandEvidence
+    rival : str or None
+        Label of the next hypothesis with other worn joints, which the bands decide against.
+    """
 
     orders: tuple[BandEvidence, ...]
     bands: tuple[BandEvidence, ...]
+    rival: str | None = None
 
 
 class ModeUsed(_Frozen):

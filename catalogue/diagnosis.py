@@ -28,6 +28,7 @@ from catalogue.evidence import (
     evidence,
     hypothesis_shown,
     number_warnings,
+    rival_of,
     speed_warnings,
     suggestions_shown,
 )
@@ -280,7 +281,7 @@ def answer(
         "coverage": candidates.coverage,
         "widened": candidates.widened,
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
-        "evidence": evidence(prepared, result.best, feature),
+        "evidence": evidence(prepared, result.best, feature, rival_of(result)),
         "baseline": known.shown() if known else None,
         "suggestions": suggestions_shown(suggest(catalogue, prepared, result)) if unclear else (),
         "warnings": tuple(dict.fromkeys(warnings)),

@@ -13,7 +13,15 @@ from catalogue.matching import FloatArray, HypothesisMatch, MatchResult
 from catalogue.separation import Suggestion
 from catalogue.store import Catalogue
 
-__all__ = ["edge_warnings", "evidence", "hypothesis_shown", "number_warnings", "speed_warnings", "suggestions_shown"]
+__all__ = [
+    "edge_warnings",
+    "evidence",
+    "hypothesis_shown",
+    "number_warnings",
+    "rival_of",
+    "speed_warnings",
+    "suggestions_shown",
+]
 
 EDGE = 0.02
 """Share of the catalogue's clearance range, at either end, in which an estimate is warned of."""
@@ -34,12 +42,32 @@ def hypothesis_shown(match: HypothesisMatch) -> Hypothesis:
     )
 
 
-def evidence(prepared: PreparedMeasurement, best: HypothesisMatch, feature: FloatArray) -> Evidence:
-    """Return measured against predicted levels of a hypothesis, number by number of the feature vector."""
+def rival_of(result: MatchResult) -> HypothesisMatch | None:
+    """Return the most probable hypothesis with other worn joints than the best has; None where there is none."""
+    return next((match for match in result.hypotheses if set(match.joints) != set(result.best.joints)), None)
+
+
+def evidence(
+    prepared: PreparedMeasurement, best: HypothesisMatch, feature: FloatArray, rival: HypothesisMatch | None = None
+) -> Evidence:
+    """Return measured against predicted levels of a hypothesis, number by number of the feature vector.
+
+    Parameters
+    ----------
+    prepared : PreparedMeasurement
+    best : HypothesisMatch
+        Its levels are the predicted ones.
+    feature : (d,) array
+        Measured levels, dB.
+    rival : HypothesisMatch, optional
+        What every band decides against.
+    """
     orders: list[BandEvidence] = []
     bands: list[BandEvidence] = []
-    rows = zip(prepared.axes, feature, best.predicted, best.spread, strict=True)
-    for axis, measured, predicted, spread in rows:
+    against = rival or best
+    rows = zip(prepared.axes, feature, best.predicted, best.spread, against.predicted, against.spread, strict=True)
+    for axis, measured, predicted, spread, other, other_spread in rows:
+        z, other_z = (measured - predicted) / spread, (measured - other) / other_spread
         low, high = axis.low_order, axis.high_order
         item = BandEvidence(
             order=0.5 * (low + high) if axis.single_order else math.sqrt(low * high),
@@ -49,10 +77,12 @@ def evidence(prepared: PreparedMeasurement, best: HypothesisMatch, feature: Floa
             measured_db=float(measured),
             predicted_db=float(predicted),
             spread_db=float(spread),
-            z=float((measured - predicted) / spread),
+            z=float(z),
+            rival_db=float(other) if rival else None,
+            favours_best=float(0.5 * (other_z**2 - z**2) + math.log(other_spread / spread)) if rival else None,
         )
         (orders if axis.single_order else bands).append(item)
-    return Evidence(orders=tuple(orders), bands=tuple(bands))
+    return Evidence(orders=tuple(orders), bands=tuple(bands), rival=rival.label if rival else None)
 
 
 def suggestions_shown(found: Iterable[Suggestion]) -> tuple[SuggestionShown, ...]:

@@ -67,7 +67,8 @@ def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str
     measurement : Measurement
     machine : Machine
     mapping : mapping of column to sensor, optional
-        Columns not in it are matched by name; capitals, blanks, hyphens and underscores do not count.
+        Columns not in it are matched by name; capitals, blanks, hyphens and underscores do not count. A column mapped
+        to an empty text is left out, whatever its name.
 
     Returns
     -------
@@ -89,11 +90,13 @@ def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str
     for column, sensor in wanted.items():
         if column not in names:
             raise MeasurementError(measurement.name, None, column, rule=f"is mapped but not in the recording; {lists}")
-        if sensor not in sensors:
+        if sensor and sensor not in sensors:
             raise MeasurementError(measurement.name, None, column, sensor, f"is not a sensor; {lists}")
     found: dict[str, int] = {}
     plain = {_plain(name): name for name in sensors}
     for index, name in enumerate(names):
+        if wanted.get(name) == "":
+            continue
         matched = wanted.get(name) or (
             plain.get(_plain(name)) if plain.get(_plain(name)) not in wanted.values() else None
         )
@@ -114,6 +117,12 @@ def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str
     quantities = [measurement.channels[column].quantity for column in columns]
     derivatives = tuple(DERIVATIVES["acceleration"] - DERIVATIVES[quantity] for quantity in quantities)
     return SensorMap(columns, tuple(found), transform, compared, channels, derivatives, tuple(warnings))
+
+
+def matched_by_name(names: Sequence[str], machine: Machine) -> dict[str, str]:
+    """Return the sensor of each column whose name says it, as :func:`map_sensors` finds it without a mapping."""
+    plain = {_plain(sensor.name): sensor.name for sensor in machine.sensors}
+    return {name: plain[_plain(name)] for name in names if _plain(name) in plain}
 
 
 def compared_channels(

@@ -1,25 +1,32 @@
-"""The web page: one form, one result; everything it does goes through the same service as the HTTP interface."""
+"""The web page: a recording is sent, what was understood is confirmed, the result is shown.
+
+Everything it does goes through the same service as the HTTP interface.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.templating import Jinja2Templates
-from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
 
+from app import understanding
 from app.errors import AppError, BadFieldError
+from app.etags import respond
 from app.handlers import problem_from
+from app.page_forms import CONFIRM, UPLOAD, messages_of, plain_form, wanted
 from app.problems import Problem
-from app.schemas import DiagnosisRequest
-from app.service import Service, of_request, rate_of, speed_of
+from app.service import Service, of_request, rate_of
 from app.storage import DiagnosisRow
+from app.understood import confirmation
 from app.uploads import received_form
 from app.views import view
 from app.workers import TaskFailedError
@@ -29,125 +36,155 @@ from solver.errors import SolverError
 router = APIRouter()
 templates = Jinja2Templates(directory=Path(__file__).parent.parent / "templates")
 
-FIELDS = ("catalogue", "file", "speed", "effort", "mapping", "sample_rate")
 REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValidationError, HTTPException)
 
 
 @router.get("/")
 async def form(request: Request) -> Response:
-    """Show the empty form."""
-    return templates.TemplateResponse(request, "index.html", await context(request))
+    """Show the form that takes a recording."""
+    chosen = {"catalogue": request.query_params.get("catalogue", "")}
+    return templates.TemplateResponse(request, "index.html", await context(request, chosen=chosen))
+
+
+@router.post("/recordings")
+async def upload(request: Request) -> Response:
+    """Store a recording and go on to what was understood of it."""
+    service = of_request(request)
+    given: dict[str, str] = {}
+    try:
+        async with received_form(request, service.store, frozenset(UPLOAD) - {"file"}) as form:
+            given.update(form.fields)
+            if "catalogue" not in given:
+                raise BadFieldError("choose a catalogue", field="catalogue")
+            if form.file is None:
+                raise BadFieldError("choose a recording", field="file")
+            await run_in_threadpool(service.shelf.find, given["catalogue"])
+            rate = rate_of(given.get("sample_rate"))
+            measurement = await service.add_measurement(form.file, form.file_name, rate)
+    except REFUSALS as error:
+        return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
+    place = f"/confirm?{urlencode({'measurement': measurement.id, 'catalogue': given['catalogue']})}"
+    if is_fragment(request):  # the script goes there by itself: it has shown how far the upload is
+        return Response(status_code=201, headers={"Location": place})
+    return RedirectResponse(place, status_code=303)
+
+
+@router.get("/confirm")
+async def confirm(request: Request) -> Response:
+    """Show what was understood of a recording, to be confirmed or put right."""
+    given = dict(request.query_params)
+    try:
+        members = await understood(request, given)
+    except REFUSALS as error:
+        return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
+    return templates.TemplateResponse(request, "confirm.html", members)
 
 
 @router.post("/diagnose")
 async def ask(request: Request) -> Response:
-    """Diagnose the file of the form; answer with a fragment for htmx, or with whole pages without it."""
+    """Diagnose a confirmed recording; answer with a fragment for htmx, or with whole pages without it."""
     service = of_request(request)
-    fragment = request.headers.get("hx-request") == "true"
     given: dict[str, str] = {}
     try:
-        row = await diagnose(request, service, given)
+        given.update(await plain_form(request))
+        row = await diagnose(service, given)
     except REFUSALS as error:
-        return await refuse(request, problem_from(error), given, fragment)
+        return await refuse(request, problem_from(error), CONFIRM, "confirm.html", given)
     place = f"/diagnoses/{row.id}"
-    if not fragment:
+    if not is_fragment(request):
         return RedirectResponse(place, status_code=303)
     shown = await run_in_threadpool(result_of, service, row)
-    members = {"result": shown, "fields": FIELDS, "messages": {}}
+    members = {"result": shown, "fields": CONFIRM, "messages": {}}
     return templates.TemplateResponse(request, "fragment.html", members, headers={"HX-Push-Url": place})
 
 
 @router.get("/diagnoses/{key}")
 async def diagnosis(request: Request, key: str) -> Response:
-    """Show a result again, with the form for the next one."""
+    """Show a result again."""
     service = of_request(request)
     try:
         row = await run_in_threadpool(service.store.diagnosis, key)
     except AppError as error:
-        return await refuse(request, problem_from(error), {}, fragment=False)
+        return await refuse(request, problem_from(error), UPLOAD, "index.html", {})
     shown = await run_in_threadpool(result_of, service, row)
-    chosen = {"catalogue": row.catalogue, "effort": row.request["effort"]}
-    members = await context(request, result=shown, title=f"{shown['short']}: jointplay", chosen=chosen)
-    return templates.TemplateResponse(request, "index.html", members)
+    asked = {"measurement": row.measurement, "catalogue": row.request["catalogue"]}
+    members = await context(request, result=shown, title=f"{shown['short']}: jointplay", again=urlencode(asked))
+    return templates.TemplateResponse(request, "result.html", members)
 
 
-async def diagnose(request: Request, service: Service, given: dict[str, str]) -> DiagnosisRow:
-    """Do what the form asks for; `given` is filled with its fields as soon as they are read."""
-    async with received_form(request, service.store, frozenset(FIELDS) - {"file"}) as form:
-        given.update(form.fields)
-        members: dict[str, Any] = {name: given[name] for name in ("catalogue", "effort") if name in given}
-        if "speed" in given:
-            # The page asks for revolutions per minute; whoever writes a unit is believed.
-            members["speed"] = f"{given['speed']} rpm" if plain_number(given["speed"]) else given["speed"]
-            speed_of(members["speed"])
-        if "catalogue" not in given:
-            raise BadFieldError("choose a catalogue", field="catalogue")
-        if form.file is None:
-            raise BadFieldError("choose a recording", field="file")
-        wanted = checked({**members, "measurement": "file", "mapping": pairs(given.get("mapping", ""))})
-        await run_in_threadpool(service.shelf.find, wanted.catalogue)
-        rate = rate_of(given.get("sample_rate"))
-        measurement = await service.add_measurement(form.file, form.file_name, rate)
-    return await service.diagnose(wanted.model_copy(update={"measurement": measurement.id}))
+@router.get("/diagnoses/{key}/motion")
+async def motion(request: Request, key: str) -> Response:
+    """Return how the drawing of a result moves in one revolution, for the script that shows it."""
+    service = of_request(request)
+    row = await run_in_threadpool(service.store.diagnosis, key)
+    moving = await service.pool.run(understanding.motion, json.dumps(row.machine))
+    return respond(request, Response(json.dumps(moving), media_type="application/json"), f"motion-{row.id}")
 
 
-def checked(members: Mapping[str, Any]) -> DiagnosisRequest:
-    """Return a request whose members keep the rules."""
-    try:
-        return DiagnosisRequest.model_validate(members)
-    except ValidationError as error:
-        raise RequestValidationError(error.errors()) from None
+async def diagnose(service: Service, given: Mapping[str, str]) -> DiagnosisRow:
+    """Do what a confirmed form asks for."""
+    for name in ("measurement", "catalogue"):
+        if name not in given:
+            raise BadFieldError(f"choose a {name}", field=name)
+    measurement = await run_in_threadpool(service.store.measurement, given["measurement"])
+    offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
+    columns = [channel["name"] for channel in measurement.summary["channels"]]
+    return await service.diagnose(wanted(given, columns, offer.machine))
 
 
-def pairs(text: str) -> dict[str, str]:
-    """Return the mapping in lines of ``column = sensor``.
+async def understood(request: Request, given: Mapping[str, str]) -> dict[str, Any]:
+    """Return what the page of confirmation shows.
 
     Raises
     ------
-    BadFieldError
-        For a line without both sides, or a column given twice.
+    AppError
+        When recording or catalogue are not there, or the recording cannot be read any more.
     """
-    found: dict[str, str] = {}
-    for line in filter(None, map(str.strip, text.splitlines())):
-        column, _, sensor = (part.strip() for part in line.rpartition("="))
-        if not column or not sensor:
-            raise BadFieldError(f"{line}: must be column = sensor", field="mapping")
-        if column in found:
-            raise BadFieldError(f"{column}: is given twice", field="mapping")
-        found[column] = sensor
-    return found
+    service = of_request(request)
+    measurement = await run_in_threadpool(service.store.measurement, given.get("measurement", ""))
+    offer = await run_in_threadpool(service.shelf.find, given.get("catalogue", ""))
+    path = str(service.store.path_of(measurement.sha256))
+    found = await service.pool.run(
+        understanding.understand,
+        path,
+        measurement.name,
+        measurement.given_sample_rate_hz,
+        str(offer.path),
+        offer.stamp,
+    )
+    messages = {found["field"]: found["message"]} if found["field"] else {}
+    shown = confirmation(measurement, offer, found, given)
+    return await context(request, confirm=shown, chosen=dict(given), messages=messages, title="Confirm: jointplay")
 
 
-def plain_number(text: str) -> bool:
-    """Return whether a text is a number without a unit."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-async def refuse(request: Request, problem: Problem, given: Mapping[str, str], fragment: bool) -> Response:
+async def refuse(
+    request: Request, problem: Problem, fields: Sequence[str], page: str, given: Mapping[str, str]
+) -> Response:
     """Answer a problem with its message beside the field at fault."""
-    messages = dict.fromkeys(fields_of(problem), problem.detail)
+    messages = messages_of(problem, fields)
     summary = {"title": problem.title, "detail": "" if messages else problem.detail}
     headers = dict(problem.headers)
-    if fragment:
-        members = {"summary": summary, "fields": FIELDS, "messages": messages}
+    if is_fragment(request):
+        members = {"summary": summary, "fields": fields, "messages": messages}
         return templates.TemplateResponse(request, "fragment.html", members, problem.status, headers)
-    page = await context(request, summary=summary, messages=messages, chosen=dict(given))
-    return templates.TemplateResponse(request, "index.html", page, problem.status, headers)
+    whole = await context(request, chosen=dict(given))
+    if page == "confirm.html":
+        try:
+            whole = await understood(request, given)
+        except REFUSALS:
+            page = "index.html"
+            summary["detail"] = problem.detail
+    whole.update(summary=summary, messages={**whole["messages"], **messages})
+    return templates.TemplateResponse(request, page, whole, problem.status, headers)
 
 
-def fields_of(problem: Problem) -> list[str]:
-    """Return the fields of the form that a problem is about; what is wrong with a recording is about the file."""
-    named = [entry["field"] for entry in problem.errors if entry["field"] in FIELDS]
-    about_file = problem.type.rpartition(":")[2] in ("measurement", "too-large", "diagnosis")
-    return named or (["file"] if about_file else [])
+def is_fragment(request: Request) -> bool:
+    """Return whether a script asks, and shows the answer in a part of the page."""
+    return request.headers.get("hx-request") == "true"
 
 
 async def context(request: Request, **more: Any) -> dict[str, Any]:
-    """Return what the whole page needs."""
+    """Return what every page needs."""
     service = of_request(request)
     offers = await run_in_threadpool(service.shelf.offers)
     settings = service.settings

@@ -1,10 +1,17 @@
-// Spectra by order: what was measured, what the matched case predicts, and how far that may scatter.
+// Spectra by order: a few lines, and the range in which the first of them may lie.
 "use strict";
 
 (() => {
   const drawn = new Map();
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+  const looks = (name) => ({
+    matched: { stroke: colour("--matched"), width: 2, dash: [6, 4], points: { show: false } },
+    rival: { stroke: colour("--rival"), width: 1.5, dash: [2, 3], points: { show: false } },
+    measured: { stroke: colour("--measured"), width: 2, points: { show: true, size: 5 } },
+    decided: { stroke: colour("--decided"), paths: () => null, points: { show: true, size: 12, width: 2.5, fill: "transparent" } },
+  })[name];
 
   const options = (data, width) => {
     const axis = { stroke: colour("--soft"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--line"), width: 1 } };
@@ -21,8 +28,7 @@
         { label: "order", value: (self, value) => (value == null ? "–" : value.toPrecision(3)) },
         { label: "scatter, upper", stroke: "transparent", points: { show: false }, value: level },
         { label: "scatter, lower", stroke: "transparent", points: { show: false }, value: level },
-        { label: "matched", stroke: colour("--matched"), width: 2, dash: [6, 4], points: { show: false }, value: level },
-        { label: "measured", stroke: colour("--measured"), width: 2, points: { show: true, size: 5 }, value: level },
+        ...data.lines.map((line) => ({ label: line.name, value: level, ...looks(line.look) })),
       ],
       bands: [{ series: [1, 2], fill: colour("--scatter") }],
       legend: { show: width > 480 },
@@ -33,7 +39,7 @@
     const data = JSON.parse(place.dataset.chart);
     drawn.get(place)?.destroy();
     place.replaceChildren();
-    const table = [data.orders, data.upper, data.lower, data.predicted, data.measured];
+    const table = [data.orders, data.upper, data.lower, ...data.lines.map((line) => line.levels)];
     drawn.set(place, new uPlot(options(data, place.clientWidth), table, place));
   };
 

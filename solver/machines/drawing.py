@@ -13,7 +13,7 @@ from solver.machines.labels import place_labels
 from solver.machines.machine import Machine
 from solver.machines.shapes import Arrow, JointMark, LinkShape, MachineShapes, SupportMark, machine_shapes
 
-__all__ = ["machine_svg"]
+__all__ = ["Sheet", "machine_svg", "svg_class"]
 
 Pixel: TypeAlias = tuple[float, float]
 
@@ -39,8 +39,8 @@ def machine_svg(machine: Machine, joint_colours: Mapping[str, str] | None = None
     -------
     str
         One ``<svg>`` element without script, style sheet or outside reference; it is drawn in ``currentColor``. Classes
-        to style: ``link``, ``link-NAME``, ``joint``, ``joint-NAME``, ``support``, ``sensor``, ``load`` (a space in a
-        name is a ``-`` there).
+        to style or move: ``link``, ``link-NAME``, ``joint``, ``joint-NAME``, ``guide``, ``guide-NAME``, ``support``,
+        ``sensor``, ``load``, ``label-joint``, ``label-joint-NAME`` (a space in a name is a ``-`` there).
 
     Raises
     ------
@@ -52,7 +52,7 @@ def machine_svg(machine: Machine, joint_colours: Mapping[str, str] | None = None
         rule = f"is not a joint of this machine{nearest(name, machine.joints)}"
         raise MachineError(machine.name, f"joints.{name}", None, rule)
     shapes = machine_shapes(machine)
-    sheet = _Sheet(shapes)
+    sheet = Sheet(shapes)
     parts = [
         *(_link(sheet, link) for link in shapes.links),
         *(_guide(sheet, joint) for joint in shapes.joints if joint.kind == "sliding"),
@@ -90,20 +90,34 @@ def description(machine: Machine) -> str:
     return " ".join(sentences)
 
 
-class _Sheet:
-    """From metres, y up, to pixels, y down."""
+class Sheet:
+    """From metres, y up, to pixels, y down.
+
+    Parameters
+    ----------
+    shapes : MachineShapes
+        What has to fit.
+
+    Attributes
+    ----------
+    scale : float
+        Pixels a metre.
+    width, height : float
+        Pixels.
+    """
 
     def __init__(self, shapes: MachineShapes) -> None:
         self._left, bottom, right, self._top = shapes.bounds
         wide, high = right - self._left, self._top - bottom
         scales = [room / size for room, size in ((WIDEST, wide), (HIGHEST, high)) if size > 0]
-        self._scale = min(scales, default=1.0)
-        self.width = wide * self._scale + 2 * MARGIN
-        self.height = high * self._scale + 2 * MARGIN
+        self.scale = min(scales, default=1.0)
+        self.width = wide * self.scale + 2 * MARGIN
+        self.height = high * self.scale + 2 * MARGIN
 
     def __call__(self, point: tuple[float, float]) -> Pixel:
+        """Return the pixel of a point."""
         x, y = point
-        return (x - self._left) * self._scale + MARGIN, (self._top - y) * self._scale + MARGIN
+        return (x - self._left) * self.scale + MARGIN, (self._top - y) * self.scale + MARGIN
 
 
 def _path(points: Iterable[Pixel], closed: bool = False) -> str:
@@ -111,7 +125,8 @@ def _path(points: Iterable[Pixel], closed: bool = False) -> str:
     return "M" + " L".join(corners if len(corners) > 1 else corners * 2) + (" Z" if closed else "")
 
 
-def _class(kind: str, name: str) -> str:
+def svg_class(kind: str, name: str) -> str:
+    """Return the classes of an element: its kind, and its kind with its name."""
     return f"{kind} {kind}-{escape(name.replace(' ', '-'))}"
 
 
@@ -121,7 +136,7 @@ def _along(at: Pixel, direction: Pixel, forward: float, left: float = 0.0) -> Pi
     return at[0] + dx * forward + dy * left, at[1] + dy * forward - dx * left
 
 
-def _link(sheet: _Sheet, link: LinkShape) -> str:
+def _link(sheet: Sheet, link: LinkShape) -> str:
     points = [sheet(point) for point in link.outline]
     cg = sheet(link.cg)
     look = (
@@ -130,23 +145,23 @@ def _link(sheet: _Sheet, link: LinkShape) -> str:
         else 'fill="currentColor" fill-opacity="0.16" stroke-opacity="0.32" stroke-width="11"'
     )
     return (
-        f'<g class="{_class("link", link.name)}"><title>link {escape(link.name)}</title>'
+        f'<g class="{svg_class("link", link.name)}"><title>link {escape(link.name)}</title>'
         f'<path d="{_path(points, link.closed)}" {look}/>'
         f'<path class="cg" d="M{cg[0] - 3:.1f} {cg[1]:.1f} h6 m-3 -3 v6" stroke-opacity="0.6"/></g>'
     )
 
 
-def _guide(sheet: _Sheet, joint: JointMark) -> str:
+def _guide(sheet: Sheet, joint: JointMark) -> str:
     at = sheet(joint.at)
     ends = _path([_along(at, joint.direction, -46), _along(at, joint.direction, 46)])
-    return f'<path class="guide" d="{ends}" stroke-opacity="0.7" stroke-dasharray="2 5"/>'
+    return f'<path class="{svg_class("guide", joint.name)}" d="{ends}" stroke-opacity="0.7" stroke-dasharray="2 5"/>'
 
 
 def _on_top(joint: JointMark) -> bool:
     return joint.kind == "turning"
 
 
-def _joint(sheet: _Sheet, joint: JointMark, colour: str | None) -> str:
+def _joint(sheet: Sheet, joint: JointMark, colour: str | None) -> str:
     at = sheet(joint.at)
     fill = escape(colour) if colour else "none"
     what = f"{joint.kind} joint {joint.name}: {joint.links[0]} on {joint.links[1]}" + (
@@ -160,7 +175,7 @@ def _joint(sheet: _Sheet, joint: JointMark, colour: str | None) -> str:
         marks.append(_ground((at[0], at[1] + JOINT_RADIUS), 1))
     if joint.driven:
         marks.append(_drive_arrow(at, joint))
-    return f'<g class="{_class("joint", joint.name)}"><title>{escape(what)}</title>{"".join(marks)}</g>'
+    return f'<g class="{svg_class("joint", joint.name)}"><title>{escape(what)}</title>{"".join(marks)}</g>'
 
 
 def _drive_arrow(at: Pixel, joint: JointMark) -> str:
@@ -180,7 +195,7 @@ def _head(tip: Pixel, direction: Pixel) -> str:
     return _path([_along(tip, direction, -7, 4), tip, _along(tip, direction, -7, -4)])
 
 
-def _arrow(sheet: _Sheet, arrow: Arrow, kind: str) -> str:
+def _arrow(sheet: Sheet, arrow: Arrow, kind: str) -> str:
     at = sheet(arrow.at)
     # A sensor's arrow leaves its point; a load's arrow ends there.
     start, tip = (at, _along(at, arrow.direction, 22)) if kind == "sensor" else (_along(at, arrow.direction, -34), at)
@@ -188,12 +203,12 @@ def _arrow(sheet: _Sheet, arrow: Arrow, kind: str) -> str:
     width = 1.5 if kind == "sensor" else 2.5
     what = f"sensor {arrow.name}" if kind == "sensor" else f"load on {arrow.name}"
     return (
-        f'<g class="{_class(kind, arrow.name)}"><title>{escape(what)}</title>{foot if kind == "sensor" else ""}'
+        f'<g class="{svg_class(kind, arrow.name)}"><title>{escape(what)}</title>{foot if kind == "sensor" else ""}'
         f'<path d="{_path([start, tip])} {_head(tip, arrow.direction)}" stroke-width="{width}"/></g>'
     )
 
 
-def _support(sheet: _Sheet, support: SupportMark) -> str:
+def _support(sheet: Sheet, support: SupportMark) -> str:
     start, end = _ends(sheet, support)
     aside = 7.0 if support.spring and support.damper else 0.0
     marks = [_spring(start, end, -aside)] if support.spring else []
@@ -202,12 +217,12 @@ def _support(sheet: _Sheet, support: SupportMark) -> str:
     what = " and ".join(name for name, there in (("spring", support.spring), ("damper", support.damper)) if there)
     where = f"on {escape(support.link)}, to {'the ground' if support.on_ground else 'another link'}"
     return (
-        f'<g class="{_class("support", support.link)}"><title>{what or "support"} {where}</title>'
+        f'<g class="{svg_class("support", support.link)}"><title>{what or "support"} {where}</title>'
         f'<path d="{" ".join(marks)}" stroke-width="1.5"/>{ground}</g>'
     )
 
 
-def _ends(sheet: _Sheet, support: SupportMark) -> tuple[Pixel, Pixel]:
+def _ends(sheet: Sheet, support: SupportMark) -> tuple[Pixel, Pixel]:
     start = sheet(support.start)
     if support.end is not None:
         return start, sheet(support.end)
@@ -242,7 +257,7 @@ def _ground(at: Pixel, sign: float) -> str:
     return f'<path class="ground" d="M{x - 16:.1f} {y:.1f} h32 {strokes}" stroke-opacity="0.7"/>'
 
 
-def _labels(sheet: _Sheet, shapes: MachineShapes) -> list[str]:
+def _labels(sheet: Sheet, shapes: MachineShapes) -> list[str]:
     segments = []
     for link in shapes.links:
         points = [sheet(point) for point in link.outline]
@@ -264,7 +279,7 @@ def _labels(sheet: _Sheet, shapes: MachineShapes) -> list[str]:
         "link": 'font-style="italic" fill-opacity="0.75"',
     }
     return [
-        f'<text class="label-{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="middle" fill="currentColor" stroke="none" '
-        f"{looks[kind]}>{escape(text)}</text>"
+        f'<text class="{svg_class(f"label-{kind}", text)}" x="{x:.1f}" y="{y:.1f}" text-anchor="middle" '
+        f'fill="currentColor" stroke="none" {looks[kind]}>{escape(text)}</text>'
         for (kind, text, _), (x, y) in zip(wanted, spots, strict=True)
     ]

@@ -43,12 +43,32 @@ class Page(HTMLParser):
             self.fields.append(found)
 
 
-def ask(client: httpx.Client, content: bytes | None, *, htmx: bool = False, **fields: str) -> httpx.Response:
+def send(client: httpx.Client, content: bytes | None, *, htmx: bool = False, **fields: str) -> httpx.Response:
     files = {"file": ("worn.csv", content)} if content is not None else {"file": ("", b"")}
     headers = {"HX-Request": "true"} if htmx else {}
-    return client.post(
-        "/diagnose", data={"catalogue": "slider-crank", "effort": "fast", **fields}, files=files, headers=headers
-    )
+    return client.post("/recordings", data={"catalogue": "slider-crank", **fields}, files=files, headers=headers)
+
+
+def ask(client: httpx.Client, place: str, *, htmx: bool = False, **fields: str) -> httpx.Response:
+    """Confirm what a page says was understood, but for some fields."""
+    headers = {"HX-Request": "true"} if htmx else {}
+    form = {**confirmed(client.get(place).text), "effort": "fast", **fields}
+    return client.post("/diagnose", data=form, headers=headers)
+
+
+def confirmed(text: str) -> dict[str, str]:
+    """Fields of the form of confirmation as they are filled in."""
+    form = text[text.index('<form id="confirm"') :]
+    fields = dict(re.findall(r'<input (?:id="[^"]*" |type="hidden" )*name="([^"]+)"[^>]*? value="([^"]*)"', form))
+    for name, options in re.findall(r'<select id="[^"]+" name="([^"]+)".*?>(.*?)</select>', form, re.DOTALL):
+        fields[name] = re.findall(r'value="([^"]*)" selected', options)[0]
+    return fields
+
+
+@pytest.fixture(scope="module")
+def place(client: httpx.Client, worn: bytes) -> str:
+    """Address of the page that says what was understood of the worn recording."""
+    return send(client, worn).headers["location"]
 
 
 def error_of(text: str, field: str) -> str:
@@ -64,7 +84,7 @@ def test_only_own_files_are_loaded(client: httpx.Client) -> None:
     assert not page.inline
     for place in page.loaded:
         assert client.get(place).status_code == 200
-    for name in ("page.css", "page.js", "charts.js"):
+    for name in ("page.css", "page.js", "charts.js", "motion.js", "upload.js"):
         assert not re.search(r"https?:|@import|url\(", (main.STATIC / name).read_text(encoding="utf-8"))
 
 
@@ -78,36 +98,103 @@ def test_vendored_files_are_those_of_the_table() -> None:
     assert all((VENDOR / name).is_file() for name in re.findall(r"`([a-z]+-LICENSE\.txt)`", table))
 
 
-def test_every_field_has_a_label_and_a_place_for_its_error(client: httpx.Client) -> None:
-    page = Page(client.get("/").text)
+@pytest.mark.parametrize("step", ["/", "confirm"])
+def test_every_field_has_a_label_and_a_place_for_its_error(client: httpx.Client, place: str, step: str) -> None:
+    page = Page(client.get(place if step == "confirm" else step).text)
     assert len(page.ids) == len(set(page.ids))
-    for field in page.fields:
+    shown = [field for field in page.fields if field.get("type") != "hidden" and field["id"] != "other-catalogue"]
+    assert len(shown) == (7 if step == "confirm" else 3)
+    for field in shown:
         assert field["id"] in page.labels
         described = str(field["aria-describedby"]).split()
-        assert f"error-{field['name']}" in described
+        assert any(name.startswith("error-") for name in described)
         assert set(described) <= set(page.ids)
 
 
-def test_the_form_works_without_scripts(client: httpx.Client, worn: bytes) -> None:
-    response = ask(client, worn)
+def test_what_was_understood_is_shown(client: httpx.Client, place: str) -> None:
+    text = client.get(place).text
+    assert "5 s, " in text and "Hz" in text and "acceleration in m/s2" in text
+    form = confirmed(text)
+    assert [form[f"sensor-{index}"] for index in range(4)] == ["s1-x", "s1-y", "s2-x", "s2-y"]
+    assert float(form["speed"]) == pytest.approx(606.8, abs=0.5)
+    assert form["estimated"] == form["speed"]
+    assert re.search(r"Found in the recording: 60[67]\.\d+ ± 0\.\d+ rpm", text)
+    assert "<li>" in text[text.index("Import report") :]
+
+
+def test_the_form_works_without_scripts(client: httpx.Client, place: str) -> None:
+    response = ask(client, place)
     assert response.status_code == 303
     page = client.get(response.headers["location"])
     assert page.status_code == 200
     assert "Joint B is worn: radial clearance" in page.text
     assert "<title>B worn: jointplay</title>" in page.text
-    assert page.text.index('id="result"') < page.text.index('id="ask"')
+    assert "Bands that decided for B and against" in page.text
     assert not Page(page.text).inline
     assert len(Page(page.text).ids) == len(set(Page(page.text).ids))
+    again = re.findall(r'href="(/confirm[^"]+)"', page.text)[0].replace("&amp;", "&")
+    assert client.get(again).status_code == 200
 
 
-def test_htmx_gets_a_fragment(client: httpx.Client, worn: bytes) -> None:
-    response = ask(client, worn, htmx=True, speed="606.8")
+def test_an_estimate_that_was_not_touched_is_no_given_speed(client: httpx.Client, place: str) -> None:
+    key = ask(client, place).headers["location"].rpartition("/")[2]
+    notes = {step["name"]: step["found"] for step in provenance(client, key)}
+    assert "found in the recording" in notes["drive speed"]
+    key = ask(client, place, speed="606.5").headers["location"].rpartition("/")[2]
+    notes = {step["name"]: step["found"] for step in provenance(client, key)}
+    assert "606.5 rpm, as given" in notes["drive speed"]
+
+
+def test_a_column_can_be_left_out(client: httpx.Client, place: str) -> None:
+    key = ask(client, place, **{"sensor-3": "-"}).headers["location"].rpartition("/")[2]
+    notes = {step["name"]: step["found"] for step in provenance(client, key)}
+    assert "as s1-x, s1-y, s2-x" in notes["sensors"] and "s2-y" not in notes["sensors"]
+
+
+def provenance(client: httpx.Client, key: str) -> list[dict[str, str]]:
+    steps: list[dict[str, str]] = client.get(f"/api/v1/diagnoses/{key}").json()["provenance"]["recipe"]
+    return steps
+
+
+def test_the_script_is_told_where_to_go(client: httpx.Client, worn: bytes, place: str) -> None:
+    response = send(client, worn, htmx=True)
+    assert response.status_code == 201
+    assert response.headers["location"] == place
+    assert place.startswith("/confirm?measurement=")
+
+
+def test_htmx_gets_a_fragment(client: httpx.Client, place: str) -> None:
+    response = ask(client, place, htmx=True, speed="606.8")
     assert response.status_code == 200
     assert "<html" not in response.text
     assert "Joint B is worn" in response.text
     assert "606.8 rpm" in response.text
     assert response.headers["hx-push-url"].startswith("/diagnoses/")
-    assert error_of(response.text, "file") == ""
+    assert error_of(response.text, "measurement") == ""
+
+
+def test_the_drawing_of_a_result_can_move(client: httpx.Client, place: str) -> None:
+    shown = client.get(ask(client, place).headers["location"])
+    moving = client.get(re.findall(r'data-motion="([^"]+)"', shown.text)[0]).json()
+    assert len(moving["transforms"]["link-rod"]) == 72
+    for name in moving["transforms"]:
+        assert re.search(rf'class="[^"]*\b{name}"', shown.text)
+
+
+@pytest.mark.parametrize(
+    ("fields", "field", "text"),
+    [
+        ({"sample_rate": "3 kg"}, "sample_rate", "3 kg"),
+        ({"catalogue": "nonsense"}, "catalogue", "there is none"),
+        ({"catalogue": ""}, "catalogue", "choose a catalogue"),
+    ],
+)
+@pytest.mark.parametrize("htmx", [True, False])
+def test_a_wrong_field_of_the_upload_is_told_beside_it(
+    client: httpx.Client, worn: bytes, fields: dict[str, str], field: str, text: str, htmx: bool
+) -> None:
+    response = send(client, worn, htmx=htmx, **fields)
+    assert_told(response, field, text, {"catalogue", "file", "sample_rate"})
 
 
 @pytest.mark.parametrize(
@@ -115,44 +202,57 @@ def test_htmx_gets_a_fragment(client: httpx.Client, worn: bytes) -> None:
     [
         ({"speed": "fast"}, "speed", "speed: fast: "),
         ({"speed": "-3"}, "speed", "greater than 0"),
-        ({"sample_rate": "3 kg"}, "sample_rate", "3 kg"),
-        ({"mapping": "left"}, "mapping", "must be column = sensor"),
-        ({"mapping": "a = b\na = c"}, "mapping", "is given twice"),
-        ({"catalogue": "nonsense"}, "catalogue", "there is none"),
+        ({"sensor-0": "s1-y"}, "mapping", "sensor s1-y: two columns are said to be it"),
+        ({f"sensor-{index}": "-" for index in range(4)}, "mapping", "which sensor"),
         ({"effort": "much"}, "effort", "fast"),
+        ({"mode": "much"}, "mode", "robust"),
     ],
 )
 @pytest.mark.parametrize("htmx", [True, False])
-def test_a_wrong_field_is_told_beside_it(
-    client: httpx.Client, worn: bytes, fields: dict[str, str], field: str, text: str, htmx: bool
+def test_a_wrong_field_of_the_confirmation_is_told_beside_it(
+    client: httpx.Client, place: str, fields: dict[str, str], field: str, text: str, htmx: bool
 ) -> None:
-    response = ask(client, worn, htmx=htmx, **fields)
+    response = ask(client, place, htmx=htmx, **fields)
+    assert_told(response, field, text, {"measurement", "speed", "effort", "mode", "mapping"})
+
+
+def assert_told(response: httpx.Response, field: str, text: str, fields: set[str]) -> None:
     assert response.status_code in (404, 422)
     assert response.headers["content-type"].startswith("text/html")
     assert text in error_of(response.text, field)
-    others = {"catalogue", "file", "speed", "effort", "mapping", "sample_rate"} - {field}
-    assert not any(error_of(response.text, other) for other in others)
+    assert not any(error_of(response.text, other) for other in fields - {field})
 
 
 @pytest.mark.parametrize("kind", ["no number", "short"])
 def test_a_bad_recording_is_told_beside_the_file(client: httpx.Client, worn: bytes, kind: str) -> None:
-    response = ask(client, spoiled(worn, kind), htmx=True)
+    response = send(client, spoiled(worn, kind), htmx=True)
     assert response.status_code == 422
     assert error_of(response.text, "file").startswith("worn.csv: ")
 
 
+def test_columns_that_are_no_sensor_are_asked_for(client: httpx.Client, worn: bytes) -> None:
+    head, _, rest = worn.partition(b"\n")
+    response = send(client, head.replace(b"s1-", b"left-").replace(b"s2-", b"right-") + b"\n" + rest)
+    place = response.headers["location"]
+    text = client.get(place).text
+    assert "no column is a sensor" in error_of(text, "mapping")
+    assert confirmed(text)["sensor-0"] == "-"
+    chosen = {f"sensor-{index}": name for index, name in enumerate(("s1-x", "s1-y", "s2-x", "s2-y"))}
+    assert "Joint B is worn" in ask(client, place, htmx=True, **chosen).text
+
+
 def test_a_missing_file_is_told_beside_it(client: httpx.Client) -> None:
-    assert error_of(ask(client, None, htmx=True).text, "file") == "choose a recording"
+    assert error_of(send(client, None, htmx=True).text, "file") == "choose a recording"
 
 
 def test_a_large_file_is_told_beside_it(client: httpx.Client) -> None:
-    response = ask(client, b"0" * 3_100_000, htmx=True)
+    response = send(client, b"0" * 3_100_000, htmx=True)
     assert response.status_code == 413
     assert "3 MB" in error_of(response.text, "file")
 
 
-def test_what_was_typed_stays_and_cannot_become_markup(client: httpx.Client, worn: bytes) -> None:
-    response = ask(client, worn, speed='"><script>alert(1)</script>')
+def test_what_was_typed_stays_and_cannot_become_markup(client: httpx.Client, place: str) -> None:
+    response = ask(client, place, speed='"><script>alert(1)</script>')
     assert response.status_code == 422
     assert "<script>alert" not in response.text
     assert "&lt;script&gt;" in response.text
@@ -160,13 +260,20 @@ def test_what_was_typed_stays_and_cannot_become_markup(client: httpx.Client, wor
 
 def test_a_hostile_file_name_is_text(client: httpx.Client, worn: bytes) -> None:
     response = client.post(
-        "/diagnose",
+        "/recordings",
         files={"file": ("<img src=x onerror=alert(1)>.csv", worn)},
-        data={"catalogue": "slider-crank", "effort": "fast"},
-        headers={"HX-Request": "true"},
+        data={"catalogue": "slider-crank"},
     )
-    assert response.status_code == 200
-    assert "<img" not in response.text
+    text = client.get(response.headers["location"]).text
+    assert "<img" not in text and "&lt;img" in text
+
+
+def test_a_confirmation_of_nothing_is_a_page(client: httpx.Client) -> None:
+    response = client.get("/confirm?measurement=nonsense&catalogue=slider-crank")
+    assert response.status_code == 404
+    assert "No such measurement" in response.text
+    assert client.post("/diagnose", data={}).status_code == 422
+    assert client.post("/diagnose", content=b"{}").status_code == 415
 
 
 def test_an_unknown_result_is_a_page(client: httpx.Client) -> None:

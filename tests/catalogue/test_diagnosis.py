@@ -89,9 +89,10 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
     assert set(first["joints"]["B"]) == {"clearance_um", "interval_um"}
     low, high = first["joints"]["B"]["interval_um"]
     assert low < first["joints"]["B"]["clearance_um"] < high
-    assert set(content["evidence"]) == {"orders", "bands"}
+    assert set(content["evidence"]) == {"orders", "bands", "rival"}
     assert set(content["evidence"]["bands"][0]) == {
-        "order", "low_hz", "high_hz", "channel", "measured_db", "predicted_db", "spread_db", "z",
+        "order", "low_hz", "high_hz", "channel", "measured_db", "predicted_db", "spread_db", "z", "rival_db",
+        "favours_best",
     }  # fmt: skip
     assert [item["order"] for item in content["evidence"]["orders"][:6]] == [1, 1, 1, 2, 2, 2]
     assert {item["channel"] for item in content["evidence"]["bands"]} == {"x", "y", "theta"}

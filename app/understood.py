@@ -1,0 +1,72 @@
+"""What the page shows of a recording before it is diagnosed: facts, columns with their sensors, the drive speed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from app.catalogues import Offer
+from app.page_forms import NOT_USED
+from app.storage import MeasurementRow
+from catalogue.sensors import matched_by_name
+
+
+def confirmation(
+    measurement: MeasurementRow, offer: Offer, found: Mapping[str, Any], given: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the members that the page of confirmation shows.
+
+    Parameters
+    ----------
+    measurement : MeasurementRow
+        The recording.
+    offer : Offer
+        The catalogue it is to be compared with.
+    found : Mapping
+        What :func:`app.understanding.understand` returned.
+    given : Mapping
+        Fields that somebody filled in already; they stay.
+    """
+    summary = measurement.summary
+    names = [channel["name"] for channel in summary["channels"]]
+    by_name = matched_by_name(names, offer.machine)
+    estimated = "" if found["speed_rpm"] is None else f"{found['speed_rpm']:.6g}"
+    return {
+        "measurement": measurement.id,
+        "name": measurement.name,
+        "catalogue": offer.description,
+        "facts": [
+            ("Machine", f"{offer.description.machine}, {offer.description.entries} cases in {offer.description.name}"),
+            ("Length", f"{summary['duration_s']:.4g} s, {summary['samples']} samples"),
+            ("Sample rate", f"{summary['sample_rate_hz']:.6g} Hz"),
+        ],
+        "columns": [
+            {
+                "name": channel["name"],
+                "unit": channel["unit"],
+                "quantity": channel["quantity"],
+                "field": f"sensor-{index}",
+                "chosen": given.get(f"sensor-{index}", by_name.get(channel["name"], NOT_USED)),
+            }
+            for index, channel in enumerate(summary["channels"])
+        ],
+        "sensors": [sensor.name for sensor in offer.machine.sensors],
+        "not_used": NOT_USED,
+        "estimated": estimated,
+        "speed": given.get("speed", estimated),
+        "speed_hint": speed_hint(found, offer),
+        "warnings": list(dict.fromkeys([*summary["warnings"], *found["warnings"]])),
+        "report": summary["import_report"],
+    }
+
+
+def speed_hint(found: Mapping[str, Any], offer: Offer) -> str:
+    """Return where the drive speed comes from, in a sentence."""
+    nominal = offer.description.nominal_speed_rpm
+    usual = f" The machine's own is {nominal:.4g} rpm." if nominal is not None else ""
+    if found["speed_rpm"] is None:
+        return f"It was not found in the recording: write it here.{usual}"
+    return (
+        f"Found in the recording: {found['speed_rpm']:.6g} ± {found['uncertainty_rpm']:.2g} rpm (standard uncertainty)."
+        f" Write another one if you know better.{usual}"
+    )

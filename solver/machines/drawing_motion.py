@@ -1,0 +1,108 @@
+"""How a machine's drawing moves: SVG transforms of its elements, one a position of the drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solver.machines.drawing import MARGIN, Sheet, svg_class
+from solver.machines.machine import Machine
+from solver.machines.shapes import JointMark, machine_shapes
+
+__all__ = ["MovingDrawing", "moving_drawing"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MovingDrawing:
+    """What moves in the drawing of :func:`solver.machines.drawing.machine_svg`.
+
+    Attributes
+    ----------
+    view_box : str
+        Of the ``<svg>``, so that nothing leaves it.
+    transforms : mapping of str to tuple of str
+        By the class of an element (``link-rod``): its ``transform`` at each position. What is not there stands still.
+    """
+
+    view_box: str
+    transforms: Mapping[str, tuple[str, ...]]
+
+
+def moving_drawing(machine: Machine, motion: Mapping[str, Array]) -> MovingDrawing:
+    """Return how the drawing of a machine follows the motion of its links.
+
+    Parameters
+    ----------
+    machine : Machine
+    motion : mapping of str to (n, 3) array
+        By link: x, y of its centre of gravity [m] and its angle since the drawn pose [rad].
+    """
+    shapes = machine_shapes(machine)
+    sheet = Sheet(shapes)
+    transforms: dict[str, tuple[str, ...]] = {}
+    corners = []
+    for link in shapes.links:
+        poses = motion[link.name]
+        transforms[_own_class("link", link.name)] = _transforms(sheet, link.cg, poses)
+        corners += [_points(poses, link.cg, point) for point in (*link.outline, link.cg)]
+    for joint in shapes.joints:
+        carrier, other = joint.links
+        if joint.kind == "sliding":  # the first link is the block, the line belongs to the second
+            transforms[_own_class("joint", joint.name)] = _transforms(sheet, machine.links[carrier].cg, motion[carrier])
+            transforms[_own_class("guide", joint.name)] = _transforms(sheet, machine.links[other].cg, motion[other])
+        else:
+            transforms[_own_class("joint", joint.name)] = _shifts(sheet, machine, joint, motion)
+        transforms[_own_class("label-joint", joint.name)] = _shifts(sheet, machine, joint, motion)
+    moving = {name: steps for name, steps in transforms.items() if len(set(steps)) > 1}
+    return MovingDrawing(_view_box(sheet, np.concatenate(corners)), moving)
+
+
+def _own_class(kind: str, name: str) -> str:
+    return svg_class(kind, name).split(" ", 1)[1]
+
+
+def _points(poses: Array, cg: tuple[float, float], point: tuple[float, float]) -> Array:
+    """Where a point of a link is, (n, 2), m."""
+    turned = np.exp(1j * poses[:, 2]) * complex(point[0] - cg[0], point[1] - cg[1])
+    return np.column_stack([poses[:, 0] + turned.real, poses[:, 1] + turned.imag])
+
+
+def _transforms(sheet: Sheet, cg: tuple[float, float], poses: Array) -> tuple[str, ...]:
+    at = sheet(cg)
+    return tuple(
+        f"translate({_number((x - cg[0]) * sheet.scale)} {_number((cg[1] - y) * sheet.scale)}) "
+        f"rotate({_number(-math.degrees(angle), 2)} {at[0]:.1f} {at[1]:.1f})"
+        for x, y, angle in poses
+    )
+
+
+def _shifts(sheet: Sheet, machine: Machine, joint: JointMark, motion: Mapping[str, Array]) -> tuple[str, ...]:
+    """Pins and names stay upright: they are moved and not turned."""
+    carrier = joint.links[0]
+    points = _points(motion[carrier], machine.links[carrier].cg, joint.at)
+    return tuple(
+        f"translate({_number((x - joint.at[0]) * sheet.scale)} {_number((joint.at[1] - y) * sheet.scale)})"
+        for x, y in points
+    )
+
+
+def _number(value: float, digits: int = 1) -> str:
+    """A number without the sign of a zero: what stands still has the same transform throughout."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _view_box(sheet: Sheet, points: Array) -> str:
+    """The drawing's own view, wider where a link goes beyond it."""
+    (left, top), (right, bottom) = (
+        sheet((points[:, 0].min(), points[:, 1].max())),
+        sheet((points[:, 0].max(), points[:, 1].min())),
+    )
+    x0, y0 = min(0.0, left - MARGIN / 2), min(0.0, top - MARGIN / 2)
+    x1, y1 = max(sheet.width, right + MARGIN / 2), max(sheet.height, bottom + MARGIN / 2)
+    return f"{x0:.0f} {y0:.0f} {x1 - x0:.0f} {y1 - y0:.0f}"
