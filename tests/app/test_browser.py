@@ -172,7 +172,7 @@ def test_back_and_forth_in_the_history(visit: Visit, recording: Path) -> None:
 def test_the_upload_is_seen_to_go_on(visit: Visit, recording: Path) -> None:
     page = visit.page
     held: list[Route] = []
-    page.route("**/recordings", held.append)
+    page.route("**/recordings", lambda route: held.append(route))
     page.get_by_label("Recording", exact=True).set_input_files(recording)
     page.get_by_role("button", name="Read the recording").click()
     expect(page.get_by_role("progressbar", name="Upload")).to_be_visible()
