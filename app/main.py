@@ -20,7 +20,7 @@ from app.headers import SecurityHeaders
 from app.keys import Keys
 from app.limits import BodyLimit
 from app.machine_store import MachineStore
-from app.routes import builds, catalogues, diagnoses, entries, health, machines, measurements, pages, reports, signin
+from app.routes import browser_pages, builds, catalogues, diagnoses, entries, health, machines, measurements, pages, reports, signin
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store
@@ -76,6 +76,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         application.include_router(module.router, prefix="/api/v1")
     application.include_router(health.router)
     application.include_router(pages.router, include_in_schema=False)
+    application.include_router(browser_pages.router, include_in_schema=False)
     application.include_router(signin.router, include_in_schema=False)
     application.mount("/static", StaticFiles(directory=STATIC), name="static")
     handlers.install(application)

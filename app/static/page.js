@@ -33,8 +33,8 @@
 
   document.addEventListener("htmx:after:swap", (event) => {
     mark();
-    if (event.target.id !== "confirm") return;
-    const wrong = document.querySelector("#confirm [aria-invalid='true'], #confirm [data-wrong]");
+    if (!["confirm", "browse"].includes(event.target.id)) return;
+    const wrong = event.target.querySelector("[aria-invalid='true'], [data-wrong]");
     const result = byId("result");
     if (wrong) {
       wrong.focus();

@@ -275,3 +275,24 @@ def tabbed(page: Page) -> list[str]:
         if reached[-1] == "submit":
             break
     return reached
+
+
+def test_a_catalogue_is_browsed(visit: Visit) -> None:
+    page = visit.page
+    page.get_by_role("link", name="Catalogues").click()
+    assert serious(page) == []
+    assert is_within_screen(page)
+    page.get_by_role("link", name="slider-crank").click()
+    expect(page.locator(".chart canvas")).to_have_count(3, timeout=SECONDS)
+    page.get_by_label("Worn").select_option("B")
+    page.get_by_label("Radial clearance").fill("none")
+    page.get_by_role("button", name="Show").click()
+    expect(page.locator("#error-clearance")).to_contain_text("clearance: none")
+    assert page.evaluate("document.activeElement.id") == "clearance"
+    page.get_by_label("Radial clearance").fill("0.2 mm")
+    page.get_by_role("button", name="Show").click()
+    expect(page.get_by_role("heading", name=re.compile("^B at .* against healthy"))).to_be_visible(timeout=SECONDS)
+    expect(page.locator(".chart canvas")).to_have_count(3)
+    expect(page).to_have_url(re.compile("hypothesis=B&clearance=0.2"))
+    assert is_within_screen(page)
+    assert serious(page) == []

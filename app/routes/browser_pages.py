@@ -1,0 +1,140 @@
+"""The catalogue browser: what does a worn joint look like against a machine in order?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from app import browsing
+from app.catalogues import Offer
+from app.errors import BadFieldError
+from app.handlers import problem_from
+from app.page_forms import messages_of, plain_number
+from app.pictures import machine_picture
+from app.routes.pages import REFUSALS, context, is_fragment, templates
+from app.service import Service, of_request
+from app.spectra import NAMES, UNITS
+from app.words import micrometres
+from solver.errors import UnitError
+from solver.machines.units import LENGTH, to_si
+
+router = APIRouter(prefix="/catalogues")
+
+FIELDS = ("hypothesis", "clearance")
+USUAL = "200"
+LARGEST = 0.1
+
+
+@router.get("")
+async def catalogues(request: Request) -> Response:
+    """List the catalogues."""
+    return templates.TemplateResponse(request, "catalogues.html", await context(request, title="Catalogues: jointplay"))
+
+
+@router.get("/{name}")
+async def catalogue(request: Request, name: str) -> Response:
+    """Show an entry of a catalogue beside a machine in order."""
+    service = of_request(request)
+    given = {field: request.query_params.get(field, "").strip() for field in FIELDS}
+    try:
+        offer = await run_in_threadpool(service.shelf.find, name)
+    except REFUSALS as error:
+        problem = problem_from(error)
+        summary = {"title": problem.title, "detail": problem.detail}
+        members = await context(request, summary=summary)
+        return templates.TemplateResponse(request, "catalogues.html", members, problem.status)
+    chosen = {"hypothesis": given["hypothesis"] or usual(offer), "clearance": given["clearance"] or USUAL}
+    members = {"catalogue": offer.description, "chosen": chosen, "entry": None, "summary": None}
+    status, headers = 200, {}
+    try:
+        members |= {"entry": await shown(service, offer, chosen), "messages": {}}
+    except REFUSALS as error:
+        problem = problem_from(error)
+        messages = messages_of(problem, FIELDS)
+        if not messages:
+            members["summary"] = {"title": problem.title, "detail": problem.detail}
+        members["messages"] = messages
+        status, headers = problem.status, dict(problem.headers)
+    if is_fragment(request):
+        return templates.TemplateResponse(
+            request, "entry_fragment.html", {**members, "fields": FIELDS}, status, headers
+        )
+    whole = await context(request, **members, title=f"{offer.description.name}: jointplay")
+    return templates.TemplateResponse(request, "catalogue.html", whole, status, headers)
+
+
+def usual(offer: Offer) -> str:
+    """Return the hypothesis to begin with: the first worn joint."""
+    names = offer.description.hypotheses
+    return next((name for name in names if name in offer.description.turning_joints), names[0] if names else "")
+
+
+async def shown(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:
+    """Return what the page shows of the nearest entry.
+
+    Raises
+    ------
+    BadFieldError
+        For a hypothesis that is not there, or a clearance that is none.
+    """
+    hypothesis = chosen["hypothesis"]
+    if hypothesis not in offer.description.hypotheses:
+        raise BadFieldError(f"hypothesis: {hypothesis[:80]}: this catalogue has none of this name", field="hypothesis")
+    clearance = clearance_of(chosen["clearance"])
+    found = await service.pool.run(browsing.nearest, str(offer.path), offer.stamp, hypothesis, clearance)
+    sizes = found["clearances_um"]
+    what = ", ".join(f"{joint} at {micrometres(size)} µm" for joint, size in sizes.items()) or hypothesis
+    return {
+        "title": f"{what}, against healthy",
+        "name": what,
+        "key": found["key"],
+        "speed": f"{found['speed_rpm']:.5g} rpm",
+        "healthy_entries": found["healthy_entries"],
+        "drawing": machine_picture(offer.machine, dict.fromkeys(sizes, 1.0)),
+        "charts": [chart(found, channel) for channel in NAMES],
+    }
+
+
+def clearance_of(text: str) -> float:
+    """Return a clearance in m; a number without a unit is in micrometres.
+
+    Raises
+    ------
+    BadFieldError
+        For a text that is no length greater than 0 and at most 100 mm.
+    """
+    try:
+        value = float(to_si(f"{text} um" if plain_number(text) else text, LENGTH))
+    except UnitError as error:
+        raise BadFieldError(f"clearance: {text[:80]}: {error}", field="clearance") from None
+    if not 0 < value <= LARGEST:
+        raise BadFieldError(f"clearance: {text[:80]}: must be greater than 0 and at most 100 mm", field="clearance")
+    return value
+
+
+def chart(found: dict[str, Any], channel: str) -> dict[str, Any]:
+    """Return one chart: its data for the script and its content in words for those who do not see it."""
+    levels, healthy = found["levels"][channel], found["healthy"][channel]
+    differences = [level - sound for level, sound in zip(levels, healthy, strict=True)]
+    strongest = max(range(len(differences)), key=lambda index: abs(differences[index]))
+    return {
+        "title": NAMES[channel],
+        "summary": (
+            f"Level by order of {NAMES[channel]}, of this entry and of the healthy machine; they differ most at order"
+            f" {found['orders'][strongest]:.3g}, by {differences[strongest]:+.1f} dB."
+        ),
+        "most": f"{differences[strongest]:+.1f} dB at order {found['orders'][strongest]:.3g}",
+        "data": {
+            "label": f"dB re 1 {UNITS.get(channel, 'm/s²')}",
+            "orders": found["orders"],
+            "upper": found["high"][channel],
+            "lower": found["low"][channel],
+            "lines": [
+                {"name": "healthy", "look": "matched", "levels": healthy},
+                {"name": "this entry", "look": "measured", "levels": levels},
+            ],
+        },
+    }

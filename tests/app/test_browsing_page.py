@@ -1,0 +1,84 @@
+"""The catalogue browser: the nearest entry beside the healthy machine, with and without a browser."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from catalogue.store import Catalogue
+
+
+def charts(text: str) -> list[dict[str, list[float]]]:
+    return [json.loads(html.unescape(found)) for found in re.findall(r'data-chart="([^"]+)"', text)]
+
+
+def test_the_list_leads_to_the_browser(client: httpx.Client) -> None:
+    text = client.get("/catalogues").text
+    assert 'href="/catalogues/slider-crank"' in text
+    assert client.get("/catalogues/slider-crank").status_code == 200
+
+
+def test_the_nearest_entry_is_shown_beside_healthy(client: httpx.Client, shelf: Path) -> None:
+    response = client.get("/catalogues/slider-crank", params={"hypothesis": "B", "clearance": "0.2 mm"})
+    assert response.status_code == 200
+    catalogue = Catalogue.open(shelf / "slider-crank")
+    matrix = catalogue.matrix
+    rows = matrix.rows("B", "trusted")
+    column = matrix.joints.index("B")
+    best = rows[np.argmin(np.abs(np.log(matrix.clearance(rows)[:, column] / 200e-6)))]
+    key = str(matrix.table(np.array([best])).key[0])
+    assert key in response.text
+    assert f"B at {1e6 * matrix.clearance(np.array([best]))[0, column]:.0f} µm, against healthy" in response.text
+    shown = charts(response.text)
+    assert len(shown) == 3
+    healthy, entry = shown[1]["lines"]
+    expected = 10 * np.log10(matrix.packed(np.array([best]))[0, :, 1])
+    np.testing.assert_allclose(entry["levels"], np.maximum(expected, -100), atol=1e-3)  # type: ignore[call-overload]
+    sound = 10 * np.log10(matrix.packed(matrix.rows("healthy", "trusted"))[..., 1])
+    np.testing.assert_allclose(healthy["levels"], np.maximum(np.median(sound, axis=0), -100), atol=1e-3)  # type: ignore[call-overload]
+
+
+def test_a_number_alone_is_in_micrometres(client: httpx.Client) -> None:
+    place = "/catalogues/slider-crank"
+    first = client.get(place, params={"hypothesis": "B", "clearance": "200"}).text
+    second = client.get(place, params={"hypothesis": "B", "clearance": "0.2 mm"}).text
+    assert charts(first) == charts(second)
+
+
+def test_the_healthy_machine_can_be_looked_at(client: httpx.Client) -> None:
+    response = client.get("/catalogues/slider-crank", params={"hypothesis": "healthy"})
+    assert response.status_code == 200
+    assert "healthy, against healthy" in response.text
+
+
+@pytest.mark.parametrize(
+    ("fields", "field", "text"),
+    [
+        ({"clearance": "wide"}, "clearance", "clearance: wide"),
+        ({"clearance": "-1"}, "clearance", "greater than 0"),
+        ({"clearance": "2 m"}, "clearance", "at most 100 mm"),
+        ({"hypothesis": "<b>"}, "hypothesis", "&lt;b&gt;"),
+    ],
+)
+@pytest.mark.parametrize("htmx", [True, False])
+def test_a_wrong_field_is_told_beside_it(
+    client: httpx.Client, fields: dict[str, str], field: str, text: str, htmx: bool
+) -> None:
+    headers = {"HX-Request": "true"} if htmx else {}
+    response = client.get("/catalogues/slider-crank", params=fields, headers=headers)
+    assert response.status_code == 422
+    assert ("<html" in response.text) != htmx
+    found = re.search(rf'id="error-{field}"[^>]*>([^<]*)</p>', response.text)
+    assert found is not None and text in found[1]
+
+
+def test_an_unknown_catalogue_is_a_page(client: httpx.Client) -> None:
+    response = client.get("/catalogues/nonsense")
+    assert response.status_code == 404
+    assert "No such catalogue" in response.text
