@@ -73,7 +73,7 @@ def joints_of(matrix: FeatureMatrix, hypothesis: str) -> tuple[str, ...]:
 def _trusted(matrix: FeatureMatrix, label: str) -> Any:
     """Rows at the machine's own speed, of the machine as modelled where there are such entries."""
     for stratum in ("trusted", "wide"):
-        rows = matrix.rows(label, stratum, speed=matrix.nominal_speed)  # type: ignore[arg-type]
+        rows = matrix.rows(label, stratum, speed=matrix.nominal_speed)
         if len(rows):
             return rows
     return matrix.rows(label)
