@@ -20,7 +20,19 @@ from app.headers import SecurityHeaders
 from app.keys import Keys
 from app.limits import BodyLimit
 from app.machine_store import MachineStore
-from app.routes import browser_pages, builds, catalogues, diagnoses, entries, health, machines, measurements, pages, reports, signin
+from app.routes import (
+    browser_pages,
+    builds,
+    catalogues,
+    diagnoses,
+    entries,
+    health,
+    machines,
+    measurements,
+    pages,
+    reports,
+    signin,
+)
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store

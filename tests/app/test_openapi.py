@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.8.0", "a73bc180e3a0d3cb")
+OF_VERSION = ("1.9.0", "63c8707bcda653ed")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
