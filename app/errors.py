@@ -45,6 +45,14 @@ class BuildEndedError(AppError):
     """A build that has ended already, and cannot be cancelled."""
 
 
+class UnknownAssetError(AppError):
+    """No asset has this external id."""
+
+
+class UnknownFindingError(AppError):
+    """No stored finding has this id."""
+
+
 class UnknownPageError(AppError):
     """No page of the web form has this address."""
 

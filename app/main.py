@@ -21,11 +21,13 @@ from app.keys import Keys
 from app.limits import BodyLimit
 from app.machine_store import MachineStore
 from app.routes import (
+    assets,
     browser_pages,
     builds,
     catalogues,
     diagnoses,
     entries,
+    findings,
     health,
     machines,
     measurements,
@@ -84,7 +86,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         redoc_url=None,
         lifespan=lifespan,
     )
-    for module in (machines, catalogues, entries, builds, measurements, diagnoses, reports):
+    for module in (machines, catalogues, entries, builds, measurements, diagnoses, reports, assets, findings):
         application.include_router(module.router, prefix="/api/v1")
     application.include_router(health.router)
     application.include_router(pages.router, include_in_schema=False)

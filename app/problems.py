@@ -79,6 +79,8 @@ TABLE: dict[type[Exception], Kind] = {
     errors.UnknownDiagnosisError: Kind(404, "unknown-diagnosis", "No such diagnosis"),
     errors.UnknownBuildError: Kind(404, "unknown-build", "No such build"),
     errors.BuildEndedError: Kind(409, "build-ended", "The build has ended already"),
+    errors.UnknownAssetError: Kind(404, "unknown-asset", "No such asset"),
+    errors.UnknownFindingError: Kind(404, "unknown-finding", "No such finding"),
     errors.UnknownPageError: Kind(404, "unknown-page", "No such page"),
     errors.BadRequestError: Kind(400, "unreadable-request", "The request cannot be read"),
     errors.BadFieldError: Kind(422, "invalid-field", "A field breaks a rule"),

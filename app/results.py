@@ -31,6 +31,7 @@ class DiagnosisOut(BaseModel):
     id: str
     created_at: datetime
     measurement: str = Field(description="Id of the measurement.")
+    asset: str | None = Field(description="External id of the machine that was measured, where the request named it.")
     machine: str
     catalogue: str = Field(description="Id of the catalogue as it was then; one that has grown has another.")
     drive_speed_rpm: float
@@ -58,6 +59,7 @@ def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
         "created_at": aware(row.created_at),
         "measurement": row.measurement,
         "catalogue": row.catalogue,
+        "asset": row.request.get("asset"),
     }
     kept = {name: value for name, value in row.result.items() if name in DiagnosisOut.model_fields}
     return DiagnosisOut.model_validate({**kept, **own})

@@ -151,6 +151,10 @@ class DiagnosisRequest(Shape):
             " one with an empty sensor is left out.",
         ),
     ]
+    asset: Annotated[
+        str | None,
+        Field(default=None, max_length=128, description="External id of the machine that was measured."),
+    ]
 
 
 class DiagnosisItem(Shape):
@@ -161,6 +165,7 @@ class DiagnosisItem(Shape):
     machine: str
     catalogue: str
     measurement: str
+    asset: str | None
     verdict: str
     candidate_set: list[str]
 

@@ -7,10 +7,12 @@ import json
 import threading
 from dataclasses import dataclass, field
 
+from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from app import tasks
+from app.assets import AssetRow, Assets
 from app.build_queue import BuildQueue
 from app.build_runner import BuildRunner
 from app.catalogues import CatalogueShelf
@@ -62,6 +64,7 @@ class Service:
         speed = speed_of(request.speed)
         offer = await run_in_threadpool(self.shelf.find, request.catalogue)
         row = await run_in_threadpool(self.store.measurement, request.measurement)
+        asset = await run_in_threadpool(self.asset_of, request, offer.machine.name)
         result = await self.pool.run(
             tasks.diagnose,
             str(self.store.path_of(row.sha256)),
@@ -73,6 +76,7 @@ class Service:
             request.effort,
             request.mode,
             dict(request.mapping),
+            None if asset is None else self.baseline_of(asset, row),
         )
         return await run_in_threadpool(
             self.store.add_diagnosis,
@@ -81,7 +85,38 @@ class Service:
             json.loads(offer.machine.canonical_json()),
             request.model_dump(mode="json"),
             result,
+            lambda session, key: self.announce(session, key, row.id, asset),
         )
+
+    def asset_of(self, request: DiagnosisRequest, machine: str) -> AssetRow | None:
+        """Return the asset that a request names.
+
+        Raises
+        ------
+        UnknownAssetError
+            When there is none of this id.
+        BadFieldError
+            When the asset is another machine than the catalogue's.
+        """
+        if request.asset is None:
+            return None
+        found = Assets(self.store.database).asset(request.asset)
+        if found.machine != machine:
+            said = f"asset: {request.asset}: is a {found.machine}; the catalogue is of {machine}"
+            raise BadFieldError(said, field="asset")
+        return found
+
+    def baseline_of(self, asset: AssetRow, measurement: MeasurementRow) -> tuple[str, str, float | None] | None:
+        """Return where the baseline of an asset lies and how to read it; none for the baseline itself."""
+        if asset.baseline is None or asset.baseline == measurement.id:
+            return None
+        row = self.store.measurement(asset.baseline)
+        return str(self.store.path_of(row.sha256)), row.name, row.given_sample_rate_hz
+
+    def announce(self, session: Session, diagnosis: str, measurement: str, asset: AssetRow | None) -> None:
+        """Note in the transaction that stores a diagnosis what else is to know of it."""
+        if asset is not None:
+            Assets(self.store.database).note(session, asset.external_id, measurement, diagnosis)
 
 
 def of_request(request: Request) -> Service:

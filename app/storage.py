@@ -8,13 +8,13 @@ import os
 import tempfile
 import threading
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
 
-from sqlalchemy import JSON, BigInteger, ForeignKey, String, select, text
+from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select, text
 from sqlalchemy.engine import URL
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
@@ -208,9 +208,21 @@ class Store:
         machine: Mapping[str, Any],
         request: Mapping[str, Any],
         result: Mapping[str, Any],
+        also: Callable[[Session, str], None] | None = None,
     ) -> DiagnosisRow:
-        """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
-        key = hashlib.sha256(f"{measurement} {catalogue} {result['hash']}".encode()).hexdigest()[:32]
+        """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement.
+
+        Parameters
+        ----------
+        measurement, catalogue, machine, request, result
+            As in :class:`DiagnosisRow`. Where the request names an asset, the diagnosis is of that asset alone.
+        also : callable, optional
+            Called with the id in the same transaction, if the diagnosis is new.
+        """
+        said = f"{measurement} {catalogue} {result['hash']}"
+        if request.get("asset"):
+            said += f" {request['asset']}"
+        key = hashlib.sha256(said.encode()).hexdigest()[:32]
         row = {
             "id": key,
             "measurement": measurement,
@@ -221,9 +233,14 @@ class Store:
             "result": dict(result),
         }
         with self.database.writing() as session:
-            session.execute(
-                self.database.insert(DiagnosisRow).values(row).on_conflict_do_nothing(index_elements=["id"])
+            new = session.scalar(
+                self.database.insert(DiagnosisRow)
+                .values(row)
+                .on_conflict_do_nothing(index_elements=["id"])
+                .returning(DiagnosisRow.id)
             )
+            if new is not None and also is not None:
+                also(session, key)
         return self.diagnosis(key)
 
     def diagnosis(self, key: str) -> DiagnosisRow:
@@ -242,20 +259,36 @@ class Store:
             raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
         return row
 
-    def diagnoses(self, before: int | None, limit: int) -> list[DiagnosisRow]:
-        """Return diagnoses, the newest first, from below a row number on."""
+    def diagnoses(
+        self, before: int | None, limit: int, since: datetime | None = None, among: Select[str] | None = None
+    ) -> list[DiagnosisRow]:
+        """Return diagnoses, the newest first, from below a row number on; not those before a moment.
+
+        Parameters
+        ----------
+        before : int, optional
+        limit : int
+        since : datetime, optional
+        among : Select, optional
+            Query for the ids that may occur.
+        """
         with self._session() as session:
-            return list(session.scalars(newest(session, DiagnosisRow, before, limit)))
+            query = newest(session, DiagnosisRow, before, limit, among)
+            if since is not None:
+                query = query.where(DiagnosisRow.created_at >= since)
+            return list(session.scalars(query))
 
-    def measurements(self, before: int | None, limit: int) -> list[MeasurementRow]:
-        """Return measurements, the newest first, from below a row number on."""
+    def measurements(self, before: int | None, limit: int, among: Select[str] | None = None) -> list[MeasurementRow]:
+        """Return measurements, the newest first, from below a row number on; of the ids in a query, if there is one."""
         with self._session() as session:
-            return list(session.scalars(newest(session, MeasurementRow, before, limit)))
+            return list(session.scalars(newest(session, MeasurementRow, before, limit, among)))
 
 
-def newest(session: Session, table: Any, before: int | None, limit: int) -> Any:
-    """Return the query for one page of a table, the newest rows first."""
+def newest(session: Session, table: Any, before: int | None, limit: int, among: Select[str] | None = None) -> Any:
+    """Return the query for one page of a table, the newest rows first; of the ids in a query, if there is one."""
     query = select(table).order_by(table.number.desc()).limit(limit)
+    if among is not None:
+        query = query.where(table.id.in_(among))
     return query if before is None else query.where(table.number < before)
 
 

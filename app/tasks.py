@@ -51,6 +51,7 @@ def diagnose(
     effort: Effort,
     mode: ModeAsked,
     mapping: Mapping[str, str],
+    baseline: tuple[str, str, float | None] | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording and return the contract's members as JSON values.
 
@@ -70,12 +71,20 @@ def diagnose(
         auto, trusted or robust.
     mapping : Mapping
         Column to sensor.
+    baseline : tuple, optional
+        Path, name and sample rate of a recording of the machine in order.
     """
     from catalogue.diagnosis import diagnose as ranked
 
     measurement = read(path, name, sample_rate)
     result = ranked(
-        measurement, opened(catalogue, stamp), speed=speed, effort=effort, mode=mode, mapping=mapping or None
+        measurement,
+        opened(catalogue, stamp),
+        speed=speed,
+        effort=effort,
+        mode=mode,
+        mapping=mapping or None,
+        baseline=None if baseline is None else read(*baseline),
     )
     document: dict[str, Any] = result.model_dump(mode="json")
     return document

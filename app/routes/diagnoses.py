@@ -11,11 +11,13 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from app import paging
+from app.assets import diagnoses_of
 from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from app.etags import respond
 from app.idempotency import IdempotencyKey, once
 from app.openapi import COMPUTING, problems
 from app.results import DiagnosisOut, diagnosis_out
+from app.routes.findings import Only, Since
 from app.routes.machines import Cursor, Limit
 from app.routes.measurements import FILE, RATE
 from app.schemas import DiagnosisItem, DiagnosisPage, DiagnosisRequest
@@ -26,7 +28,7 @@ from app.uploads import MULTIPART, media_type, received_form
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
 JSON_TYPE = "application/json"
-FIELDS = frozenset({"measurement", "catalogue", "speed", "effort", "mode", "mapping", "sample_rate"})
+FIELDS = frozenset({"measurement", "catalogue", "speed", "effort", "mode", "mapping", "asset", "sample_rate"})
 TEXT = {"type": "string"}
 FORM = {
     "type": "object",
@@ -40,6 +42,7 @@ FORM = {
         "speed": TEXT,
         "effort": TEXT,
         "mode": TEXT,
+        "asset": TEXT,
         "mapping": {"type": "string", "description": "A JSON object: measurement column to sensor."},
     },
 }
@@ -78,11 +81,15 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
 
 
 @router.get("", responses=problems(400, 422))
-def diagnoses(request: Request, cursor: Cursor = None, limit: Limit = None) -> DiagnosisPage:
-    """List the diagnoses, the newest first."""
+def diagnoses(
+    request: Request, asset: Only = None, since: Since = None, cursor: Cursor = None, limit: Limit = None
+) -> DiagnosisPage:
+    """List the diagnoses, the newest first; of one asset, or since a moment, where that is asked for."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows = service.store.diagnoses(paging.decode_number(cursor), size + 1)
+    rows = service.store.diagnoses(
+        paging.decode_number(cursor), size + 1, since, None if asset is None else diagnoses_of(asset)
+    )
     following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
     return DiagnosisPage(items=[item(row) for row in rows[:size]], next_cursor=following)
 
@@ -140,6 +147,7 @@ def item(row: DiagnosisRow) -> DiagnosisItem:
         machine=row.result["machine"],
         catalogue=row.catalogue,
         measurement=row.measurement,
+        asset=row.request.get("asset"),
         verdict=row.result["verdict"],
         candidate_set=row.result["candidate_set"],
     )

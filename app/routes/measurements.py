@@ -6,10 +6,12 @@ from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from app import paging
+from app.assets import measurements_of
 from app.errors import BadFieldError
 from app.etags import respond
 from app.idempotency import IdempotencyKey, once
 from app.openapi import problems
+from app.routes.findings import Only
 from app.routes.machines import Cursor, Limit
 from app.schemas import MeasurementOut, MeasurementPage
 from app.service import of_request, rate_of
@@ -55,11 +57,13 @@ async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Re
 
 
 @router.get("", responses=problems(400, 422))
-def measurements(request: Request, cursor: Cursor = None, limit: Limit = None) -> MeasurementPage:
-    """List the measurements, the newest first."""
+def measurements(request: Request, asset: Only = None, cursor: Cursor = None, limit: Limit = None) -> MeasurementPage:
+    """List the measurements, the newest first; of one asset where it is named."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows = service.store.measurements(paging.decode_number(cursor), size + 1)
+    rows = service.store.measurements(
+        paging.decode_number(cursor), size + 1, None if asset is None else measurements_of(asset)
+    )
     following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
     return MeasurementPage(items=[measurement_out(row) for row in rows[:size]], next_cursor=following)
 

@@ -59,4 +59,4 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
 def found(service: Service, key: str) -> tuple[Report, Figures]:
     """Return what the report of a stored diagnosis says and shows."""
     row = service.store.diagnosis(key)
-    return report_of(row, service.store.measurement(row.measurement)), figures_of(row)
+    return report_of(row, service.store.measurement(row.measurement), row.request.get("asset")), figures_of(row)

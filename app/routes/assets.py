@@ -1,0 +1,78 @@
+"""Assets: machines that stand somewhere, with their recordings and baseline."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from app import paging
+from app.asset_schemas import EXTERNAL_ID, AssetIn, AssetOut, AssetPage
+from app.assets import AssetRow, Assets
+from app.errors import BadFieldError, UnknownMeasurementError
+from app.etags import respond
+from app.openapi import problems
+from app.routes.machines import Cursor, Limit
+from app.service import of_request
+from app.storage import aware
+
+router = APIRouter(prefix="/assets", tags=["assets"])
+
+ExternalId = Annotated[str, Path(pattern=EXTERNAL_ID, description="The asset's name in your own records.")]
+CREATED: dict[int | str, dict[str, Any]] = {201: {"model": AssetOut, "description": "There was none of this id."}}
+
+
+@router.put("/{external_id}", responses={**CREATED, **problems(413, 422)})
+def put(request: Request, response: Response, external_id: ExternalId, wanted: AssetIn) -> AssetOut:
+    """Say which machine an asset is, what to note of it, and its baseline; what is left out is emptied."""
+    service = of_request(request)
+    if wanted.baseline is not None:
+        try:
+            service.store.measurement(wanted.baseline)
+        except UnknownMeasurementError as error:
+            raise BadFieldError(f"baseline: {error}", field="baseline") from None
+    row, new = Assets(service.store.database).put(external_id, wanted)
+    if new:
+        response.status_code = 201
+        response.headers["Location"] = f"/api/v1/assets/{external_id}"
+    return asset_out(row)
+
+
+@router.get("", responses=problems(400, 422))
+def assets(request: Request, cursor: Cursor = None, limit: Limit = None) -> AssetPage:
+    """List the assets, the newest first."""
+    service = of_request(request)
+    size = limit or service.settings.page_size
+    rows = Assets(service.store.database).page(paging.decode_number(cursor), size + 1)
+    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    return AssetPage(items=[asset_out(row) for row in rows[:size]], next_cursor=following)
+
+
+@router.get("/{external_id}", response_model=AssetOut, responses=problems(404, 422))
+async def asset(request: Request, external_id: ExternalId) -> Response:
+    """Return one asset."""
+    row = await run_in_threadpool(Assets(of_request(request).store.database).asset, external_id)
+    text = asset_out(row).model_dump_json()
+    return respond(request, Response(text, media_type="application/json"), hashlib.sha256(text.encode()).hexdigest())
+
+
+@router.put("/{external_id}/measurements/{measurement}", status_code=204, responses=problems(404, 422))
+def own(request: Request, external_id: ExternalId, measurement: str) -> None:
+    """Note that a stored measurement is of this asset; a diagnosis that names the asset does so, too."""
+    service = of_request(request)
+    found = Assets(service.store.database)
+    found.own(found.asset(external_id).external_id, service.store.measurement(measurement).id)
+
+
+def asset_out(row: AssetRow) -> AssetOut:
+    """Return the outside shape of an asset."""
+    return AssetOut(
+        external_id=row.external_id,
+        machine=row.machine,
+        notes=row.notes,
+        baseline=row.baseline,
+        created_at=aware(row.created_at),
+        updated_at=aware(row.updated_at),
+    )

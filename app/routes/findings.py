@@ -1,0 +1,70 @@
+"""Findings: what an inspection found after a diagnosis."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from app import paging
+from app.asset_schemas import FindingIn, FindingOut, FindingPage, JointFound
+from app.assets import Assets, FindingRow
+from app.etags import respond
+from app.moments import Moment
+from app.openapi import problems
+from app.routes.machines import Cursor, Limit
+from app.service import of_request
+from app.storage import aware
+
+router = APIRouter(tags=["findings"])
+
+Since = Annotated[Moment | None, Query(description="Only what came at this moment or later (RFC 3339).")]
+Only = Annotated[str | None, Query(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9._:-]+$")]
+
+
+@router.post("/diagnoses/{key}/finding", status_code=201, responses=problems(404, 413, 422))
+def report_back(request: Request, response: Response, key: str, found: FindingIn) -> FindingOut:
+    """Report what an inspection found after a diagnosis; the same finding sent twice is kept once."""
+    service = of_request(request)
+    row, _ = Assets(service.store.database).add_finding(service.store.diagnosis(key), found)
+    response.headers["Location"] = f"/api/v1/findings/{row.id}"
+    return finding_out(row)
+
+
+@router.get("/findings", responses=problems(400, 422))
+def findings(
+    request: Request,
+    diagnosis: Only = None,
+    asset: Only = None,
+    since: Since = None,
+    cursor: Cursor = None,
+    limit: Limit = None,
+) -> FindingPage:
+    """List the findings, the newest first; of one diagnosis or asset where it is named."""
+    service = of_request(request)
+    size = limit or service.settings.page_size
+    only = {"diagnosis": diagnosis, "asset": asset}
+    rows = Assets(service.store.database).findings(paging.decode_number(cursor), size + 1, since, only)
+    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    return FindingPage(items=[finding_out(row) for row in rows[:size]], next_cursor=following)
+
+
+@router.get("/findings/{key}", response_model=FindingOut, responses=problems(404))
+async def finding(request: Request, key: str) -> Response:
+    """Return a finding again."""
+    row = await run_in_threadpool(Assets(of_request(request).store.database).finding, key)
+    return respond(request, Response(finding_out(row).model_dump_json(), media_type="application/json"), row.id)
+
+
+def finding_out(row: FindingRow) -> FindingOut:
+    """Return the outside shape of a finding."""
+    return FindingOut(
+        id=row.id,
+        diagnosis=row.diagnosis,
+        asset=row.asset,
+        created_at=aware(row.created_at),
+        at=aware(row.at),
+        joints={name: JointFound.model_validate(found) for name, found in row.joints.items()},
+        text=row.text,
+    )
