@@ -113,7 +113,7 @@ def reserve(database: Database, place: str, fingerprint: str) -> Response | None
         As :func:`once`.
     """
     moment = now()
-    empty = {"status": None, "headers": {}, "body": b""}
+    empty: dict[str, Any] = {"status": None, "headers": {}, "body": b""}
     row = {"id": place, "fingerprint": fingerprint, "created_at": moment, **empty}
     with database.writing() as session:
         session.execute(delete(IdempotencyRow).where(IdempotencyRow.created_at < moment - KEPT))
