@@ -9,7 +9,7 @@ WORKERS ?= 2
 BENCH ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format unit fuzz serve bench pins clean
+.PHONY: help demo test lint format unit fuzz schemathesis serve bench pins clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -37,6 +37,10 @@ unit: $(STAMP)
 
 fuzz: $(STAMP) ## 2000 random machines against the oracle; endings are kept in build/fuzz.jsonl, the same command goes on
 	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign 2000 $(WORKERS)
+
+schemathesis: $(STAMP) ## what the OpenAPI document allows and forbids, sent to a server over a small catalogue, every operation
+	$(BIN)/jointplay build slider-crank --catalogue build/schemathesis/slider-crank --plan quick
+	$(BIN)/python -m benchmarks.api_fuzz build/schemathesis
 
 bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/benchmarks.md (BENCH="--quick": a smoke test)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
+from http import HTTPStatus
 
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match, Mount
 
 from app.errors import AppError
 from app.problems import MEDIA_TYPE, Problem, of_status, of_validation, problem_of
@@ -40,9 +43,22 @@ def problem_from(error: Exception) -> Problem:
 async def handle(request: Request, error: Exception) -> Response:
     """Answer an exception; those that are our own fault are logged whole."""
     problem = problem_from(error)
+    if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
+        problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(allowed(request))})
     if problem.status >= 500:
         log.error("%s %s: %s", request.method, request.url.path, problem.detail, exc_info=error)
     return answer(request, problem)
+
+
+def allowed(request: Request) -> list[str]:
+    """Return the methods that the address of a request knows: of all routes, where the framework names the first's."""
+    routes = [route for route in request.app.router.routes if not isinstance(route, Mount)]
+    found = [
+        method
+        for method in ("GET", "POST", "PUT", "PATCH", "DELETE")
+        if any(route.matches({**request.scope, "method": method})[0] is Match.FULL for route in routes)
+    ]
+    return found or ["GET", "HEAD"]  # a file: only those are left
 
 
 def install(application: FastAPI) -> None:

@@ -15,7 +15,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.request import Request, urlopen
@@ -101,6 +102,26 @@ def measure(address: str, port: int, pid: int, clients: int, seconds: float) -> 
         )
 
 
+@contextmanager
+def serving(catalogues: Path, data: Path) -> Iterator[tuple[str, int, int]]:
+    """Run a server of one worker that carries no builds out; gives its address, port and process."""
+    command = [sys.executable, "-m", "app.cli", "serve", "--no-keys", "--port", "0", "--workers", "1"]
+    command += ["--catalogues", str(catalogues), "--data", str(data)]
+    told = {"JOINTPLAY_RATE_LIMIT_PER_S": "1e6", "JOINTPLAY_RATE_BURST": "1e6", "JOINTPLAY_BUILDS": "0"}
+    log = data / "server.log"  # a file, because a pipe that nobody reads fills up
+    with log.open("wb") as target:
+        server = subprocess.Popen(command, stdout=target, stderr=target, env={**os.environ, **told})
+        try:
+            while (found := ADDRESS.search(log.read_text())) is None:
+                if server.poll() is not None:
+                    raise SystemExit(f"the server did not start: {log.read_text()}")
+                time.sleep(0.1)
+            yield found[1], int(found[2]), server.pid
+        finally:
+            server.terminate()
+            server.wait(60)
+
+
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -108,24 +129,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--clients", type=int, default=8)
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as data:
-        command = [sys.executable, "-m", "app.cli", "serve", "--port", "0", "--workers", "1"]
-        command += ["--no-keys", "--catalogues", str(given.catalogues), "--data", data]
-        log = Path(data) / "server.log"  # a file, because a pipe that nobody reads fills up
-        limits = {"JOINTPLAY_RATE_LIMIT_PER_S": "1e6", "JOINTPLAY_RATE_BURST": "1e6"}
-        with (
-            log.open("wb") as target,
-            subprocess.Popen(command, stdout=target, stderr=target, env={**os.environ, **limits}) as server,
-        ):
-            try:
-                while (found := ADDRESS.search(log.read_text())) is None:
-                    if server.poll() is not None:
-                        raise SystemExit(f"the server did not start: {log.read_text()}")
-                    time.sleep(0.1)
-                time.sleep(5.0)  # its worker loads what diagnoses need, with a core of its own
-                measure(found[1], int(found[2]), server.pid, given.clients, given.seconds)
-            finally:
-                server.terminate()
+    with tempfile.TemporaryDirectory() as data, serving(given.catalogues, Path(data)) as (address, port, pid):
+        time.sleep(5.0)  # its worker loads what diagnoses need, with a core of its own
+        measure(address, port, pid, given.clients, given.seconds)
 
 
 if __name__ == "__main__":

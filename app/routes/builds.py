@@ -32,6 +32,16 @@ router = APIRouter(prefix="/builds", tags=["builds"])
 log = logging.getLogger(__name__)
 
 STREAM_TYPE = "text/event-stream"
+EVENT: dict[str, Any] = {
+    "type": "object",
+    "description": "One event of the stream.",
+    "required": ["event", "id", "data"],
+    "properties": {
+        "event": {"const": "state"},
+        "id": {"type": "string"},
+        "data": {"type": "string", "contentMediaType": JSON_TYPE},
+    },
+}
 LOOK_S = 0.5
 HEARTBEAT_S = 15.0
 
@@ -94,7 +104,7 @@ def cancel(request: Request, key: str) -> BuildOut:
         200: {
             "description": "Events `state`, whose data is the build as JSON: how it is now, then every change. The"
             " stream ends with the build; asked again with the `Last-Event-ID` of then, 204 tells that no more comes.",
-            "content": {STREAM_TYPE: {"schema": {"type": "string"}}},
+            "content": {STREAM_TYPE: {"schema": EVENT}},
         },
         204: {"description": "The build has ended, and the client knows."},
         **problems(404),

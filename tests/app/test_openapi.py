@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.10.0", "05cbada6965bc8ca")
+OF_VERSION = ("1.11.0", "844a34e0721d8f85")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 

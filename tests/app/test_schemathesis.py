@@ -1,0 +1,27 @@
+"""A small share of ``make schemathesis``: every operation, what the document allows and what it forbids."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from small_service import serving
+
+from app.settings import Settings
+from benchmarks.api_fuzz import Found, run
+
+
+def test_every_operation_answers_as_documented(shelf: Path, tmp_path: Path) -> None:
+    settings = Settings(
+        catalogues=shelf, data=tmp_path, max_upload_mb=1.0, workers=1, builds=0, keys="off", rate_burst=1e6
+    )
+    with serving(settings) as address:
+        found = run(address, examples=1, phases="examples,coverage,stateful")
+    assert found.whole, found.output
+    assert found.calls > 10 * found.operations, found.output
+
+
+def test_a_run_that_reached_nothing_is_no_success() -> None:
+    assert Found(calls=90, operations=9, tested=9, failures=0, exit_status=0, output="").whole
+    for broken in ({"tested": 8}, {"failures": 1}, {"exit_status": 1}, {"operations": 0, "tested": 0}):
+        members = {"calls": 90, "operations": 9, "tested": 9, "failures": 0, "exit_status": 0, **broken}
+        assert not Found(output="", **members).whole
