@@ -93,7 +93,8 @@ class Database:
     def __init__(self, url: URL, metadata: MetaData) -> None:
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self.name = url.render_as_string(hide_password=True)
-        postgres = {"pool_pre_ping": True, "connect_args": {"connect_timeout": round(WAIT_S)}}
+        waits = {"connect_timeout": round(WAIT_S), "tcp_user_timeout": round(WAIT_S * 1000)}
+        postgres = {"pool_pre_ping": True, "connect_args": waits}
         options: dict[str, Any] = {} if self.is_sqlite else postgres
         try:
             self.engine = create_engine(url, **options)

@@ -103,6 +103,14 @@ class BusyError(AppError):
     """Too many requests wait for a worker already."""
 
 
+class DatabaseGoneError(AppError):
+    """The service's database does not answer."""
+
+
+class StorageFullError(AppError):
+    """A disk of the service, or of its database, is full."""
+
+
 class TimeLimitError(AppError):
     """A computation took longer than the time limit."""
 

@@ -8,6 +8,7 @@ from http import HTTPStatus
 
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -70,6 +71,8 @@ def install(application: FastAPI) -> None:
         TaskFailedError,
         RequestValidationError,
         HTTPException,
+        SQLAlchemyError,
+        OSError,
         Exception,
     ):
         application.add_exception_handler(kind, handle)

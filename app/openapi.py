@@ -14,27 +14,28 @@ from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "1.11.0"
+API_VERSION = "1.12.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
     400: "The request cannot be read.",
     404: "There is none of this name or id.",
     406: "There is no form that `Accept` allows.",
-    409: "The catalogue cannot be used as it is.",
+    409: "What is there already does not allow it.",
     412: "A condition of the request (`If-Match`, `If-None-Match`) does not hold.",
     413: "The body is larger than the limit of the service.",
     415: "This type of body is not taken here.",
     422: "The content breaks a rule; the detail names file, field, value and rule.",
     500: "The service failed.",
-    503: "All workers are busy; Retry-After says when to try again.",
+    503: "All workers are busy, or the database does not answer; Retry-After says when to try again.",
     504: "The computation took longer than the limit of the service.",
+    507: "A disk of the service is full; nothing was stored.",
 }
 SCHEMES = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A key: Authorization: Bearer KEY."},
     "header": {"type": "apiKey", "in": "header", "name": "X-API-Key", "description": "A key: X-API-Key: KEY."},
 }
-COMPUTING = (400, 404, 409, 413, 415, 422, 500, 503, 504)
+COMPUTING = (400, 404, 409, 413, 415, 422, 500, 503, 504, 507)
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:

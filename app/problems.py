@@ -12,6 +12,7 @@ from http import HTTPStatus
 from typing import Any
 
 from app import errors
+from app.failures import foreseen
 from catalogue import errors as catalogue_errors
 from solver import errors as solver_errors
 
@@ -93,6 +94,8 @@ TABLE: dict[type[Exception], Kind] = {
     errors.NotAcceptableError: Kind(406, "not-acceptable", "No form that the client takes"),
     errors.UnsupportedMediaError: Kind(415, "unsupported-media", "This type of body is not taken here"),
     errors.BusyError: Kind(503, "busy", "All workers are busy"),
+    errors.DatabaseGoneError: Kind(503, "database-gone", "The database does not answer"),
+    errors.StorageFullError: Kind(507, "storage-full", "There is no space left"),
     errors.TimeLimitError: Kind(504, "time-limit", "The computation took too long"),
     errors.WorkerDiedError: Kind(500, "worker-died", "A worker process ended early"),
     errors.UnauthorizedError: Kind(401, "unauthorized", "A key is needed"),
@@ -144,6 +147,10 @@ def type_of(slug: str) -> str:
 def problem_of(error: Exception) -> Problem:
     """Return the answer to an exception of any of the three trees; any other becomes a plain 500 without its text."""
     kind = kind_of(error)
+    if kind is None or kind.status == HTTPStatus.INTERNAL_SERVER_ERROR:
+        named_so = foreseen(error)
+        if named_so is not None:
+            error, kind = named_so, kind_of(named_so)
     if kind is None:
         return of_status(500, "The service failed in a way it did not foresee; the log has the details.")
     headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}

@@ -7,8 +7,10 @@ import json
 import os
 import tempfile
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +23,12 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 from app.database import Database, UtcDateTime, database_url
 from app.errors import UnknownDiagnosisError, UnknownMeasurementError
 from catalogue.directory import sync_folder
+
+PARTIAL = "partial-"
+"""Beginning of the name of an upload that is on its way."""
+
+ABANDONED_S = 86_400.0
+"""Age from which on nobody is sending it any more."""
 
 
 class Base(DeclarativeBase):
@@ -108,6 +116,7 @@ class Store:
     def __init__(self, directory: Path, url: str = "") -> None:
         self._files = directory / "measurements"
         self._files.mkdir(parents=True, exist_ok=True)
+        self._tidy()
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = Database(database_url(url) if url else file, Base.metadata)
         self._session = self.database.session
@@ -130,7 +139,7 @@ class Store:
         """
         digest = hashlib.sha256()
         size = 0
-        with tempfile.NamedTemporaryFile(dir=self._files, delete=False) as partial:
+        with tempfile.NamedTemporaryFile(dir=self._files, prefix=PARTIAL, delete=False) as partial:
             try:
                 while block := source.read(1 << 20):
                     digest.update(block)
@@ -150,6 +159,13 @@ class Store:
                 Path(partial.name).unlink(missing_ok=True)
                 raise
         return Upload(target, digest.hexdigest(), size)
+
+    def _tidy(self) -> None:
+        """Delete what killed servers left of uploads; young ones may be on their way to another server."""
+        for path in self._files.glob(f"{PARTIAL}*"):
+            with suppress(FileNotFoundError):
+                if path.stat().st_mtime < time.time() - ABANDONED_S:
+                    path.unlink()
 
     def path_of(self, sha256: str) -> Path:
         """Return where the bytes with this checksum lie."""

@@ -55,7 +55,7 @@ def body() -> dict[str, Any]:
 @router.post(
     "",
     status_code=202,
-    responses=problems(400, 409, 413, 415, 422, 500, 503),
+    responses=problems(400, 409, 413, 415, 422, 500, 503, 507),
     openapi_extra={"requestBody": body()},
 )
 async def ask(request: Request, response: Response) -> BuildOut:

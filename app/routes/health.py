@@ -18,7 +18,7 @@ async def health() -> Health:
     return Health(status="ok")
 
 
-@router.get("/readyz", responses=problems(500))
+@router.get("/readyz", responses=problems(500, 503))
 async def readiness(request: Request) -> Readiness:
     """Say that the data base and the catalogue directory answer, and how many catalogues there are."""
     service = of_request(request)

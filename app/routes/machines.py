@@ -56,7 +56,7 @@ def machine(request: Request, name: str) -> Response:
 
 @router.put(
     "/{name}",
-    responses={**PUT_SHOWN, **problems(400, 409, 412, 413, 415, 422, 500, 503, 504)},
+    responses={**PUT_SHOWN, **problems(400, 409, 412, 413, 415, 422, 500, 503, 504, 507)},
     openapi_extra={"requestBody": BODY},
 )
 async def put(request: Request, name: str) -> Response:

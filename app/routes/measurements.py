@@ -36,7 +36,7 @@ BODY = {
     "",
     status_code=201,
     response_model=MeasurementOut,
-    responses=problems(400, 409, 413, 415, 422, 500, 503, 504),
+    responses=problems(400, 409, 413, 415, 422, 500, 503, 504, 507),
     openapi_extra={"requestBody": BODY},
 )
 async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Response:

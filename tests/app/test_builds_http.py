@@ -140,13 +140,14 @@ def command(folder: Path) -> Iterator[tuple[subprocess.Popen[str], httpx.Client]
 
 
 @pytest.mark.timeout(240)
-def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path) -> None:
+def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path, worn: bytes) -> None:
     with command(tmp_path) as (process, client):
+        kept = client.post(f"{API}/measurements", files={"file": ("worn.csv", worn)})
         place = client.post(f"{API}/builds", json=ASKED).headers["location"]
         with client.stream("GET", f"{place}/events") as stream:
             first = next(state for state in states(stream) if state["cases_done"])
             process.kill()
-    assert first["attempts"] == 1
+    assert (first["attempts"], kept.status_code) == (1, 201)
     with command(tmp_path) as (process, client), client.stream("GET", f"{place}/events") as stream:
         following = states(stream)
         there = next(state for state in following if state["attempts"] == 2 and state["cases_done"])
@@ -160,6 +161,7 @@ def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path) -> Non
     with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
         with client.stream("GET", f"{place}/events") as stream:
             seen = list(states(stream))
+        assert client.get(kept.headers["location"]).json() == kept.json()
         (offered,) = client.get(f"{API}/catalogues").json()["items"]
     last = seen[-1]
     assert (last["state"], last["attempts"]) == ("done", 2)  # a stop in good order counts as none

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.11.0", "844a34e0721d8f85")
+OF_VERSION = ("1.12.0", "628bf2b51aebd7b8")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
