@@ -10,9 +10,10 @@ BENCH ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint format unit fuzz schemathesis serve bench pins clean
+.PHONY: help demo test lint format unit fuzz fuzz-readers serve bench pins clean
 
 help: ## this list
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
 demo: $(STAMP) ## simulate a worn machine, build a small catalogue, find the worn joint again
 	$(BIN)/python -m app.demo
@@ -41,6 +42,8 @@ fuzz: $(STAMP) ## 2000 random machines against the oracle; endings are kept in b
 schemathesis: $(STAMP) ## what the OpenAPI document allows and forbids, sent to a server over a small catalogue, every operation
 	$(BIN)/jointplay build slider-crank --catalogue build/schemathesis/slider-crank --plan quick
 	$(BIN)/python -m benchmarks.api_fuzz build/schemathesis
+fuzz-readers: $(STAMP) ## 10 000 damaged recordings of all kinds: read as what they are, or refused in one line
+	PYTHONPATH=tests $(BIN)/python -m fuzz.readers --count 10000
 
 bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/benchmarks.md (BENCH="--quick": a smoke test)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \

@@ -3,6 +3,9 @@
     jointplay build quick-return --catalogue cat/quick-return --plan standard    (and slider-crank, four-bar)
     python -m benchmarks.samples cat
 
+Files in other clothes (WAV, UFF, MAT, TDMS, decimal commas, a spectrum) stand below: each must say what
+the plain one does.
+
 Exit status 1 where a rule is broken: every single worn joint is the first hypothesis, the joints of double faults are
 within the first two, a loosened mount is unknown, healthy machines are healthy.
 """
@@ -20,9 +23,18 @@ from typing import Any, cast
 from app.commands.tables import table
 from catalogue.answer import Diagnosis, Effort, ModeAsked
 from catalogue.diagnosis import diagnose
-from catalogue.measurement import read_measurement
+from catalogue.recordings import read_recording
 from catalogue.store import Catalogue
 
+#: The same data as the plain file of that number.
+OTHER_CLOTHES = (
+    "four-bar-02-decimal-comma.csv.gz",
+    "four-bar-02-spectrum.csv.gz",
+    "slider-crank-02.wav.gz",
+    "slider-crank-03.uff.gz",
+    "slider-crank-04.mat.gz",
+    "slider-crank-05.tdms.gz",
+)
 RECORDINGS = Path(__file__).parents[1] / "tests" / "data" / "recordings"
 
 
@@ -59,10 +71,25 @@ def judged(catalogues: Path, machine: str | None, effort: Effort, mode: ModeAske
             continue
         catalogue = opened.setdefault(truth["machine"], Catalogue.open(folder)) if folder else None
         assert catalogue is not None
-        recording = read_measurement(RECORDINGS / f"{name}.csv.gz")
-        answer = diagnose(recording, catalogue, effort=effort, mode=mode)
+        answer = diagnose(read_recording(RECORDINGS / f"{name}.csv.gz"), catalogue, effort=effort, mode=mode)
         found.append(Judged(name, truth, answer, is_right(truth, answer)))
+        for other in (file for file in OTHER_CLOTHES if file.startswith(name)):
+            again = diagnose(read_recording(RECORDINGS / other), catalogue, effort=effort, mode=mode)
+            found.append(Judged(other.removesuffix(".gz"), truth, again, says_the_same(answer, again)))
     return found
+
+
+def says_the_same(plain: Diagnosis, other: Diagnosis) -> bool:
+    """Say whether two answers name the same verdict and joints, and clearances within each other's intervals."""
+    first, second = plain.hypotheses[0].joints, other.hypotheses[0].joints
+    return (
+        plain.verdict == other.verdict
+        and set(first) == set(second)
+        and all(
+            second[joint].interval_um[0] <= each.clearance_um <= second[joint].interval_um[1]
+            for joint, each in first.items()
+        )
+    )
 
 
 def row(item: Judged) -> tuple[str, ...]:

@@ -37,6 +37,7 @@ from catalogue.gaussian import GaussianAlongClearance
 from catalogue.known_machine import KnownMachine
 from catalogue.libraries import library_of
 from catalogue.matching import Matcher
+from catalogue.measured_spectrum import MeasuredSpectrum
 from catalogue.measurement import Measurement
 from catalogue.model_library import ModelLibrary
 from catalogue.separation import suggest
@@ -92,7 +93,7 @@ class Question:
 
 
 def diagnose(
-    measurement: Measurement,
+    measurement: Measurement | MeasuredSpectrum,
     catalogue: Catalogue,
     *,
     speed: float | None = None,
@@ -109,8 +110,8 @@ def diagnose(
 
     Parameters
     ----------
-    measurement : Measurement
-        Recording of sensors on the frame.
+    measurement : Measurement or MeasuredSpectrum
+        Recording of sensors on the frame, or spectra of them.
     catalogue : Catalogue
         Of the same machine.
     speed : float, optional

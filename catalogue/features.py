@@ -13,6 +13,7 @@ from catalogue.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_
 from catalogue.errors import MeasurementError
 from catalogue.feature_bands import FEATURE_ORDERS, FeatureAxis, feature_axes, feature_vector, usable_cuts
 from catalogue.hum import SteadyLine, remove_hum
+from catalogue.measured_spectrum import MeasuredSpectrum
 from catalogue.measurement import Measurement
 from catalogue.noise import NoiseFloor, noise_floor
 from catalogue.parameters import nominal_drive_speed
@@ -20,6 +21,7 @@ from catalogue.prepared import PreparedMeasurement
 from catalogue.recipe_steps import RecipeStep
 from catalogue.resampling import WANDER, at_mean_speed
 from catalogue.sensors import SensorMap, map_sensors, without_columns
+from catalogue.spectrum_features import prepare_spectrum
 from catalogue.steadiness import LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
 from solver.machines.machine import Machine
 from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS, band_matrix
@@ -53,7 +55,7 @@ GIVEN_AGREES = 0.005
 
 
 def prepare(
-    measurement: Measurement,
+    measurement: Measurement | MeasuredSpectrum,
     machine: Machine,
     mapping: Mapping[str, str] | None = None,
     speed: float | None = None,
@@ -63,7 +65,7 @@ def prepare(
 
     Parameters
     ----------
-    measurement : Measurement
+    measurement : Measurement or MeasuredSpectrum
     machine : Machine
         Gives sensors, frame and nominal drive speed.
     mapping : mapping of column to sensor, optional
@@ -82,6 +84,8 @@ def prepare(
         No column matches a sensor, the recording is shorter than three revolutions, does not reach order 20, or its
         speed cannot be found.
     """
+    if isinstance(measurement, MeasuredSpectrum):
+        return prepare_spectrum(measurement, machine, mapping, speed, scheme)
     nominal = nominal_drive_speed(machine)
     rate = measurement.sample_rate
     if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):

@@ -121,24 +121,38 @@ def read_measurement(
     MeasurementError
         One line: file, line, column, value, rule.
     """
-    limits = limits or Limits()
-    if isinstance(source, bytes):
-        title, data = name or "recording.csv", source
-    else:
-        title = name or Path(source).name
-        data = file_bytes(Path(source), limits)
-        profile = profile or profile_beside(Path(source))
-    profile = profile or ImportProfile()
+    limits, profile = limits or Limits(), profile or _beside(source)
+    raw, sha256 = raw_of(source, name, limits, profile)
+    rate = sample_rate or profile.sample_rate_hz
+    return measurement_of(raw, sample_rate=rate, units=units, limits=limits, sha256=sha256)
+
+
+def _beside(source: str | Path | bytes) -> ImportProfile:
+    return (None if isinstance(source, bytes) else profile_beside(Path(source))) or ImportProfile()
+
+
+def raw_of(
+    source: str | Path | bytes, name: str | None, limits: Limits, profile: ImportProfile
+) -> tuple[RawRecording, str]:
+    """Read a file as it is, with what the profile says, and the SHA-256 of its bytes; nothing is judged yet.
+
+    Parameters
+    ----------
+    source, name, limits, profile
+        As for :func:`read_measurement`.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    title = name or ("recording.csv" if isinstance(source, bytes) else Path(source).name)
+    data = source if isinstance(source, bytes) else file_bytes(Path(source), limits)
     if len(data) > limits.file_bytes:
         raise MeasurementError(title, rule=f"is larger than {limits.file_bytes / 1e6:g} MB, the most that is read")
     if data[:2] == b"\x1f\x8b" or title.lower().endswith(".gz"):
         known_ending(title)  # what is not read anyway need not be unpacked
     raw = profile.applied(read_raw(decompressed(data, title, limits), title, limits, **profile.table))
-    if sample_rate is None and profile.sample_rate_hz is not None:
-        sample_rate = profile.sample_rate_hz
-    return measurement_of(
-        raw, sample_rate=sample_rate, units=units, limits=limits, sha256=hashlib.sha256(data).hexdigest()
-    )
+    return raw, hashlib.sha256(data).hexdigest()
 
 
 def measurement_of(

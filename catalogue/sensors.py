@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from catalogue.errors import MeasurementError
+from catalogue.measured_spectrum import MeasuredSpectrum
 from catalogue.measurement import Measurement
 from solver.machines.machine import Machine
 from solver.spectra.sensor import rigid_body, sensor_transform
@@ -59,12 +61,14 @@ class SensorMap:
         return tuple("rad/s2" if self.rigid_body and name == rotation else "m/s2" for name in self.compared)
 
 
-def map_sensors(measurement: Measurement, machine: Machine, mapping: Mapping[str, str] | None = None) -> SensorMap:
+def map_sensors(
+    measurement: Measurement | MeasuredSpectrum, machine: Machine, mapping: Mapping[str, str] | None = None
+) -> SensorMap:
     """Match columns of a recording to sensors of a machine.
 
     Parameters
     ----------
-    measurement : Measurement
+    measurement : Measurement or MeasuredSpectrum
     machine : Machine
     mapping : mapping of column to sensor, optional
         Columns not in it are matched by name; capitals, blanks, hyphens and underscores do not count. A column mapped
@@ -181,6 +185,11 @@ def without_columns(sensing: SensorMap, machine: Machine, left_out: Collection[i
     columns = tuple(sensing.columns[index] for index in kept)
     derivatives = tuple(sensing.derivatives[index] for index in kept)
     return SensorMap(columns, names, transform, compared, channels, derivatives, sensing.warnings)
+
+
+def sensors_one_by_one(sensing: SensorMap) -> SensorMap:
+    """Compare the sensors themselves: without phases between them the frame's motion does not follow."""
+    return dataclasses.replace(sensing, compared=sensing.sensors, channels=np.eye(len(sensing.sensors)))
 
 
 def free_motions(machine: Machine) -> list[int]:

@@ -97,12 +97,13 @@ def command(
         refuse_given(("budget",), "means something with --effort thorough only")
     from catalogue.diagnosis import diagnose
     from catalogue.measurement import read_measurement
+    from catalogue.recordings import read_recording
     from catalogue.store import Catalogue
 
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
     opened = Catalogue.open(existing_catalogue(catalogue))
     told = told_of(profile, full_scale)
-    recording = read_measurement(measurement, sample_rate=sample_rate, units=given_units or None, profile=told)
+    recording = read_recording(measurement, sample_rate=sample_rate, units=given_units or None, profile=told)
     in_order = None
     if baseline is not None:
         in_order = read_measurement(baseline, sample_rate=sample_rate, units=given_units or None, profile=told)

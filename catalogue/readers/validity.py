@@ -9,6 +9,9 @@ import numpy as np
 from catalogue.errors import MeasurementError
 from catalogue.readers.raw import Limits, RawRecording
 
+#: Nothing that is measured is larger, in whatever unit; squares of it are still numbers.
+LARGEST = 1e30
+
 
 def checked(raw: RawRecording, limits: Limits) -> RawRecording:
     """Refuse what is no recording; warn of samples at the end of what the file's coding can hold.
@@ -42,6 +45,11 @@ def checked(raw: RawRecording, limits: Limits) -> RawRecording:
         row, column = (int(each) for each in bad[0])
         name, value = raw.columns[column].name, float(raw.values[row, column])
         raise MeasurementError(raw.source, raw.line_of(row), name, value, f"sample {row + 1} is not finite")
+    huge = np.argwhere(np.abs(raw.values) > LARGEST)
+    if len(huge):
+        row, column = (int(each) for each in huge[0])
+        name, value = raw.columns[column].name, float(raw.values[row, column])
+        raise MeasurementError(raw.source, raw.line_of(row), name, value, f"sample {row + 1} is beyond all measure")
     names = [column.name for column in raw.columns]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

@@ -1,0 +1,40 @@
+"""Files that people hand over, whatever they hold: a recording over time, or a spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from catalogue.import_profile import ImportProfile, profile_beside
+from catalogue.measured_spectrum import MeasuredSpectrum, is_spectrum, spectrum_of
+from catalogue.measurement import Measurement, measurement_of, raw_of
+from catalogue.readers import Limits
+
+__all__ = ["read_recording"]
+
+
+def read_recording(
+    source: str | Path | bytes,
+    *,
+    name: str | None = None,
+    sample_rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    limits: Limits | None = None,
+    profile: ImportProfile | None = None,
+) -> Measurement | MeasuredSpectrum:
+    """Read a recording or a spectrum; parameters and errors as for :func:`catalogue.measurement.read_measurement`.
+
+    Returns
+    -------
+    Measurement or MeasuredSpectrum
+        A spectrum where the first column is a frequency.
+    """
+    limits = limits or Limits()
+    if profile is None:
+        beside = None if isinstance(source, bytes) else profile_beside(Path(source))
+        profile = beside or ImportProfile()
+    raw, sha256 = raw_of(source, name, limits, profile)
+    if is_spectrum(raw):
+        return spectrum_of(raw, dict(units or {}), limits, sha256)
+    rate = sample_rate or profile.sample_rate_hz
+    return measurement_of(raw, sample_rate=rate, units=units, limits=limits, sha256=sha256)
