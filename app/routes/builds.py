@@ -22,6 +22,7 @@ from app.build_queue import ENDED
 from app.build_schemas import BuildOut, BuildPage, BuildRequest, build_out
 from app.errors import UnsupportedMediaError
 from app.etags import respond
+from app.idempotency import IdempotencyKey, once
 from app.openapi import problems
 from app.routes.diagnoses import JSON_TYPE, parsed
 from app.routes.machines import Cursor, Limit
@@ -55,10 +56,11 @@ def body() -> dict[str, Any]:
 @router.post(
     "",
     status_code=202,
+    response_model=BuildOut,
     responses=problems(400, 409, 413, 415, 422, 500, 503, 507),
     openapi_extra={"requestBody": body()},
 )
-async def ask(request: Request, response: Response) -> BuildOut:
+async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
     """Build a catalogue, or go on with one; it is stored before this is answered, and outlives the server."""
     service = of_request(request)
     kind = media_type(request)
@@ -68,10 +70,15 @@ async def ask(request: Request, response: Response) -> BuildOut:
         wanted = BuildRequest.model_validate(parsed(await request.body()))
     except ValidationError as error:
         raise RequestValidationError(error.errors()) from None
-    row = await run_in_threadpool(order, service.builds, service.machines, service.settings.catalogues, wanted)
-    service.runner.wake()
-    response.headers["Location"] = f"/api/v1/builds/{row.id}"
-    return build_out(row)
+
+    async def answered() -> Response:
+        row = await run_in_threadpool(order, service.builds, service.machines, service.settings.catalogues, wanted)
+        service.runner.wake()
+        headers = {"Location": f"/api/v1/builds/{row.id}"}
+        return Response(build_out(row).model_dump_json(), 202, headers, JSON_TYPE)
+
+    content = wanted.model_dump(mode="json")
+    return await once(request, idempotency_key, service.store.database, content, answered)
 
 
 @router.get("", responses=problems(400, 422))

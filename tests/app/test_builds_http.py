@@ -82,6 +82,15 @@ def test_a_build_waits_is_followed_and_cancelled(idle: httpx.Client) -> None:
     assert again.status_code == 204
 
 
+def test_a_build_that_is_asked_for_again_with_its_key_is_one(idle: httpx.Client) -> None:
+    headers = {"Idempotency-Key": "once"}
+    first, again = (idle.post(f"{API}/builds", json=ASKED, headers=headers) for _ in range(2))
+    assert (again.status_code, again.json()) == (202, first.json())
+    assert again.headers["location"] == first.headers["location"]
+    assert idle.post(f"{API}/builds", json={**ASKED, "workers": 2}, headers=headers).status_code == 422
+    assert idle.post(f"{API}/builds", json=ASKED).json()["id"] != first.json()["id"]
+
+
 @pytest.mark.parametrize(
     ("change", "status", "text"),
     [

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.12.0", "628bf2b51aebd7b8")
+OF_VERSION = ("1.13.0", "ababe1bc0a7e6ae9")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
