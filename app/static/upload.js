@@ -23,8 +23,9 @@
   };
 
   const answered = (request) => {
-    const place = request.getResponseHeader("Location");
-    if (request.status === 201 && place) {
+    // A session that has ended is begun anew.
+    const place = request.status === 401 ? "/sign-in?next=/" : request.getResponseHeader("Location");
+    if (place) {
       window.location.assign(place);
       return;
     }

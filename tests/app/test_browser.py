@@ -9,7 +9,9 @@ from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, Response, Route, expect, sync_playwright
-from small_service import spoiled
+from small_service import serving, spoiled
+
+from app.settings import Settings
 
 AXE = Path(__file__).parent / "vendor" / "axe-4.14.1.min.js"
 CHROMIUM = "/usr/bin/chromium"
@@ -296,3 +298,27 @@ def test_a_catalogue_is_browsed(visit: Visit) -> None:
     expect(page).to_have_url(re.compile("hypothesis=B&clearance=0.2"))
     assert is_within_screen(page)
     assert serious(page) == []
+
+
+@pytest.mark.parametrize("place", ["/diagnoses/nonsense", "/catalogues/nonsense", "/confirm?measurement=nonsense"])
+def test_pages_of_what_is_not_there_are_in_order(visit: Visit, server: str, place: str) -> None:
+    answer = visit.page.goto(f"{server}{place}")
+    assert answer is not None and answer.status == 404
+    expect(visit.page.get_by_role("alert")).to_contain_text("there is none of this id")
+    assert is_within_screen(visit.page)
+    assert serious(visit.page) == []
+
+
+def test_the_page_to_sign_in_is_in_order(browser: Browser, tmp_path: Path) -> None:
+    settings = Settings(catalogues=tmp_path / "none", data=tmp_path / "data", workers=1, keys="required")
+    with serving(settings) as address:
+        for scheme in ("light", "dark"):
+            context = browser.new_context(viewport={"width": 360, "height": 740}, color_scheme=scheme)
+            page = context.new_page()
+            page.goto(address)
+            page.get_by_label("Key").fill("nonsense")
+            page.get_by_role("button", name="Sign in").click()
+            expect(page.get_by_role("alert")).to_be_visible()
+            assert is_within_screen(page)
+            assert serious(page) == []
+            context.close()
