@@ -77,6 +77,16 @@ def test_foreign_force_is_unknown(small_catalogue: Catalogue) -> None:
     assert worst.order == 3.0
 
 
+def test_every_band_says_what_it_decides(worn: Diagnosis) -> None:
+    found = [*worn.evidence.orders, *worn.evidence.bands]
+    best = worn.hypotheses[0]
+    rival = next(entry for entry in worn.hypotheses if set(entry.joints) != set(best.joints))
+    assert worn.evidence.rival == rival.label
+    off = np.array([band.measured_db - (band.rival_db or 0.0) for band in found])
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(rival.distance_db, rel=1e-6)
+    assert sum(band.favours_best or 0.0 for band in found) > 0.0
+
+
 def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalogue) -> None:
     content = json.loads(worn.to_json())
     documented = {
