@@ -9,8 +9,7 @@ WORKERS ?= 2
 BENCH ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format unit fuzz schemathesis serve bench pins clean
-.PHONY: help demo test lint format unit fuzz fuzz-readers serve bench pins clean
+.PHONY: help demo test lint format unit fuzz fuzz-readers schemathesis serve bench pins clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -42,6 +41,7 @@ fuzz: $(STAMP) ## 2000 random machines against the oracle; endings are kept in b
 schemathesis: $(STAMP) ## what the OpenAPI document allows and forbids, sent to a server over a small catalogue, every operation
 	$(BIN)/jointplay build slider-crank --catalogue build/schemathesis/slider-crank --plan quick
 	$(BIN)/python -m benchmarks.api_fuzz build/schemathesis
+
 fuzz-readers: $(STAMP) ## 10 000 damaged recordings of all kinds: read as what they are, or refused in one line
 	PYTHONPATH=tests $(BIN)/python -m fuzz.readers --count 10000
 

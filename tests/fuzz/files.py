@@ -42,7 +42,7 @@ def whole_files() -> dict[str, bytes]:
         scipy.io.savemat(file, {"y": SIGNAL, "fs": RATE, "unit": "g"}, do_compression=packed)
         files[name] = file.getvalue()
     file = io.BytesIO()
-    np.savez_compressed(file, y=SIGNAL, fs=RATE)
+    np.savez_compressed(file, y=SIGNAL, fs=RATE, unit=np.array("g"))
     files["r.npz"] = file.getvalue()
     file = io.BytesIO()
     with nptdms.TdmsWriter(file) as writer:
