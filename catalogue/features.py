@@ -23,6 +23,7 @@ from catalogue.resampling import WANDER, at_mean_speed
 from catalogue.sensors import SensorMap, map_sensors, without_columns
 from catalogue.spectrum_features import prepare_spectrum
 from catalogue.steadiness import LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
+from catalogue.tacho import track_of
 from solver.machines.machine import Machine
 from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS, band_matrix
 from solver.spectra.bands import BandScheme
@@ -98,7 +99,10 @@ def prepare(
     signal = measurement.signal[first:last, list(sensing.columns)]
     warnings += doubt
 
-    track, doubt = _track(signal, rate, nominal, speed, measurement.name)
+    if measurement.turns is not None and speed is None:
+        track, doubt = track_of(measurement.turns, rate, first, last, measurement.name), []
+    else:
+        track, doubt = _track(signal, rate, nominal, speed, measurement.name)
     estimate = track.estimate
     warnings += doubt
     revolutions = _refuse_short(measurement.name, len(signal) / rate, estimate.speed)

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from catalogue.channel_units import parse_unit, split_label
 from catalogue.errors import MeasurementError
 from catalogue.readers.raw import RawColumn, RawRecording, SpectrumForm
+from catalogue.tacho import turns_of
 from solver.errors import MachineError
 from solver.machines.yamlfile import read_tree
 
@@ -135,9 +136,18 @@ class ImportProfile(_Part):
         if self.time_column is not None and self.time_column not in names:
             rule = f"is the profile's time_column; columns are {', '.join(names)}"
             raise MeasurementError(raw.source, None, self.time_column, rule=rule)
+        turns = None
+        if self.tacho is not None:
+            if self.tacho.column not in names:
+                rule = f"is the profile's tacho; columns are {', '.join(names)}"
+                raise MeasurementError(raw.source, None, self.tacho.column, rule=rule)
+            pulsing = raw.values[:, names.index(self.tacho.column)]
+            each, falling = self.tacho.pulses_per_revolution, self.tacho.edge == "falling"
+            turns = turns_of(pulsing, each, self.tacho.threshold, falling, raw.source, self.tacho.column)
+            told.append(f"tacho {self.tacho.column!r}: {len(turns) - 1} revolutions, {each} pulses each")
         columns, kept = [], []
         for index, column in enumerate(raw.columns):
-            if column.name in self.ignore:
+            if column.name in self.ignore or (self.tacho is not None and column.name == self.tacho.column):
                 continue
             name = "time" if column.name == self.time_column else self.sensors.get(column.name, column.name)
             unit = self.units.get(column.name, column.unit)
@@ -153,6 +163,7 @@ class ImportProfile(_Part):
             values=raw.values[:, kept],
             facts=tuple(told),
             form=self._form(raw),
+            turns=turns,
         )
 
     def _named(self, raw: RawRecording) -> RawRecording:

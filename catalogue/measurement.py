@@ -64,6 +64,8 @@ class Measurement:
         Of the bytes as they came, hexadecimal.
     flaws : tuple of Flaw
         Clipping, dropouts and offsets that the warnings speak of.
+    turns : (k,) array or None
+        Ends of revolutions of the drive in samples, where a tacho says them.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Measurement:
     import_report: tuple[str, ...]
     sha256: str
     flaws: tuple[Flaw, ...] = ()
+    turns: npt.NDArray[np.float64] | None = None
 
     @property
     def duration(self) -> float:
@@ -229,6 +232,7 @@ def measurement_of(
         import_report=tuple(facts),
         sha256=sha256 or hashlib.sha256(np.ascontiguousarray(raw.values).tobytes()).hexdigest(),
         flaws=tuple(flaws),
+        turns=raw.turns,
     )
 
 

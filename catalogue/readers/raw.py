@@ -113,6 +113,8 @@ class RawRecording:
         Largest value the file's coding can hold (PCM); samples there are clipped.
     form : SpectrumForm or None
         What the numbers of a spectrum are; None for a recording over time.
+    turns : (k,) array or None
+        Ends of revolutions of the drive in samples, from a tacho's pulses.
     """
 
     source: str
@@ -126,6 +128,7 @@ class RawRecording:
     relative: bool = False
     ceiling: float | None = None
     form: SpectrumForm | None = None
+    turns: npt.NDArray[np.float64] | None = None
 
 
 #: From bytes (decompressed), the name for messages and the limits to a recording; raises MeasurementError.

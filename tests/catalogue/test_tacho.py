@@ -1,0 +1,67 @@
+"""Drive speed from pulses: course and mean, and pulses that are missing."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalogue.errors import MeasurementError
+from catalogue.features import prepare
+from catalogue.import_profile import ImportProfile, Tacho
+from catalogue.measurement import Measurement, read_measurement
+from catalogue.tacho import pulses, track_of, turns_of
+from solver.machines.machine import shipped_machine
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+RATE = 10_000.0
+
+
+def pulsed(speed: float, count: int, each: int = 1) -> np.ndarray:
+    angle = speed * np.arange(count) / RATE
+    return 5.0 * (np.mod(each * angle / (2.0 * np.pi) + 0.3, 1.0) < 0.1)
+
+
+def with_tacho(speed: float) -> Measurement:
+    lines = gzip.decompress((RECORDINGS / "slider-crank-04.csv.gz").read_bytes()).decode().splitlines()
+    signal = pulsed(speed, len(lines) - 1)
+    rows = [f"{line},{value:g}" for line, value in zip(lines[1:], signal, strict=True)]
+    data = "\n".join([lines[0] + ",key [V]", *rows, ""]).encode()
+    return read_measurement(data, name="r.csv", profile=ImportProfile(tacho=Tacho(column="key")))
+
+
+@pytest.mark.parametrize("each", [1, 4])
+def test_the_speed_of_even_pulses(each: int) -> None:
+    turns = turns_of(pulsed(60.0, 30_000, each), each, None, False, "r", "key")
+    track = track_of(turns, RATE, 0, 30_000, "r")
+    assert track.estimate.speed == pytest.approx(60.0, rel=1e-4) and not track.estimate.given
+    assert 0 < track.estimate.uncertainty < 1e-4 * 60.0 and track.estimate.wander < 2e-3
+
+
+def test_noise_on_an_edge_makes_no_second_pulse() -> None:
+    signal = np.tile([0.0, 0.0, 2.6, 2.4, 2.6, 5.0, 5.0, 0.0], 10)
+    assert len(pulses(signal, None, False)) == 10
+
+
+def test_a_missing_pulse_is_named() -> None:
+    signal = pulsed(60.0, 30_000)
+    signal[9_000:10_000] = 0.0
+    with pytest.raises(MeasurementError, match="column 'key': a pulse is missing or too many at sample"):
+        turns_of(signal, 1, None, False, "r", "key")
+    with pytest.raises(MeasurementError, match="at least 3 are needed"):
+        turns_of(signal[:2_000], 1, None, False, "r", "key")
+
+
+def test_a_recording_with_a_tacho_is_compared_at_its_speed() -> None:
+    machine = shipped_machine("slider-crank")
+    plain = prepare(read_measurement(RECORDINGS / "slider-crank-04.csv.gz"), machine)
+    found = with_tacho(plain.drive_speed)
+    assert found.channel_names == ("s1-x", "s1-y", "s2-x", "s2-y") and found.turns is not None
+    assert any("tacho 'key'" in line for line in found.import_report)
+    assert prepare(found, machine).drive_speed == pytest.approx(plain.drive_speed, rel=2e-4)
+    # The pulses are believed, not the orders.
+    assert prepare(with_tacho(1.01 * plain.drive_speed), machine).drive_speed > 1.009 * plain.drive_speed
+    with pytest.raises(MeasurementError, match="is the profile's tacho; columns are"):
+        read_measurement(RECORDINGS / "slider-crank-04.csv.gz", profile=ImportProfile(tacho=Tacho(column="pulse")))
