@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from catalogue.channel_units import parse_unit, split_label
 from catalogue.errors import MeasurementError
+from catalogue.readers.decimal_table import plain_table
 from catalogue.readers.dialect import Dialect, Layout, dialects_of, find_layout, header_fields, header_line, is_comment
 from catalogue.readers.raw import Limits, RawColumn, RawRecording
 
@@ -211,6 +212,9 @@ def _numbers(
     body = text[sum(len(line) for line in head[: layout.first]) :]
     delimiter = None if layout.dialect.delimiter == " " else layout.dialect.delimiter
     plain = body.replace(",", ".") if layout.dialect.decimal == "," else body
+    quick = None if delimiter is None or len(delimiter) > 1 else plain_table(plain, delimiter, layout.columns)
+    if quick is not None:
+        return quick
     try:
         values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, comments="#", dtype=np.float64, ndmin=2)
     except ValueError:
