@@ -10,11 +10,12 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
+from app.examples import with_examples
 from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "1.13.0"
+API_VERSION = "1.14.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
@@ -36,6 +37,11 @@ SCHEMES = {
     "header": {"type": "apiKey", "in": "header", "name": "X-API-Key", "description": "A key: X-API-Key: KEY."},
 }
 COMPUTING = (400, 404, 409, 413, 415, 422, 500, 503, 504, 507)
+
+#: What a drawing is described as.
+DRAWING: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The drawing.", "content": {"image/svg+xml": {"schema": {"type": "string"}}}}
+}
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -67,6 +73,7 @@ def documented(application: FastAPI, *, keyed: bool) -> Callable[[], dict[str, A
                     routes=application.routes,
                 )
             )
+            document = with_examples(document)
             application.openapi_schema = with_security(document) if keyed else document
         return application.openapi_schema
 

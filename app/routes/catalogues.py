@@ -10,7 +10,7 @@ from starlette.responses import Response
 from app import paging
 from app.catalogues import Offer
 from app.etags import respond
-from app.openapi import problems
+from app.openapi import DRAWING, problems
 from app.routes.machines import Cursor, Limit
 from app.schemas import CatalogueDetail, CatalogueItem, CataloguePage
 from app.service import of_request
@@ -39,7 +39,7 @@ def catalogue(request: Request, name: str) -> Response:
     return respond(request, document, hashlib.sha256(document.body).hexdigest())
 
 
-@router.get("/{name}/drawing.svg", responses=problems(404), response_class=Response)
+@router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404)}, response_class=Response)
 def drawing(request: Request, name: str) -> Response:
     """Return the drawing of the catalogue's machine in its drawn pose."""
     offer: Offer = of_request(request).shelf.find(name)

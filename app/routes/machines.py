@@ -13,7 +13,7 @@ from app import paging, tasks
 from app.errors import BadRequestError, UnsupportedMediaError
 from app.etags import Conditions, respond, tag
 from app.machine_store import check_name
-from app.openapi import problems
+from app.openapi import DRAWING, problems
 from app.schemas import MachineItem, MachinePage
 from app.service import of_request
 from app.uploads import media_type
@@ -78,7 +78,7 @@ async def put(request: Request, name: str) -> Response:
     return answer
 
 
-@router.get("/{name}/drawing.svg", responses=problems(404), response_class=Response)
+@router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404)}, response_class=Response)
 def drawing(request: Request, name: str) -> Response:
     """Return the drawing of a machine in its drawn pose."""
     found = of_request(request).machines.find(name)

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.13.0", "ababe1bc0a7e6ae9")
+OF_VERSION = ("1.14.0", "265f2f237eb71c1e")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
