@@ -15,6 +15,7 @@ from app.asset_schemas import AssetIn, FindingIn
 from app.database import Database
 from app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
 from app.storage import Base, DiagnosisRow, is_id, newest, now
+from app.webhooks import announce
 
 
 class AssetRow(Base):
@@ -161,6 +162,8 @@ class Assets:
             new = session.scalar(select(FindingRow.id).where(FindingRow.id == key)) is None
             insert = self._database.insert(FindingRow).values(values)
             session.execute(insert.on_conflict_do_nothing(index_elements=["id"]))
+            if new:
+                announce(session, "finding.created", {"finding": key, "diagnosis": row.id, "asset": values["asset"]})
         return self.finding(key), new
 
     def finding(self, key: str) -> FindingRow:

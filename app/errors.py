@@ -53,6 +53,10 @@ class UnknownFindingError(AppError):
     """No stored finding has this id."""
 
 
+class UnknownWebhookError(AppError):
+    """No webhook has this id."""
+
+
 class UnknownPageError(AppError):
     """No page of the web form has this address."""
 

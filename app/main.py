@@ -34,10 +34,13 @@ from app.routes import (
     pages,
     reports,
     signin,
+    webhooks,
 )
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store
+from app.webhook_sender import WebhookSender
+from app.webhooks import Webhooks
 from app.workers import WorkerPool
 
 STATIC = Path(__file__).parent / "static"
@@ -66,6 +69,8 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         application.state.service = service
         application.state.keys = Keys(store.database)
         runner.start()
+        sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private)
+        sender.start()
         warming = asyncio.create_task(service.warm()) if warm else None
         try:
             yield
@@ -74,6 +79,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
                 warming.cancel()
             service.stop()
             await run_in_threadpool(runner.close)
+            await run_in_threadpool(sender.close)
             pool.close()
             store.close()
 
@@ -86,7 +92,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         redoc_url=None,
         lifespan=lifespan,
     )
-    for module in (machines, catalogues, entries, builds, measurements, diagnoses, reports, assets, findings):
+    for module in (machines, catalogues, entries, builds, measurements, diagnoses, reports, assets, findings, webhooks):
         application.include_router(module.router, prefix="/api/v1")
     application.include_router(health.router)
     application.include_router(pages.router, include_in_schema=False)

@@ -82,6 +82,7 @@ TABLE: dict[type[Exception], Kind] = {
     errors.BuildEndedError: Kind(409, "build-ended", "The build has ended already"),
     errors.UnknownAssetError: Kind(404, "unknown-asset", "No such asset"),
     errors.UnknownFindingError: Kind(404, "unknown-finding", "No such finding"),
+    errors.UnknownWebhookError: Kind(404, "unknown-webhook", "No such webhook"),
     errors.UnknownPageError: Kind(404, "unknown-page", "No such page"),
     errors.BadRequestError: Kind(400, "unreadable-request", "The request cannot be read"),
     errors.BadFieldError: Kind(422, "invalid-field", "A field breaks a rule"),

@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from app import tasks
+from app import tasks, webhooks
 from app.assets import AssetRow, Assets
 from app.build_queue import BuildQueue
 from app.build_runner import BuildRunner
@@ -85,7 +87,7 @@ class Service:
             json.loads(offer.machine.canonical_json()),
             request.model_dump(mode="json"),
             result,
-            lambda session, key: self.announce(session, key, row.id, asset),
+            lambda session, key: self.announce(session, key, row.id, asset, result),
         )
 
     def asset_of(self, request: DiagnosisRequest, machine: str) -> AssetRow | None:
@@ -113,10 +115,15 @@ class Service:
         row = self.store.measurement(asset.baseline)
         return str(self.store.path_of(row.sha256)), row.name, row.given_sample_rate_hz
 
-    def announce(self, session: Session, diagnosis: str, measurement: str, asset: AssetRow | None) -> None:
+    def announce(
+        self, session: Session, diagnosis: str, measurement: str, asset: AssetRow | None, result: Mapping[str, Any]
+    ) -> None:
         """Note in the transaction that stores a diagnosis what else is to know of it."""
         if asset is not None:
             Assets(self.store.database).note(session, asset.external_id, measurement, diagnosis)
+        told = {name: result[name] for name in ("machine", "verdict", "candidate_set")}
+        named = {"diagnosis": diagnosis, "asset": None if asset is None else asset.external_id}
+        webhooks.announce(session, "diagnosis.created", {**named, **told})
 
 
 def of_request(request: Request) -> Service:

@@ -70,6 +70,9 @@ class Settings(BaseSettings):
         ge=1.0,
         description="Seconds after which another server takes up a build whose server gives no sign of life.",
     )
+    webhooks_private: bool = Field(
+        default=False, description="Whether webhooks may lead to addresses that are not public, such as 10.0.0.5."
+    )
     page_size: int = Field(default=50, ge=1, le=500, description="Number of items in one page of a list.")
 
     @property

@@ -1,0 +1,76 @@
+"""Webhooks: addresses that are told when something happens."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request, Response
+
+from app import paging
+from app.openapi import problems
+from app.routes.machines import Cursor, Limit
+from app.service import of_request
+from app.storage import aware
+from app.webhook_schemas import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
+from app.webhook_sender import checked_url
+from app.webhooks import WebhookRow, Webhooks
+
+router = APIRouter(prefix="/webhooks", tags=["webhooks"])
+
+
+@router.post("", status_code=201, responses=problems(413, 422))
+def add(request: Request, response: Response, wanted: WebhookIn) -> WebhookMade:
+    """Name an address that is told of events; the answer holds the secret that signs, which is not shown again."""
+    service = of_request(request)
+    checked_url(wanted.url, service.settings.webhooks_private)
+    row = Webhooks(service.store.database).add(wanted.url, sorted(set(wanted.events)))
+    response.headers["Location"] = f"/api/v1/webhooks/{row.id}"
+    return WebhookMade(**webhook_out(row).model_dump(), secret=row.secret)
+
+
+@router.get("", responses=problems(400, 422))
+def webhooks(request: Request, cursor: Cursor = None, limit: Limit = None) -> WebhookPage:
+    """List the webhooks, the newest first."""
+    service = of_request(request)
+    size = limit or service.settings.page_size
+    rows = Webhooks(service.store.database).page(paging.decode_number(cursor), size + 1)
+    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    return WebhookPage(items=[webhook_out(row) for row in rows[:size]], next_cursor=following)
+
+
+@router.get("/{key}", responses=problems(404))
+def webhook(request: Request, key: str) -> WebhookOut:
+    """Return one webhook, without its secret."""
+    return webhook_out(Webhooks(of_request(request).store.database).webhook(key))
+
+
+@router.delete("/{key}", status_code=204, responses=problems(404))
+def remove(request: Request, key: str) -> None:
+    """Forget a webhook; what it was still to be told is not sent."""
+    Webhooks(of_request(request).store.database).remove(key)
+
+
+@router.get("/{key}/deliveries", responses=problems(400, 404, 422))
+def deliveries(request: Request, key: str, cursor: Cursor = None, limit: Limit = None) -> DeliveryPage:
+    """List what a webhook was told and is to be told, the newest first."""
+    service = of_request(request)
+    found = Webhooks(service.store.database)
+    size = limit or service.settings.page_size
+    rows = found.deliveries(found.webhook(key).id, paging.decode_number(cursor), size + 1)
+    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    items = [
+        DeliveryOut(
+            id=row.id,
+            event=row.event,
+            state=row.state,
+            attempts=row.attempts,
+            error=row.error,
+            created_at=aware(row.created_at),
+            due_at=aware(row.due_at) if row.state == "waiting" else None,
+        )
+        for row in rows[:size]
+    ]
+    return DeliveryPage(items=items, next_cursor=following)
+
+
+def webhook_out(row: WebhookRow) -> WebhookOut:
+    """Return the outside shape of a webhook."""
+    return WebhookOut(id=row.id, url=row.url, events=list(row.events), created_at=aware(row.created_at))
