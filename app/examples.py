@@ -8,6 +8,7 @@ MEASUREMENT = "0f7c3f8b9f0d4a6e8f3d5a1b2c4e6f80"
 DIAGNOSIS = "5b1e0c9d8a7f46352413f0e1d2c3b4a5"
 BUILD = "58131617bf3da29c5b6c8cf7718f0dd5"
 FINDING = "9d2f6b1c4e8a40739b5c6d7e8f901a2b"
+WEBHOOK = "3a1d5e7f9b2c4d6e8f0a1b2c3d4e5f60"
 ENTRY = "61e0e39c6d7a"
 
 MACHINE_FILE = {
@@ -32,6 +33,7 @@ PARAMETERS: tuple[tuple[str, str, Any], ...] = (
     ("key", "/api/v1/measurements", MEASUREMENT),
     ("key", "/api/v1/diagnoses", DIAGNOSIS),
     ("key", "/api/v1/findings", FINDING),
+    ("key", "/api/v1/webhooks", WEBHOOK),
     ("name", "/api/v1/", "slider-crank"),
     ("external_id", "", "press-7"),
     ("measurement", "", MEASUREMENT),
@@ -66,6 +68,9 @@ BODIES: dict[tuple[str, str], dict[str, Any]] = {
     },
     ("put", "/api/v1/assets/{external_id}"): {
         "application/json": {"machine": "slider-crank", "notes": "hall 2, line 3"}
+    },
+    ("post", "/api/v1/webhooks"): {
+        "application/json": {"url": "https://example.org/jointplay", "events": ["diagnosis.created"]}
     },
     ("post", "/api/v1/diagnoses/{key}/finding"): {
         "application/json": {
