@@ -160,7 +160,7 @@ def test_a_refused_recording_leaves_no_file(client: httpx.Client, worn: bytes, s
         (f"{API}/measurements", {"units": "g"}),
         (f"{API}/measurements", {"sample_rate": "fast"}),
         (f"{API}/diagnoses", {}),
-        ("/diagnose", {"catalogue": "slider-crank", "speed": "fast"}),
+        ("/recordings", {"catalogue": "slider-crank", "sample_rate": "fast"}),
     ],
 )
 def test_a_refused_form_leaves_no_file(
