@@ -107,7 +107,7 @@ def listen(host: str, port: int) -> socket.socket:
         When the address cannot be had.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # Without its protocol's name, asyncio would not switch delays off (TCP_NODELAY) on connections: 40 ms an answer.
+    # Without its protocol's name, asyncio would not switch delays off (TCP_NODELAY) on connections.
     listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
