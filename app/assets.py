@@ -14,7 +14,7 @@ from sqlalchemy.orm import Mapped, Session, mapped_column
 from app.asset_schemas import AssetIn, FindingIn
 from app.database import Database
 from app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
-from app.storage import Base, DiagnosisRow, is_id, newest, now
+from app.storage import Base, DiagnosisRow, newest, now
 from app.webhooks import announce
 
 
@@ -174,10 +174,7 @@ class Assets:
         UnknownFindingError
             When there is none of this id.
         """
-        row = None
-        if is_id(key):
-            with self._database.reading() as session:
-                row = session.scalar(select(FindingRow).where(FindingRow.id == key))
+        row = self._database.find(FindingRow, key)
         if row is None:
             raise UnknownFindingError(f"finding {key[:80]}: there is none of this id")
         return row

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 
 from app.database import Database
 from app.errors import BuildEndedError, UnknownBuildError
-from app.storage import Base, is_id, newest, now
+from app.storage import Base, newest, now
 
 ATTEMPTS = 5
 """How often a build is begun before one whose process or server dies each time is given up."""
@@ -115,10 +115,7 @@ class BuildQueue:
         UnknownBuildError
             When there is none of this id.
         """
-        row = None
-        if is_id(key):
-            with self._database.reading() as session:
-                row = session.scalar(select(BuildRow).where(BuildRow.id == key))
+        row = self._database.find(BuildRow, key)
         if row is None:
             raise UnknownBuildError(f"build {key[:80]}: there is none of this id")
         return row

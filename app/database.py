@@ -5,13 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeVar
 
-from sqlalchemy import Connection, DateTime, Dialect, MetaData, TypeDecorator, create_engine, event, inspect, text
+from sqlalchemy import (
+    Connection,
+    DateTime,
+    Dialect,
+    MetaData,
+    TypeDecorator,
+    create_engine,
+    event,
+    inspect,
+    select,
+    text,
+)
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError
-from sqlalchemy.orm import Session, sessionmaker
+from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
 from app.errors import AppError, BadFieldError
 
@@ -72,6 +83,14 @@ def refusal(rule: str) -> BadFieldError:
     return BadFieldError(f"JOINTPLAY_DATABASE: {rule}", field="database")
 
 
+Row = TypeVar("Row", bound=DeclarativeBase)
+
+
+def is_id(key: str) -> bool:
+    """Return whether a text can be an id."""
+    return key.isascii() and key.isalnum() and len(key) <= 64
+
+
 class Database:
     """Connections to one database.
 
@@ -122,6 +141,16 @@ class Database:
         with self.session.begin() as session:
             session.connection(execution_options={"writes": True})
             yield session
+
+    def find(self, table: type[Row], key: str) -> Row | None:
+        """Return the row of a table whose ``id`` is `key`; None where there is none.
+
+        Texts that can be no id do not reach the database: PostgreSQL refuses some characters.
+        """
+        if not is_id(key):
+            return None
+        with self.reading() as session:
+            return session.scalar(select(table).filter_by(id=key))
 
     def insert(self, table: Any) -> Any:
         """Return an INSERT of this kind of database, which has ``on_conflict_do_nothing``."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import binascii
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
 
 from app.errors import BadCursorError
 
@@ -26,6 +28,22 @@ def decode(cursor: str) -> str:
         return base64.b64decode(padded, altchars=b"-_", validate=True).decode()
     except (binascii.Error, UnicodeError):
         raise refusal(cursor) from None
+
+
+class Numbered(Protocol):
+    """A row that knows its place in the order of all."""
+
+    @property
+    def number(self) -> int:
+        """Its place."""
+
+
+N = TypeVar("N", bound=Numbered)
+
+
+def cut(rows: Sequence[N], size: int) -> tuple[Sequence[N], str | None]:
+    """Return the rows of a page of some size, and the cursor of the next one if there is one more row than that."""
+    return rows[:size], encode(str(rows[size - 1].number)) if len(rows) > size else None
 
 
 def decode_number(cursor: str | None) -> int | None:

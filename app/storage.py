@@ -209,10 +209,7 @@ class Store:
         UnknownMeasurementError
             When there is none of this id.
         """
-        row = None
-        if is_id(key):
-            with self._session() as session:
-                row = session.scalar(select(MeasurementRow).where(MeasurementRow.id == key))
+        row = self.database.find(MeasurementRow, key)
         if row is None:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
         return row
@@ -267,10 +264,7 @@ class Store:
         UnknownDiagnosisError
             When there is none of this id.
         """
-        row = None
-        if is_id(key):
-            with self._session() as session:
-                row = session.scalar(select(DiagnosisRow).where(DiagnosisRow.id == key))
+        row = self.database.find(DiagnosisRow, key)
         if row is None:
             raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
         return row
@@ -306,11 +300,6 @@ def newest(session: Session, table: Any, before: int | None, limit: int, among: 
     if among is not None:
         query = query.where(table.id.in_(among))
     return query if before is None else query.where(table.number < before)
-
-
-def is_id(key: str) -> bool:
-    """Return whether a text can be an id; others must not reach a database (PostgreSQL refuses some characters)."""
-    return key.isascii() and key.isalnum() and len(key) <= 64
 
 
 def measurement_key(sha256: str, name: str, sample_rate_hz: float | None) -> str:

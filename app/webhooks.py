@@ -17,9 +17,9 @@ from typing import Any, Literal, get_args
 from sqlalchemy import JSON, ForeignKey, String, Text, delete, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
-from app.database import Database
+from app.database import Database, is_id
 from app.errors import UnknownWebhookError
-from app.storage import Base, is_id, newest, now
+from app.storage import Base, newest, now
 
 Event = Literal["diagnosis.created", "finding.created"]
 EVENTS: tuple[str, ...] = get_args(Event)
@@ -107,10 +107,7 @@ class Webhooks:
         UnknownWebhookError
             When there is none of this id.
         """
-        row = None
-        if is_id(key):
-            with self._database.reading() as session:
-                row = session.scalar(select(WebhookRow).where(WebhookRow.id == key))
+        row = self._database.find(WebhookRow, key)
         if row is None:
             raise unknown(key)
         return row

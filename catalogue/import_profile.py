@@ -281,8 +281,11 @@ def load_profile(path: str | Path) -> ImportProfile:
     return parse_profile(text, str(path))
 
 
-def profile_beside(path: Path) -> ImportProfile | None:
-    """Profile that lies beside a recording, if one does: its name (without .gz) and .json, .yaml or .yml."""
+def profile_beside(source: str | Path | bytes) -> ImportProfile:
+    """Profile that lies beside a recording, an empty one without: its name (less .gz) and .json, .yaml or .yml."""
+    if isinstance(source, bytes):
+        return ImportProfile()
+    path = Path(source)
     name = path.name.removesuffix(".gz")
     found = next((path.with_name(name + each) for each in BESIDE if path.with_name(name + each).is_file()), None)
-    return None if found is None else load_profile(found)
+    return ImportProfile() if found is None else load_profile(found)

@@ -124,14 +124,10 @@ def read_measurement(
     MeasurementError
         One line: file, line, column, value, rule.
     """
-    limits, profile = limits or Limits(), profile or _beside(source)
+    limits, profile = limits or Limits(), profile or profile_beside(source)
     raw, sha256 = raw_of(source, name, limits, profile)
     rate = sample_rate or profile.sample_rate_hz
     return measurement_of(raw, sample_rate=rate, units=units, limits=limits, sha256=sha256)
-
-
-def _beside(source: str | Path | bytes) -> ImportProfile:
-    return (None if isinstance(source, bytes) else profile_beside(Path(source))) or ImportProfile()
 
 
 def raw_of(

@@ -29,10 +29,7 @@ def read_recording(
     Measurement or MeasuredSpectrum
         A spectrum where the first column is a frequency.
     """
-    limits = limits or Limits()
-    if profile is None:
-        beside = None if isinstance(source, bytes) else profile_beside(Path(source))
-        profile = beside or ImportProfile()
+    limits, profile = limits or Limits(), profile or profile_beside(source)
     raw, sha256 = raw_of(source, name, limits, profile)
     if is_spectrum(raw):
         return spectrum_of(raw, dict(units or {}), limits, sha256)

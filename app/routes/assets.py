@@ -46,8 +46,8 @@ def assets(request: Request, cursor: Cursor = None, limit: Limit = None) -> Asse
     service = of_request(request)
     size = limit or service.settings.page_size
     rows = Assets(service.store.database).page(paging.decode_number(cursor), size + 1)
-    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
-    return AssetPage(items=[asset_out(row) for row in rows[:size]], next_cursor=following)
+    shown, following = paging.cut(rows, size)
+    return AssetPage(items=[asset_out(row) for row in shown], next_cursor=following)
 
 
 @router.get("/{external_id}", response_model=AssetOut, responses=problems(404, 422))

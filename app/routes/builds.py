@@ -87,8 +87,8 @@ def builds(request: Request, cursor: Cursor = None, limit: Limit = None) -> Buil
     service = of_request(request)
     size = limit or service.settings.page_size
     rows = service.builds.listed(paging.decode_number(cursor), size + 1)
-    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
-    return BuildPage(items=[build_out(row) for row in rows[:size]], next_cursor=following)
+    shown, following = paging.cut(rows, size)
+    return BuildPage(items=[build_out(row) for row in shown], next_cursor=following)
 
 
 @router.get("/{key}", response_model=BuildOut, responses=problems(404))

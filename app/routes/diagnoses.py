@@ -90,8 +90,8 @@ def diagnoses(
     rows = service.store.diagnoses(
         paging.decode_number(cursor), size + 1, since, None if asset is None else diagnoses_of(asset)
     )
-    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
-    return DiagnosisPage(items=[item(row) for row in rows[:size]], next_cursor=following)
+    shown, following = paging.cut(rows, size)
+    return DiagnosisPage(items=[item(row) for row in shown], next_cursor=following)
 
 
 @router.get("/{key}", response_model=DiagnosisOut, responses=problems(404))

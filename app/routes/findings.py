@@ -46,8 +46,8 @@ def findings(
     size = limit or service.settings.page_size
     only = {"diagnosis": diagnosis, "asset": asset}
     rows = Assets(service.store.database).findings(paging.decode_number(cursor), size + 1, since, only)
-    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
-    return FindingPage(items=[finding_out(row) for row in rows[:size]], next_cursor=following)
+    shown, following = paging.cut(rows, size)
+    return FindingPage(items=[finding_out(row) for row in shown], next_cursor=following)
 
 
 @router.get("/findings/{key}", response_model=FindingOut, responses=problems(404))

@@ -64,8 +64,8 @@ def measurements(request: Request, asset: Only = None, cursor: Cursor = None, li
     rows = service.store.measurements(
         paging.decode_number(cursor), size + 1, None if asset is None else measurements_of(asset)
     )
-    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
-    return MeasurementPage(items=[measurement_out(row) for row in rows[:size]], next_cursor=following)
+    shown, following = paging.cut(rows, size)
+    return MeasurementPage(items=[measurement_out(row) for row in shown], next_cursor=following)
 
 
 @router.get("/{key}", response_model=MeasurementOut, responses=problems(404))

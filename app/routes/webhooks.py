@@ -32,8 +32,8 @@ def webhooks(request: Request, cursor: Cursor = None, limit: Limit = None) -> We
     service = of_request(request)
     size = limit or service.settings.page_size
     rows = Webhooks(service.store.database).page(paging.decode_number(cursor), size + 1)
-    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
-    return WebhookPage(items=[webhook_out(row) for row in rows[:size]], next_cursor=following)
+    shown, following = paging.cut(rows, size)
+    return WebhookPage(items=[webhook_out(row) for row in shown], next_cursor=following)
 
 
 @router.get("/{key}", responses=problems(404))
@@ -55,7 +55,7 @@ def deliveries(request: Request, key: str, cursor: Cursor = None, limit: Limit =
     found = Webhooks(service.store.database)
     size = limit or service.settings.page_size
     rows = found.deliveries(found.webhook(key).id, paging.decode_number(cursor), size + 1)
-    following = paging.encode(str(rows[size - 1].number)) if len(rows) > size else None
+    shown, following = paging.cut(rows, size)
     items = [
         DeliveryOut(
             id=row.id,
@@ -66,7 +66,7 @@ def deliveries(request: Request, key: str, cursor: Cursor = None, limit: Limit =
             created_at=aware(row.created_at),
             due_at=aware(row.due_at) if row.state == "waiting" else None,
         )
-        for row in rows[:size]
+        for row in shown
     ]
     return DeliveryPage(items=items, next_cursor=following)
 

@@ -27,7 +27,8 @@ def read_npz(data: bytes, source: str, limits: Limits) -> RawRecording:
             for name in held.files:
                 array = held[name]
                 arrays[name] = [str(each) for each in array.reshape(-1)] if array.dtype.kind in "US" else array
-    except (zipfile.BadZipFile, ValueError, OSError, EOFError, KeyError, zlib.error, NotImplementedError) as error:
+    except (zipfile.BadZipFile, ValueError, OSError, EOFError, KeyError, zlib.error, RuntimeError) as error:
+        # RuntimeError is how zipfile refuses encrypted members, and compression that it does not know.
         raise MeasurementError(source, rule=f"is a damaged or foreign NPZ file: {error}") from None
     # What `jointplay simulate` adds as texts.
     units, attributes = _document(arrays.pop("units", None)), _document(arrays.pop("attributes", None))

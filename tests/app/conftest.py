@@ -6,6 +6,7 @@ import gzip
 from collections.abc import Iterator
 from pathlib import Path
 
+import databases
 import httpx
 import pytest
 from filelock import FileLock
@@ -17,6 +18,13 @@ from catalogue.plan import parse_plan
 from solver.machines.machine import shipped_machine
 
 RECORDINGS = Path(__file__).parent.parent / "data" / "recordings"
+
+
+@pytest.fixture(params=databases.KINDS)
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """A new database of each kind there is."""
+    with databases.database(request.param, tmp_path) as found:
+        yield found
 
 
 @pytest.fixture(scope="session")

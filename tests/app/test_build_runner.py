@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import build_tasks
-import databases
 import pytest
 from sqlalchemy import update
 
@@ -48,12 +47,6 @@ class Server:
                 return row
             assert time.monotonic() < deadline, (wanted, row.state, row.message, row.attempts)
             time.sleep(0.02)
-
-
-@pytest.fixture(params=databases.KINDS)
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    with databases.database(request.param, tmp_path) as found:
-        yield found
 
 
 @pytest.fixture

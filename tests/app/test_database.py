@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
 
-import databases
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
@@ -19,12 +18,6 @@ from app.errors import AppError, BadFieldError, UnknownMeasurementError
 from app.storage import Base, Store, Upload, aware
 
 UPLOAD = Upload(Path("nowhere"), "a" * 64, 5_000_000_000)
-
-
-@pytest.fixture(params=databases.KINDS)
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    with databases.database(request.param, tmp_path) as found:
-        yield found
 
 
 @pytest.fixture

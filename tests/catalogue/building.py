@@ -10,7 +10,7 @@ import numpy as np
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
 from catalogue.build import BuildReport, build
-from catalogue.plan import Plan
+from catalogue.plan import Plan, parse_plan
 from catalogue.store import Catalogue
 from catalogue.verify import verify
 
@@ -36,3 +36,7 @@ def assert_complete(directory: Path, plan: Plan = PLAN) -> None:
     report = verify(directory)
     assert report.is_sound, report.findings
     assert report.entries == len(keys)
+
+
+def with_draws(draws: int) -> Plan:
+    return parse_plan({**PLAN.content, "draws": {"healthy": 6, "single": 3 * draws}})

@@ -9,30 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from building import FAILING, KEYS, assert_complete, quick_build
-from fake_simulator import MACHINE, PLAN, compute
+from building import FAILING, KEYS, assert_complete, quick_build, with_draws
+from fake_simulator import MACHINE, PLAN
 
-from catalogue import scheduling
-from catalogue.build import BuildReport, Progress, build
-from catalogue.chunk import Chunk, chunked
+from catalogue.build import BuildReport, Progress
 from catalogue.directory import CatalogueDirectory
 from catalogue.errors import (
-    BuildError,
     CatalogueBusyError,
     CatalogueFileError,
-    CatalogueMismatchError,
-    PlanError,
 )
 from catalogue.executors import InProcess
 from catalogue.index import ChunkStatus, Index
 from catalogue.leases import Leases
 from catalogue.locks import BuilderLock
-from catalogue.plan import Plan, parse_plan
+from catalogue.plan import parse_plan
 from catalogue.recovery import adopt
 from catalogue.store import Catalogue
 from catalogue.verify import verify
-from solver.errors import AssemblyError, MachineError
-from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 
 
 def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,72 +158,6 @@ def test_shards_that_are_gone_are_computed_again(tmp_path: Path) -> None:
     assert_complete(tmp_path)
 
 
-def test_other_machines_are_refused(tmp_path: Path) -> None:
-    quick_build(tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(CatalogueMismatchError, match=r"is a catalogue of another machine: slider-crank, not four-bar$"):
-        build(shipped_machine("four-bar"), PLAN, tmp_path, workers=0, compute=compute)
-    tree = MACHINE.model_dump()
-    tree["gravity"] = 9.8
-    with pytest.raises(CatalogueMismatchError, match=r"slider-crank with gravity 9\.81, not 9\.8$"):
-        build(parse_machine(tree), PLAN, tmp_path, workers=0, compute=compute)
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-@pytest.mark.parametrize(
-    ("change", "rule"),
-    [
-        ({"sample_rate": 14000}, r"was built with sample_rate 10000\.0, not 14000\.0: build into another folder"),
-        ({"accuracy": "standard"}, "was built with accuracy draft, not standard"),
-        ({"uncertain": {"contact.friction": {"uniform": [0, 0.3]}}}, r"with another uncertain\.contact\.damping"),
-    ],
-)
-def test_other_settings_are_refused(tmp_path: Path, change: dict[str, Any], rule: str) -> None:
-    quick_build(tmp_path)
-    with pytest.raises(CatalogueMismatchError, match=rule) as caught:
-        quick_build(tmp_path, parse_plan({**PLAN.content, **change}))
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith(str(tmp_path))
-
-
-def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick_build(tmp_path)
-    monkeypatch.setattr("solver.__version__", "9.9.9")
-    with pytest.raises(CatalogueMismatchError, match=r"was built by solver .*, this is 9\.9\.9"):
-        quick_build(tmp_path)
-    monkeypatch.undo()
-    manifest = tmp_path / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"schema_version": 2', '"schema_version": 99'))
-    for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
-        with pytest.raises(CatalogueMismatchError, match=r"has schema version 99; this program reads and writes 2$"):
-            use()
-
-
-def test_folders_that_are_no_catalogue_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "thesis.docx").write_text("five years")
-    with pytest.raises(CatalogueFileError, match="holds files but no catalogue"):
-        quick_build(tmp_path)
-    with pytest.raises(CatalogueFileError, match="cannot be created"):
-        quick_build(tmp_path / "thesis.docx")
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.docx"]
-
-
-def test_plan_that_does_not_fit_touches_nothing(tmp_path: Path) -> None:
-    plan = parse_plan({"uncertain": {"joints.Z.pin_radius": {"lognormal": 0.1}}})
-    with pytest.raises(PlanError):
-        quick_build(tmp_path / "new", plan)
-    assert not (tmp_path / "new").exists()
-
-
-def test_machine_that_cannot_be_assembled_touches_nothing(tmp_path: Path) -> None:
-    text = shipped_machine_text("slider-crank")
-    moved = text.replace("links: [rod, slider], at: [0.2, 0.05]", "links: [rod, slider], at: [0.07, 0.05]")
-    assert moved != text
-    with pytest.raises(AssemblyError, match="cannot be assembled at a drive angle of"):
-        build(parse_machine(moved), PLAN, tmp_path / "c", workers=0, compute=compute)
-    assert not (tmp_path / "c").exists()
-
-
 def test_second_builder_does_what_is_left_and_verify_is_refused(tmp_path: Path) -> None:
     """Begun in the middle of the first, the second builder has all other chunks done before the first goes on."""
     reports: list[BuildReport] = []
@@ -317,22 +244,6 @@ def test_readers_read_while_a_build_goes_on(tmp_path: Path) -> None:
     assert sizes == sorted(sizes)
 
 
-def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick_build(tmp_path, with_draws(1))
-    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.joints and entry.draw == 7)
-    monkeypatch.setenv("FAKE_RAISES", victim)
-    report = quick_build(tmp_path)
-    assert report.lost == (victim,)
-    assert report.lost_reason == f"ArithmeticError: case {victim[:8]} is too hard"
-    assert report.added + report.present == len(KEYS) - 1
-    with Index(tmp_path / "index.sqlite") as index:
-        lost = [chunk for chunk in index.chunks() if chunk.status is ChunkStatus.LOST]
-        assert [(chunk.entries, chunk.message) for chunk in lost] == [(4, f"{victim[:12]}: {report.lost_reason}")]
-    monkeypatch.undo()
-    assert quick_build(tmp_path).added == 1
-    assert_complete(tmp_path)
-
-
 def test_what_was_changed_while_the_lock_became_a_shared_one_is_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -353,100 +264,6 @@ def test_what_was_changed_while_the_lock_became_a_shared_one_is_seen(
     assert quick_build(tmp_path).added > 0
     monkeypatch.undo()
     assert_complete(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("url", "rule"),
-    [("nonsense", "is no URL of a database"), ("mysql://x/y", "no database an index"), ("{sqlite}", "no/such/folder")],
-)
-def test_refused_index_leaves_no_folder(tmp_path: Path, url: str, rule: str) -> None:
-    folder = tmp_path / "c"
-    with pytest.raises(CatalogueFileError, match=rule):
-        quick_build(folder, index=url.format(sqlite=f"sqlite:///{tmp_path}/no/such/folder/x.db"))
-    assert not folder.exists()
-
-
-def test_one_bad_case_of_a_large_first_chunk_does_not_end_the_build(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Halves that can be computed count as a success, though their chunk is stored only when all of it is done."""
-    first = chunked(MACHINE, PLAN.recipe(MACHINE), PLAN.entries(MACHINE), 64)[0]
-    victim = first.entries[-1].key
-    monkeypatch.setattr(scheduling, "HOPELESS", 3)  # the chunk, its half and a half of that fail
-    monkeypatch.setenv("FAKE_RAISES", victim)
-    report = quick_build(tmp_path, chunk_size=64)
-    assert report.lost == (victim,)
-    assert report.added == len(KEYS) - 1
-
-
-class Mortal(InProcess):
-    """Workers that die of some cases, without the time that starting them takes."""
-
-    def __init__(self, capacity: int) -> None:
-        self.capacity = capacity
-
-    def is_loss(self, error: BaseException) -> bool:
-        return isinstance(error, ChildProcessError)
-
-
-@pytest.mark.parametrize(
-    ("victims", "workers"),
-    [
-        ([("healthy", 0), ("healthy", 5)], 1),  # in both halves of one chunk
-        ([("healthy", 0), ("healthy", 1)], 1),
-        ([("healthy", draw) for draw in range(6)], 2),  # a whole chunk
-        ([("healthy", 0), ("A", 11), ("B", 3), ("O", 7)], 4),  # in every chunk
-    ],
-)
-def test_all_but_the_cases_that_kill_workers_are_computed(
-    tmp_path: Path, victims: list[tuple[str, int]], workers: int
-) -> None:
-    planned = PLAN.entries(MACHINE)
-    deadly = {entry.key for entry in planned if (entry.hypothesis.label, entry.draw) in victims}
-    assert len(deadly) == len(victims)
-
-    def die(chunk: Chunk) -> Any:
-        if not deadly.isdisjoint(entry.key for entry in chunk.entries):
-            raise ChildProcessError
-        return compute(chunk)
-
-    report = quick_build(tmp_path, executor=Mortal(workers), compute=die, chunk_size=64)
-    assert set(report.lost) == deadly
-    assert report.lost_reason == "its worker died, in 3 attempts"
-    catalogue = Catalogue.open(tmp_path)
-    assert {*catalogue.entries.key, *catalogue.failed.key} == {entry.key for entry in planned} - deadly
-    with Index(tmp_path / "index.sqlite") as index:
-        said = "; ".join(chunk.message for chunk in index.chunks())
-    assert all(f"{key[:12]}: its worker died" in said for key in deadly)
-    assert quick_build(tmp_path, chunk_size=64).added == len(deadly)
-    assert_complete(tmp_path)
-
-
-def test_trouble_with_every_case_ends_the_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(chunk: object) -> Any:
-        raise ZeroDivisionError("float division by zero")
-
-    with pytest.raises(BuildError, match="nothing could be computed in 10 attempts, the last: ZeroDivisionError") as e:
-        quick_build(tmp_path, compute=broken)
-    assert "\n" not in str(e.value)
-
-
-def test_refusal_by_the_solver_is_passed_on(tmp_path: Path) -> None:
-    def refuse(chunk: object) -> Any:
-        raise MachineError("machine", "drive.speed", 1e9, "must be less")
-
-    with pytest.raises(MachineError, match=r"machine: drive\.speed: "):
-        quick_build(tmp_path, compute=refuse)
-
-
-def refuse_in_worker(chunk: object) -> Any:
-    raise MachineError("machine", "drive.speed", 1e9, "must be less")
-
-
-def test_refusal_by_the_solver_comes_out_of_a_worker_as_it_was(tmp_path: Path) -> None:
-    with pytest.raises(MachineError) as caught:
-        quick_build(tmp_path, workers=1, compute=refuse_in_worker)
-    assert (caught.value.path, caught.value.value) == ("drive.speed", 1e9)
 
 
 def test_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -479,7 +296,3 @@ def test_caller_may_bring_an_executor(tmp_path: Path) -> None:
     assert executor.submitted > 4
     assert executor.closed == 0
     assert_complete(tmp_path)
-
-
-def with_draws(draws: int) -> Plan:
-    return parse_plan({**PLAN.content, "draws": {"healthy": 6, "single": 3 * draws}})

@@ -217,6 +217,20 @@ def test_pickles_are_not_opened() -> None:
     assert "NPZ" in refusal(file.getvalue(), "s.npz")
 
 
+@pytest.mark.parametrize(("local", "central", "value"), [(6, 8, 1), (8, 10, 99)])
+def test_npz_files_that_are_encrypted_or_packed_in_another_way_are_refused(
+    local: int, central: int, value: int
+) -> None:
+    """The flag of encryption, or a method of compression that nobody has, in the headers of every member."""
+    packed = bytearray(npz())
+    for signature, offset in ((b"PK\x03\x04", local), (b"PK\x01\x02", central)):
+        place = packed.find(signature)
+        while place >= 0:
+            packed[place + offset : place + offset + 2] = value.to_bytes(2, "little")
+            place = packed.find(signature, place + 4)
+    assert "is a damaged or foreign NPZ file" in refusal(bytes(packed), "s.npz")
+
+
 @pytest.mark.parametrize(
     ("limits", "rule"),
     [

@@ -1,0 +1,99 @@
+"""What a build refuses, and that it touches nothing then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from building import quick_build
+from fake_simulator import MACHINE, PLAN, compute
+
+from catalogue.build import build
+from catalogue.errors import (
+    CatalogueFileError,
+    CatalogueMismatchError,
+    PlanError,
+)
+from catalogue.plan import parse_plan
+from catalogue.store import Catalogue
+from catalogue.verify import verify
+from solver.errors import AssemblyError
+from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
+
+
+def test_other_machines_are_refused(tmp_path: Path) -> None:
+    quick_build(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(CatalogueMismatchError, match=r"is a catalogue of another machine: slider-crank, not four-bar$"):
+        build(shipped_machine("four-bar"), PLAN, tmp_path, workers=0, compute=compute)
+    tree = MACHINE.model_dump()
+    tree["gravity"] = 9.8
+    with pytest.raises(CatalogueMismatchError, match=r"slider-crank with gravity 9\.81, not 9\.8$"):
+        build(parse_machine(tree), PLAN, tmp_path, workers=0, compute=compute)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ({"sample_rate": 14000}, r"was built with sample_rate 10000\.0, not 14000\.0: build into another folder"),
+        ({"accuracy": "standard"}, "was built with accuracy draft, not standard"),
+        ({"uncertain": {"contact.friction": {"uniform": [0, 0.3]}}}, r"with another uncertain\.contact\.damping"),
+    ],
+)
+def test_other_settings_are_refused(tmp_path: Path, change: dict[str, Any], rule: str) -> None:
+    quick_build(tmp_path)
+    with pytest.raises(CatalogueMismatchError, match=rule) as caught:
+        quick_build(tmp_path, parse_plan({**PLAN.content, **change}))
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path))
+
+
+def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_build(tmp_path)
+    monkeypatch.setattr("solver.__version__", "9.9.9")
+    with pytest.raises(CatalogueMismatchError, match=r"was built by solver .*, this is 9\.9\.9"):
+        quick_build(tmp_path)
+    monkeypatch.undo()
+    manifest = tmp_path / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"schema_version": 2', '"schema_version": 99'))
+    for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
+        with pytest.raises(CatalogueMismatchError, match=r"has schema version 99; this program reads and writes 2$"):
+            use()
+
+
+def test_folders_that_are_no_catalogue_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.docx").write_text("five years")
+    with pytest.raises(CatalogueFileError, match="holds files but no catalogue"):
+        quick_build(tmp_path)
+    with pytest.raises(CatalogueFileError, match="cannot be created"):
+        quick_build(tmp_path / "thesis.docx")
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.docx"]
+
+
+def test_plan_that_does_not_fit_touches_nothing(tmp_path: Path) -> None:
+    plan = parse_plan({"uncertain": {"joints.Z.pin_radius": {"lognormal": 0.1}}})
+    with pytest.raises(PlanError):
+        quick_build(tmp_path / "new", plan)
+    assert not (tmp_path / "new").exists()
+
+
+def test_machine_that_cannot_be_assembled_touches_nothing(tmp_path: Path) -> None:
+    text = shipped_machine_text("slider-crank")
+    moved = text.replace("links: [rod, slider], at: [0.2, 0.05]", "links: [rod, slider], at: [0.07, 0.05]")
+    assert moved != text
+    with pytest.raises(AssemblyError, match="cannot be assembled at a drive angle of"):
+        build(parse_machine(moved), PLAN, tmp_path / "c", workers=0, compute=compute)
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(
+    ("url", "rule"),
+    [("nonsense", "is no URL of a database"), ("mysql://x/y", "no database an index"), ("{sqlite}", "no/such/folder")],
+)
+def test_refused_index_leaves_no_folder(tmp_path: Path, url: str, rule: str) -> None:
+    folder = tmp_path / "c"
+    with pytest.raises(CatalogueFileError, match=rule):
+        quick_build(folder, index=url.format(sqlite=f"sqlite:///{tmp_path}/no/such/folder/x.db"))
+    assert not folder.exists()
