@@ -141,6 +141,8 @@ class BuildQueue:
                 if row.state == "queued":
                     row.state, row.owner, row.attempts = "running", owner, row.attempts + 1
                     row.started_at = row.started_at or now()
+                    # What an earlier attempt said is not how far this one is; cases it left are found at once.
+                    row.cases_done, row.cases_total, row.rate_per_s = 0, 0, 0.0
                     row.lease_until = self._clock(session) + seconds
                     return row
         return None

@@ -93,12 +93,11 @@ def test_kill_in_the_middle_cancel_and_stop(server: Server, tmp_path: Path) -> N
     with server.running(build_tasks.endless):
         assert server.until(key, cases_done=3).state == "running"
         os.kill(build_tasks.noted(tmp_path, "c")[0], signal.SIGKILL)
-        server.until(key, state="running", attempts=2)
-        server.until(key, cases_total=12)
+        server.until(key, state="running", attempts=2, cases_total=12)
     row = server.queue.find(key)
     assert (row.state, row.attempts, row.owner) == ("queued", 1, "")
     with server.running(build_tasks.endless):
-        server.until(key, state="running", attempts=2)
+        server.until(key, state="running", attempts=2, cases_done=3)
         assert server.queue.cancel(key).state == "running"
         row = server.until(key, state="cancelled")
     assert row.cases_done == 3

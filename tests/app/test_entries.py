@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from small_service import serving
 from starlette.requests import Request
 
 import catalogue.store
-from app.entries import EntryShelf
+from app.entries import EntryShelf, fits
+from app.entry_schemas import EntryFilter
 from app.errors import NotAcceptableError
 from app.negotiation import chosen_type
 from app.settings import Settings
@@ -63,10 +65,21 @@ def test_filters(client: httpx.Client, stored: Catalogue) -> None:
     assert {item["hypothesis"] for item in walked(client, limit=200, min_clearance_um=1)} == {"A", "B", "O"}
     assert walked(client, limit=10, hypothesis="A", joint="B") == []
     assert walked(client, limit=10, status="jammed") == []
-    assert len(walked(client, limit=200, status="ok", law="own")) == len(table)
-    wide = walked(client, limit=200, stratum="wide")
-    assert len(wide) == np.count_nonzero(table.stratum == "wide")
-    assert {item["stratum"] for item in wide} <= {"wide"}
+    assert len(walked(client, limit=200, status="ok", law="own", stratum="trusted")) == len(table)
+    assert walked(client, limit=10, stratum="wide") == walked(client, limit=10, law="hertz") == []
+
+
+def test_filters_choose_a_part_of_mixed_entries(stored: Catalogue) -> None:
+    table = stored.entries
+    odd = np.arange(len(table)) % 2 == 1
+    mixed = replace(
+        table,
+        stratum=np.where(odd, "wide", "trusted"),
+        status=np.where(odd, "jammed", "ok"),
+        law=np.where(odd, "hertz", "own"),
+    )
+    for name, value in (("stratum", "wide"), ("status", "jammed"), ("law", "hertz")):
+        assert np.array_equal(fits(mixed, EntryFilter.model_validate({name: value})), odd)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from catalogue.readers.decimal_table import plain_table
@@ -22,10 +22,11 @@ FORMS = ("{:.4f}", "{:.6g}", "{:.3e}", "{:+.2E}", " {:.5f} ", "{:.0f}", "{:.17g}
 def test_numbers_are_those_of_a_careful_reader(rows: list[list[float]], form: str, delimiter: str) -> None:
     text = "".join(delimiter.join(form.format(value) for value in row) + "\n" for row in rows)
     found = plain_table(text, delimiter, 3)
-    if found is not None:
-        expected = np.loadtxt(io.StringIO(text), delimiter=delimiter, ndmin=2)
-        assert np.array_equal(found, expected)
-        assert np.array_equal(np.signbit(found), np.signbit(expected))
+    assume(found is not None)  # more than fifteen digits are left to others
+    assert found is not None
+    expected = np.loadtxt(io.StringIO(text), delimiter=delimiter, ndmin=2)
+    assert np.array_equal(found, expected)
+    assert np.array_equal(np.signbit(found), np.signbit(expected))
 
 
 @given(mantissa=st.integers(-(10**15), 10**15), places=st.integers(0, 22))

@@ -1,7 +1,8 @@
 """Damaged recordings by the thousand: `make fuzz-readers`, or `PYTHONPATH=tests python -m fuzz.readers --count 10000`.
 
 Every file must be read as what it is or refused in one line; never a crash, never longer than its time, and what is
-accepted is finite, of the length that the file has, and of its sample rate or another that is positive.
+accepted is finite, of a positive sample rate, and, of a file that was cut, as long as it says; text and universal
+files excepted, whose end nobody can miss.
 """
 
 from __future__ import annotations
