@@ -17,9 +17,9 @@ from app import tasks, webhooks
 from app.assets import AssetRow, Assets
 from app.build_queue import BuildQueue
 from app.build_runner import BuildRunner
-from app.catalogues import CatalogueShelf
+from app.catalogues import CatalogueShelf, Offer
 from app.entries import EntryShelf
-from app.errors import BadFieldError
+from app.errors import BadFieldError, TimeLimitError, WorkerDiedError
 from app.machine_store import MachineStore
 from app.schemas import DiagnosisRequest
 from app.settings import Settings
@@ -27,6 +27,25 @@ from app.storage import DiagnosisRow, MeasurementRow, Store, Upload
 from app.workers import WorkerPool
 from solver.errors import UnitError
 from solver.machines.units import ANGULAR_SPEED, FREQUENCY, to_si
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a request for a diagnosis names.
+
+    Parameters
+    ----------
+    offer : Offer
+        Its catalogue.
+    asset : AssetRow or None
+        Its asset.
+    question : Question
+        What a worker is told of them.
+    """
+
+    offer: Offer
+    asset: AssetRow | None
+    question: tasks.Question
 
 
 @dataclass(frozen=True)
@@ -63,31 +82,76 @@ class Service:
 
     async def diagnose(self, request: DiagnosisRequest) -> DiagnosisRow:
         """Diagnose a stored measurement in a worker and store the result."""
+        row, asked = await run_in_threadpool(self.about_stored, request)
+        recording = (str(self.store.path_of(row.sha256)), row.name, row.given_sample_rate_hz)
+        result = await self.pool.run(tasks.diagnose, *recording, asked.question)
+        return await run_in_threadpool(self.keep, request, asked, result)
+
+    async def diagnose_upload(
+        self, upload: Upload, name: str, sample_rate_hz: float | None, request: DiagnosisRequest
+    ) -> DiagnosisRow:
+        """Store an uploaded recording and diagnose it: the same as both calls by themselves, but it is read once.
+
+        The recording stays when the question is refused, or takes too long.
+
+        Parameters
+        ----------
+        upload, name, sample_rate_hz
+            As for :meth:`add_measurement`.
+        request : DiagnosisRequest
+            Names the measurement that the upload becomes.
+        """
+        try:
+            asked = await run_in_threadpool(self.about, request)
+        except Exception:
+            await self.add_measurement(upload, name, sample_rate_hz)
+            raise
+        recording = (str(upload.path), name, sample_rate_hz)
+        try:
+            summary, outcome = await self.pool.run(tasks.summarise_and_diagnose, *recording, asked.question)
+        except (TimeLimitError, WorkerDiedError):
+            # Perhaps it was the diagnosis that took too long, or too much memory.
+            await self.add_measurement(upload, name, sample_rate_hz)
+            raise
+        await run_in_threadpool(self.store.add_measurement, upload, name, sample_rate_hz, summary)
+        return await run_in_threadpool(self.keep, request, asked, outcome.result())
+
+    def about_stored(self, request: DiagnosisRequest) -> tuple[MeasurementRow, Asked]:
+        """Return the measurement that a request names, and what else it names.
+
+        Raises
+        ------
+        AppError
+            When something of that does not exist, or breaks a rule.
+        """
+        asked = self.about(request)
+        return self.store.measurement(request.measurement), asked
+
+    def about(self, request: DiagnosisRequest) -> Asked:
+        """Return what a request names besides its measurement.
+
+        Raises
+        ------
+        AppError
+            When something of that does not exist, or breaks a rule.
+        """
         speed = speed_of(request.speed)
-        offer = await run_in_threadpool(self.shelf.find, request.catalogue)
-        row = await run_in_threadpool(self.store.measurement, request.measurement)
-        asset = await run_in_threadpool(self.asset_of, request, offer.machine.name)
-        result = await self.pool.run(
-            tasks.diagnose,
-            str(self.store.path_of(row.sha256)),
-            row.name,
-            row.given_sample_rate_hz,
-            str(offer.path),
-            offer.stamp,
-            speed,
-            request.effort,
-            request.mode,
-            dict(request.mapping),
-            None if asset is None else self.baseline_of(asset, row),
-        )
-        return await run_in_threadpool(
-            self.store.add_diagnosis,
-            row.id,
-            offer.description.id,
-            json.loads(offer.machine.canonical_json()),
+        offer = self.shelf.find(request.catalogue)
+        asset = self.asset_of(request, offer.machine.name)
+        baseline = None if asset is None else self.baseline_of(asset, request.measurement)
+        mapping = dict(request.mapping)
+        place = (str(offer.path), offer.stamp)
+        return Asked(offer, asset, tasks.Question(*place, speed, request.effort, request.mode, mapping, baseline))
+
+    def keep(self, request: DiagnosisRequest, asked: Asked, result: Mapping[str, Any]) -> DiagnosisRow:
+        """Store a diagnosis, with what is told of it."""
+        return self.store.add_diagnosis(
+            request.measurement,
+            asked.offer.description.id,
+            json.loads(asked.offer.machine.canonical_json()),
             request.model_dump(mode="json"),
             result,
-            lambda session, key: self.announce(session, key, row.id, asset, result),
+            lambda session, key: self.announce(session, key, request.measurement, asked.asset, result),
         )
 
     def asset_of(self, request: DiagnosisRequest, machine: str) -> AssetRow | None:
@@ -108,9 +172,9 @@ class Service:
             raise BadFieldError(said, field="asset")
         return found
 
-    def baseline_of(self, asset: AssetRow, measurement: MeasurementRow) -> tuple[str, str, float | None] | None:
+    def baseline_of(self, asset: AssetRow, measurement: str) -> tuple[str, str, float | None] | None:
         """Return where the baseline of an asset lies and how to read it; none for the baseline itself."""
-        if asset.baseline is None or asset.baseline == measurement.id:
+        if asset.baseline is None or asset.baseline == measurement:
             return None
         row = self.store.measurement(asset.baseline)
         return str(self.store.path_of(row.sha256)), row.name, row.given_sample_rate_hz

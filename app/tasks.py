@@ -4,14 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from app.workers import Outcome, attempt
 
 if TYPE_CHECKING:
     from catalogue.answer import Effort, ModeAsked
     from catalogue.measurement import Measurement
     from catalogue.store import Catalogue
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a recording is compared with, and how.
+
+    Parameters
+    ----------
+    catalogue : str
+        Folder of the catalogue.
+    stamp : str
+        Changes when the catalogue does, so that an open one is not used for longer than it is true.
+    speed : float, optional
+        Drive speed [rad/s].
+    effort : str
+        fast, standard or thorough.
+    mode : str
+        auto, trusted or robust.
+    mapping : Mapping
+        Column to sensor.
+    baseline : tuple, optional
+        Path, name and sample rate of a recording of the machine in order.
+    """
+
+    catalogue: str
+    stamp: str
+    speed: float | None
+    effort: Effort
+    mode: ModeAsked
+    mapping: Mapping[str, str]
+    baseline: tuple[str, str, float | None] | None = None
 
 
 def summarise(path: str, name: str, sample_rate: float | None) -> dict[str, Any]:
@@ -26,7 +60,11 @@ def summarise(path: str, name: str, sample_rate: float | None) -> dict[str, Any]
     sample_rate : float, optional
         Hz; for recordings without times.
     """
-    measurement = read(path, name, sample_rate)
+    return summary_of(read(path, name, sample_rate))
+
+
+def summary_of(measurement: Measurement) -> dict[str, Any]:
+    """Return what there is to say about a recording."""
     samples = len(measurement.signal)
     return {
         "sample_rate_hz": float(measurement.sample_rate),
@@ -45,13 +83,7 @@ def diagnose(
     path: str,
     name: str,
     sample_rate: float | None,
-    catalogue: str,
-    stamp: str,
-    speed: float | None,
-    effort: Effort,
-    mode: ModeAsked,
-    mapping: Mapping[str, str],
-    baseline: tuple[str, str, float | None] | None = None,
+    question: Question,
 ) -> dict[str, Any]:
     """Diagnose a recording and return the contract's members as JSON values.
 
@@ -59,32 +91,40 @@ def diagnose(
     ----------
     path, name, sample_rate
         As for :func:`summarise`.
-    catalogue : str
-        Folder of the catalogue.
-    stamp : str
-        Changes when the catalogue does, so that an open one is not used for longer than it is true.
-    speed : float, optional
-        Drive speed [rad/s].
-    effort : str
-        fast, standard or thorough.
-    mode : str
-        auto, trusted or robust.
-    mapping : Mapping
-        Column to sensor.
-    baseline : tuple, optional
-        Path, name and sample rate of a recording of the machine in order.
+    question : Question
+        What to compare it with, and how.
     """
+    return diagnosed(read(path, name, sample_rate), question)
+
+
+def summarise_and_diagnose(
+    path: str, name: str, sample_rate: float | None, question: Question
+) -> tuple[dict[str, Any], Outcome]:
+    """Do what :func:`summarise` and then :func:`diagnose` do, and read the recording once.
+
+    Returns
+    -------
+    dict
+        What there is to say about the recording.
+    Outcome
+        The diagnosis, or why there is none.
+    """
+    measurement = read(path, name, sample_rate)
+    return summary_of(measurement), attempt(diagnosed, (measurement, question))
+
+
+def diagnosed(measurement: Measurement, question: Question) -> dict[str, Any]:
+    """Diagnose what was read and return the contract's members as JSON values."""
     from catalogue.diagnosis import diagnose as ranked
 
-    measurement = read(path, name, sample_rate)
     result = ranked(
         measurement,
-        opened(catalogue, stamp),
-        speed=speed,
-        effort=effort,
-        mode=mode,
-        mapping=mapping or None,
-        baseline=None if baseline is None else read(*baseline),
+        opened(question.catalogue, question.stamp),
+        speed=question.speed,
+        effort=question.effort,
+        mode=question.mode,
+        mapping=question.mapping or None,
+        baseline=None if question.baseline is None else read(*question.baseline),
     )
     document: dict[str, Any] = result.model_dump(mode="json")
     return document
@@ -117,7 +157,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     Parameters
     ----------
     catalogues : sequence of (str, str)
-        Folders and stamps, as for :func:`diagnose`.
+        Folders and stamps, as in :class:`Question`.
     """
     import catalogue.diagnosis
     import catalogue.measurement  # noqa: F401, loaded to be there when it is needed

@@ -41,6 +41,18 @@ class Outcome:
     value: Any = None
     problem: Problem | None = None
 
+    def result(self) -> Any:
+        """Return the value.
+
+        Raises
+        ------
+        TaskFailedError
+            When there is a problem in its place.
+        """
+        if self.problem is not None:
+            raise TaskFailedError(self.problem)
+        return self.value
+
 
 def prepare() -> None:
     """Set a fresh worker up: one thread of linear algebra, deaf to Ctrl-C, gone when the service is gone."""
@@ -158,9 +170,7 @@ class WorkerPool:
             raise
         finally:
             self._free.put_nowait(worker)
-        if outcome.problem is not None:
-            raise TaskFailedError(outcome.problem)
-        return outcome.value
+        return outcome.result()
 
     def _replace(self, worker: Worker) -> Worker:
         """End a worker and return the one that takes its place."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -21,9 +23,9 @@ from app.routes.findings import Only, Since
 from app.routes.machines import Cursor, Limit
 from app.routes.measurements import FILE, RATE
 from app.schemas import DiagnosisItem, DiagnosisPage, DiagnosisRequest
-from app.service import Service, of_request, rate_of
-from app.storage import DiagnosisRow, aware
-from app.uploads import MULTIPART, media_type, received_form
+from app.service import of_request, rate_of
+from app.storage import DiagnosisRow, aware, measurement_key
+from app.uploads import MULTIPART, Form, media_type, received_form
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
@@ -67,17 +69,28 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
     kind = media_type(request)
     if kind == JSON_TYPE:
         wanted = checked(parsed(await request.body()))
-    elif kind == MULTIPART:
-        wanted = await from_form(request, service)
-    else:
+        return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
+    if kind != MULTIPART:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
+    async with received_form(request, service.store, FIELDS) as form:
+        wanted, rate = of_form(form)
+        if form.file is None:
+            return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
+        diagnose = partial(service.diagnose_upload, form.file, form.file_name, rate, wanted)
+        return await answer(request, idempotency_key, wanted, diagnose)
+
+
+async def answer(
+    request: Request, key: str | None, wanted: DiagnosisRequest, diagnose: Callable[[], Awaitable[DiagnosisRow]]
+) -> Response:
+    """Answer a question by what `diagnose` finds, or with the answer that was given under its key before."""
 
     async def answered() -> Response:
-        row = await service.diagnose(wanted)
+        row = await diagnose()
         headers = {"Location": f"/api/v1/diagnoses/{row.id}"}
         return Response(diagnosis_out(row).model_dump_json(), 201, headers, JSON_TYPE)
 
-    return await once(request, idempotency_key, service.store.database, wanted.model_dump(mode="json"), answered)
+    return await once(request, key, of_request(request).store.database, wanted.model_dump(mode="json"), answered)
 
 
 @router.get("", responses=problems(400, 422))
@@ -101,20 +114,17 @@ async def diagnosis(request: Request, key: str) -> Response:
     return respond(request, Response(diagnosis_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
 
 
-async def from_form(request: Request, service: Service) -> DiagnosisRequest:
-    """Return what a form asks for; a file in it is stored first."""
-    async with received_form(request, service.store, FIELDS) as form:
-        members: dict[str, Any] = {name: value for name, value in form.fields.items() if name != "sample_rate"}
-        if "mapping" in members:
-            members["mapping"] = parsed(members["mapping"], "mapping")
-        if form.file is None:
-            return checked(members)
-        if "measurement" in members:
-            raise BadFieldError("measurement: give either a measurement or a file, not both", field="measurement")
-        # Everything else is checked before the file is read, which takes much longer.
-        checked({**members, "measurement": "file"})
-        row = await service.add_measurement(form.file, form.file_name, rate_of(form.fields.get("sample_rate")))
-        return checked({**members, "measurement": row.id})
+def of_form(form: Form) -> tuple[DiagnosisRequest, float | None]:
+    """Return what a form asks for, with the id that its file has when it is stored, and the sample rate [Hz]."""
+    members: dict[str, Any] = {name: value for name, value in form.fields.items() if name != "sample_rate"}
+    if "mapping" in members:
+        members["mapping"] = parsed(members["mapping"], "mapping")
+    if form.file is None:
+        return checked(members), None
+    if "measurement" in members:
+        raise BadFieldError("measurement: give either a measurement or a file, not both", field="measurement")
+    rate = rate_of(form.fields.get("sample_rate"))
+    return checked({**members, "measurement": measurement_key(form.file.sha256, form.file_name, rate)}), rate
 
 
 def checked(members: object) -> DiagnosisRequest:

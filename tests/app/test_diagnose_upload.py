@@ -1,0 +1,120 @@
+"""A recording sent with its question: read once, and kept whatever becomes of the question."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from app import tasks
+from app.build_queue import BuildQueue
+from app.build_runner import BuildRunner
+from app.catalogues import CatalogueShelf
+from app.errors import AppError, BadFieldError, TimeLimitError, UnknownCatalogueError, WorkerDiedError
+from app.machine_store import MachineStore
+from app.schemas import DiagnosisRequest
+from app.service import Service
+from app.settings import Settings
+from app.storage import DiagnosisRow, Store, measurement_key
+from app.workers import TaskFailedError, WorkerPool, attempt
+from catalogue.measurement import Measurement
+
+
+class Here:
+    """Runs tasks in this process, and notes which; may fail as a pool of processes does."""
+
+    def __init__(self, failure: AppError | None = None) -> None:
+        self.failure = failure
+        self.asked: list[str] = []
+
+    async def run(self, task: Callable[..., Any], *args: Any) -> Any:
+        self.asked.append(task.__name__)
+        if self.failure is not None and task is tasks.summarise_and_diagnose:
+            raise self.failure
+        return attempt(task, args).result()
+
+
+def service_of(shelf: Path, data: Path, pool: Here) -> Service:
+    settings = Settings(catalogues=shelf, data=data)
+    store = Store(data)
+    queue = BuildQueue(store.database)
+    runner = BuildRunner(queue, shelf, 0, 30.0)
+    parts = (CatalogueShelf(shelf), cast(WorkerPool, pool), MachineStore(data / "machines"), queue, runner)
+    return Service(settings, store, *parts)
+
+
+def ask(service: Service, content: bytes, **members: Any) -> DiagnosisRow:
+    upload = service.store.receive(io.BytesIO(content))
+    key = measurement_key(upload.sha256, "worn.csv", None)
+    question = {"catalogue": "slider-crank", "effort": "fast", "measurement": key, **members}
+    try:
+        request = DiagnosisRequest.model_validate(question)
+        return asyncio.run(service.diagnose_upload(upload, "worn.csv", None, request))
+    finally:
+        service.store.settle(upload)
+
+
+def kept(service: Service) -> int:
+    return len(service.store.measurements(None, 10))
+
+
+def test_the_recording_is_read_once(shelf: Path, tmp_path: Path, worn: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, times = tasks.read, []
+
+    def counting(*recording: Any) -> Measurement:
+        times.append(recording)
+        return read(*recording)
+
+    monkeypatch.setattr(tasks, "read", counting)
+    pool = Here()
+    service = service_of(shelf, tmp_path, pool)
+    row = ask(service, worn)
+    assert pool.asked == ["summarise_and_diagnose"]
+    assert len(times) == 1
+    stored = service.store.measurement(row.measurement)
+    assert stored.summary == tasks.summarise(str(service.store.path_of(stored.sha256)), "worn.csv", None)
+    again = asyncio.run(service.diagnose(DiagnosisRequest.model_validate(row.request)))
+    assert (again.id, again.result) == (row.id, row.result)
+
+
+@pytest.mark.parametrize(
+    ("members", "error", "said"),
+    [
+        ({"catalogue": "nonsense"}, UnknownCatalogueError, "catalogue: nonsense"),
+        ({"speed": "3 kg"}, BadFieldError, "speed: 3 kg"),
+        ({"mapping": {"x": "y"}}, TaskFailedError, "s1-x"),
+    ],
+)
+def test_a_recording_stays_when_its_question_is_refused(
+    shelf: Path, tmp_path: Path, worn: bytes, members: dict[str, Any], error: type[Exception], said: str
+) -> None:
+    service = service_of(shelf, tmp_path, Here())
+    with pytest.raises(error, match=said):
+        ask(service, worn, **members)
+    assert kept(service) == 1
+    assert service.store.diagnoses(None, 10) == []
+
+
+@pytest.mark.parametrize("failure", [TimeLimitError("stopped"), WorkerDiedError("ended")])
+def test_a_recording_stays_when_its_diagnosis_fails(
+    shelf: Path, tmp_path: Path, worn: bytes, failure: AppError
+) -> None:
+    pool = Here(failure)
+    service = service_of(shelf, tmp_path, pool)
+    with pytest.raises(type(failure), match=str(failure)):
+        ask(service, worn)
+    assert pool.asked == ["summarise_and_diagnose", "summarise"]
+    assert kept(service) == 1
+
+
+@pytest.mark.parametrize("members", [{}, {"catalogue": "nonsense"}])
+def test_what_cannot_be_read_is_not_kept(shelf: Path, tmp_path: Path, members: dict[str, str]) -> None:
+    service = service_of(shelf, tmp_path, Here())
+    with pytest.raises(TaskFailedError, match=r"worn\.csv"):
+        ask(service, b"no recording", **members)
+    assert kept(service) == 0
+    assert not [path for path in (tmp_path / "measurements").rglob("*") if path.is_file()]
