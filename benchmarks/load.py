@@ -2,7 +2,8 @@
 
 Server and clients share this computer. Every recording is another one: a shipped one whose samples begin elsewhere,
 under a name of its own, so that no answer can be one that was given before. Printed are the rate, times of answers,
-errors and the memory of the service with its workers, and the load of the computer: others may be working on it.
+errors, the memory of the service with its workers, the processor time that a diagnosis takes of server, workers and
+clients, and the load of the computer: others may be working on it, and then the processor time is what counts.
 """
 
 from __future__ import annotations
@@ -106,16 +107,26 @@ async def client(
         writer.close()
 
 
+def processor_seconds(pid: int) -> tuple[float, float]:
+    """Return the processor time of a process, and of all below it [s]."""
+    own = sum(map(int, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]))
+    below = sum(sum(processor_seconds(child)) for child in children(pid))
+    return own / os.sysconf("SC_CLK_TCK"), below
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
 def resident(pid: int) -> int:
     """Return the memory of a process and all below it [bytes]; what several map is shared out among them."""
     total = 0
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
         if line.startswith("Pss:"):
             total = int(line.split()[1]) * 1024
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        children = (task / "children").read_text().split()
-        total += sum(resident(int(child)) for child in children)
-    return total
+    return total + sum(resident(child) for child in children(pid))
 
 
 @contextmanager
@@ -145,7 +156,7 @@ async def measure(options: argparse.Namespace, pid: int, port: int) -> dict[str,
     asked = ("127.0.0.1", port, contents, numbers, options.catalogue)
     await asyncio.gather(*(client(*asked, warm_until, before) for _ in range(options.workers)))
     tally, memory, loads = Tally(), [resident(pid)], []
-    started = time.monotonic()
+    started, spent = time.monotonic(), (*processor_seconds(pid), time.process_time())
 
     async def watch() -> None:
         while True:
@@ -159,6 +170,10 @@ async def measure(options: argparse.Namespace, pid: int, port: int) -> dict[str,
     await asyncio.gather(*(client(*asked, until, tally) for _ in range(options.clients)))
     elapsed = time.monotonic() - started
     watching.cancel()
+    each = [
+        round(1000 * (after - before) / len(tally.seconds), 1)
+        for after, before in zip((*processor_seconds(pid), time.process_time()), spent, strict=True)
+    ]
     median, late = np.quantile(tally.seconds, (0.5, 0.99))
     return {
         "clients": options.clients,
@@ -169,6 +184,7 @@ async def measure(options: argparse.Namespace, pid: int, port: int) -> dict[str,
         "longest_s": round(max(tally.seconds), 3),
         "statuses": dict(tally.statuses),
         "megabytes_sent": round(tally.bytes_sent / 1e6),
+        "processor_ms_each": dict(zip(("server", "workers", "clients"), each, strict=True)),
         "memory_mb": [round(size / 1e6) for size in memory],
         "load_average": [round(load, 1) for load in loads],
         "processors": os.cpu_count(),
