@@ -82,17 +82,19 @@ class Assets:
 
         The baseline has to be a stored measurement; the caller has looked.
         """
+        moment, asked = now(), wanted.model_dump()
+        first = {"external_id": external_id, "created_at": moment, "updated_at": moment, **asked}
         with self._database.writing() as session:
-            row = session.scalar(select(AssetRow).where(AssetRow.external_id == external_id))
-            new = row is None
-            if row is None:
-                row = AssetRow(external_id=external_id, created_at=now(), updated_at=now(), machine="", notes="")
-                session.add(row)
-            asked = wanted.model_dump()
-            if new or any(getattr(row, name) != value for name, value in asked.items()):
+            # Two that put it at once wait for each other: one makes it, the other finds it.
+            insert = (
+                self._database.insert(AssetRow).values(first).on_conflict_do_nothing(index_elements=["external_id"])
+            )
+            new = session.scalar(insert.returning(AssetRow.number)) is not None
+            row = session.scalars(select(AssetRow).filter_by(external_id=external_id).with_for_update()).one()
+            if any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():
                     setattr(row, name, value)
-                row.updated_at = now()
+                row.updated_at = moment
             session.flush()
             if wanted.baseline is not None:
                 self._own(session, external_id, wanted.baseline)
@@ -132,8 +134,8 @@ class Assets:
         row = {"asset": external_id, "diagnosis": diagnosis}
         session.execute(self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing())
 
-    def add_finding(self, row: DiagnosisRow, found: FindingIn) -> tuple[FindingRow, bool]:
-        """Store a finding; return it, and whether it is new: the same finding twice is one.
+    def add_finding(self, row: DiagnosisRow, found: FindingIn) -> FindingRow:
+        """Store a finding and return it: the same finding twice is one.
 
         Raises
         ------
@@ -159,12 +161,10 @@ class Assets:
             "text": found.text,
         }
         with self._database.writing() as session:
-            new = session.scalar(select(FindingRow.id).where(FindingRow.id == key)) is None
-            insert = self._database.insert(FindingRow).values(values)
-            session.execute(insert.on_conflict_do_nothing(index_elements=["id"]))
-            if new:
+            insert = self._database.insert(FindingRow).values(values).on_conflict_do_nothing(index_elements=["id"])
+            if session.scalar(insert.returning(FindingRow.id)) is not None:
                 announce(session, "finding.created", {"finding": key, "diagnosis": row.id, "asset": values["asset"]})
-        return self.finding(key), new
+        return self.finding(key)
 
     def finding(self, key: str) -> FindingRow:
         """Return a finding.

@@ -86,16 +86,17 @@ async def once(
         return await act()
     client = getattr(request.state, "key", None)
     place = digest([client, request.method, request.url.path, key])
-    earlier = await run_in_threadpool(reserve, database, place, digest(content))
+    moment = now()
+    earlier = await run_in_threadpool(reserve, database, place, digest(content), moment)
     if earlier is not None:
         return earlier
     try:
         answer = await act()
     except (Exception, asyncio.CancelledError):
         # Not in a thread: a cancelled task waits for nothing any more.
-        settle(database, place, None)
+        settle(database, place, moment, None)
         raise
-    await run_in_threadpool(settle, database, place, answer)
+    await run_in_threadpool(settle, database, place, moment, answer)
     return answer
 
 
@@ -104,15 +105,14 @@ def digest(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def reserve(database: Database, place: str, fingerprint: str) -> Response | None:
-    """Take a key, or return the answer that was given with it.
+def reserve(database: Database, place: str, fingerprint: str, moment: datetime) -> Response | None:
+    """Take a key at a moment, or return the answer that was given with it.
 
     Raises
     ------
     KeyReusedError, KeyInUseError
         As :func:`once`.
     """
-    moment = now()
     empty: dict[str, Any] = {"status": None, "headers": {}, "body": b""}
     row = {"id": place, "fingerprint": fingerprint, "created_at": moment, **empty}
     with database.writing() as session:
@@ -122,7 +122,9 @@ def reserve(database: Database, place: str, fingerprint: str) -> Response | None
         statement = database.insert(IdempotencyRow).values(row).on_conflict_do_nothing(index_elements=["id"])
         if session.execute(statement.returning(IdempotencyRow.id)).first() is not None:
             return None
-        found = session.scalars(select(IdempotencyRow).where(IdempotencyRow.id == place)).one()
+        found = session.scalar(select(IdempotencyRow).where(IdempotencyRow.id == place))
+    if found is None:
+        raise KeyInUseError("Idempotency-Key: the first request with it has just failed; send it again")
     if found.fingerprint != fingerprint:
         raise KeyReusedError("Idempotency-Key: was used for another request; take a new one", field=HEADER)
     if found.status is None:
@@ -132,9 +134,12 @@ def reserve(database: Database, place: str, fingerprint: str) -> Response | None
     return answer
 
 
-def settle(database: Database, place: str, answer: Response | None) -> None:
-    """Keep the answer of a key; without one, or with one that says something failed, the key is free again."""
-    chosen = IdempotencyRow.id == place
+def settle(database: Database, place: str, moment: datetime, answer: Response | None) -> None:
+    """Keep the answer of a key; without one, or with one that says something failed, the key is free again.
+
+    A key that was taken at a later moment is another request's: this one took longer than its lease.
+    """
+    chosen = (IdempotencyRow.id == place) & (IdempotencyRow.created_at == moment)
     with database.writing() as session:
         if answer is None or answer.status_code >= 400:
             session.execute(delete(IdempotencyRow).where(chosen))

@@ -165,8 +165,10 @@ class Webhooks:
             values["state"] = "failed"
         else:
             values["due_at"] = moment + WAITS[taken.attempts - 1]
+        # Somebody who took it up later, because this took longer than the lease, has the last word.
+        mine = (DeliveryRow.id == taken.id, DeliveryRow.attempts == taken.attempts)
         with self._database.writing() as session:
-            session.execute(update(DeliveryRow).where(DeliveryRow.id == taken.id).values(**values))
+            session.execute(update(DeliveryRow).where(*mine).values(**values))
 
 
 def announce(session: Session, event: Event, members: Mapping[str, Any]) -> None:
@@ -179,7 +181,9 @@ def announce(session: Session, event: Event, members: Mapping[str, Any]) -> None
     members : Mapping
         What is told, as JSON values.
     """
-    hooks = [hook for hook in session.scalars(select(WebhookRow)) if event in hook.events]
+    # Nobody may forget one of them before this transaction is over: its deliveries would belong to nothing.
+    held = select(WebhookRow).with_for_update(read=True, key_share=True)
+    hooks = [hook for hook in session.scalars(held) if event in hook.events]
     for hook in hooks:
         key = secrets.token_hex(16)
         moment = now()

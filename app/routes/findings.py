@@ -11,6 +11,7 @@ from app import paging
 from app.asset_schemas import FindingIn, FindingOut, FindingPage, JointFound
 from app.assets import Assets, FindingRow
 from app.etags import respond
+from app.idempotency import IdempotencyKey, once
 from app.moments import Moment
 from app.openapi import problems
 from app.routes.machines import Cursor, Limit
@@ -23,13 +24,22 @@ Since = Annotated[Moment | None, Query(description="Only what came at this momen
 Only = Annotated[str | None, Query(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9._:-]+$")]
 
 
-@router.post("/diagnoses/{key}/finding", status_code=201, responses=problems(404, 413, 422))
-def report_back(request: Request, response: Response, key: str, found: FindingIn) -> FindingOut:
+@router.post(
+    "/diagnoses/{key}/finding", status_code=201, response_model=FindingOut, responses=problems(404, 409, 413, 422)
+)
+async def report_back(request: Request, key: str, found: FindingIn, idempotency_key: IdempotencyKey = None) -> Response:
     """Report what an inspection found after a diagnosis; the same finding sent twice is kept once."""
-    service = of_request(request)
-    row, _ = Assets(service.store.database).add_finding(service.store.diagnosis(key), found)
-    response.headers["Location"] = f"/api/v1/findings/{row.id}"
-    return finding_out(row)
+    store = of_request(request).store
+
+    def kept() -> FindingRow:
+        return Assets(store.database).add_finding(store.diagnosis(key), found)
+
+    async def answered() -> Response:
+        row = await run_in_threadpool(kept)
+        headers = {"Location": f"/api/v1/findings/{row.id}"}
+        return Response(finding_out(row).model_dump_json(), 201, headers, "application/json")
+
+    return await once(request, idempotency_key, store.database, found.model_dump(mode="json"), answered)
 
 
 @router.get("/findings", responses=problems(400, 422))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from fastapi import APIRouter, Request, Response
+from starlette.concurrency import run_in_threadpool
 
 from app import paging
+from app.idempotency import IdempotencyKey, once
 from app.openapi import problems
 from app.routes.machines import Cursor, Limit
 from app.service import of_request
@@ -16,14 +18,20 @@ from app.webhooks import WebhookRow, Webhooks
 router = APIRouter(prefix="/webhooks", tags=["webhooks"])
 
 
-@router.post("", status_code=201, responses=problems(413, 422))
-def add(request: Request, response: Response, wanted: WebhookIn) -> WebhookMade:
+@router.post("", status_code=201, response_model=WebhookMade, responses=problems(409, 413, 422))
+async def add(request: Request, wanted: WebhookIn, idempotency_key: IdempotencyKey = None) -> Response:
     """Name an address that is told of events; the answer holds the secret that signs, which is not shown again."""
     service = of_request(request)
     checked_url(wanted.url, service.settings.webhooks_private)
-    row = Webhooks(service.store.database).add(wanted.url, sorted(set(wanted.events)))
-    response.headers["Location"] = f"/api/v1/webhooks/{row.id}"
-    return WebhookMade(**webhook_out(row).model_dump(), secret=row.secret)
+    database, events = service.store.database, sorted(set(wanted.events))
+
+    async def answered() -> Response:
+        row = await run_in_threadpool(Webhooks(database).add, wanted.url, events)
+        made = WebhookMade(**webhook_out(row).model_dump(), secret=row.secret)
+        headers = {"Location": f"/api/v1/webhooks/{row.id}"}
+        return Response(made.model_dump_json(), 201, headers, "application/json")
+
+    return await once(request, idempotency_key, database, [wanted.url, events], answered)
 
 
 @router.get("", responses=problems(400, 422))

@@ -11,6 +11,7 @@ import httpx
 import pytest
 from filelock import FileLock
 from small_service import PLAN, serving
+from webhook_listener import Listener, listening
 
 from app.settings import Settings
 from catalogue.build import build
@@ -64,3 +65,10 @@ def client(server: str) -> Iterator[httpx.Client]:
 def worn() -> bytes:
     """A recording, as CSV, of a slider-crank whose joint B has 150 um of radial clearance."""
     return gzip.decompress((RECORDINGS / "slider-crank-02.csv.gz").read_bytes())
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    """A server that webhooks can lead to."""
+    with listening() as found:
+        yield found

@@ -14,15 +14,15 @@ from starlette.responses import Response
 
 import app.idempotency
 from app.errors import KeyInUseError, KeyReusedError
-from app.idempotency import KEPT, LEASE, once
+from app.idempotency import KEPT, LEASE, once, reserve, settle
 from app.storage import Store, now
 
 API = "/api/v1"
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Any:
-    opened = Store(tmp_path)
+def store(url: str, tmp_path: Path) -> Any:
+    opened = Store(tmp_path, url)
     yield opened
     opened.close()
 
@@ -95,12 +95,26 @@ def test_keys_end(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
         assert work.done == done
 
 
-def test_a_key_whose_server_died_is_free_after_a_while(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert app.idempotency.reserve(store.database, "place", "print") is None  # and nobody settles it
+def test_a_key_whose_server_died_is_free_after_a_while(store: Store) -> None:
+    moment = now()
+    assert reserve(store.database, "place", "print", moment) is None  # and nobody settles it
     with pytest.raises(KeyInUseError):
-        app.idempotency.reserve(store.database, "place", "print")
-    monkeypatch.setattr(app.idempotency, "now", lambda: now() + LEASE + timedelta(seconds=1))
-    assert app.idempotency.reserve(store.database, "place", "print") is None
+        reserve(store.database, "place", "print", moment + LEASE)
+    assert reserve(store.database, "place", "print", moment + LEASE + timedelta(seconds=1)) is None
+
+
+def test_who_took_too_long_settles_nothing_of_another(store: Store) -> None:
+    early = now()
+    late = early + LEASE + timedelta(seconds=1)
+    assert reserve(store.database, "place", "print", early) is None
+    assert reserve(store.database, "place", "print", late) is None
+    for answer in (None, Response("early", 201)):
+        settle(store.database, "place", early, answer)
+        with pytest.raises(KeyInUseError):
+            reserve(store.database, "place", "print", late)
+    settle(store.database, "place", late, Response("late", 201))
+    kept = reserve(store.database, "place", "print", late)
+    assert kept is not None and kept.body == b"late"
 
 
 def test_over_http(client: httpx.Client, worn: bytes) -> None:
@@ -126,3 +140,29 @@ def test_over_http(client: httpx.Client, worn: bytes) -> None:
     assert (one.status_code, two.content, two.headers["location"]) == (201, one.content, one.headers["location"])
     assert client.get(one.headers["location"]).content == one.content
     assert diagnose(effort="standard").status_code == 422
+
+
+def test_findings_and_webhooks_over_http(client: httpx.Client, worn: bytes) -> None:
+    form = {"catalogue": "slider-crank", "effort": "fast"}
+    diagnosis = client.post(f"{API}/diagnoses", files={"file": ("worn.csv", worn)}, data=form).json()["id"]
+    finding = {"text": "bush worn", "at": "2026-03-01T08:00:00Z"}
+    other_finding = {**finding, "text": "nothing found"}
+    webhook: dict[str, Any] = {"url": "https://example.org/hook", "events": ["finding.created"]}
+    other_webhook = {**webhook, "url": "https://example.org/other"}
+    for place, body, other in (
+        (f"diagnoses/{diagnosis}/finding", finding, other_finding),
+        ("webhooks", webhook, other_webhook),
+    ):
+
+        def send(body: dict[str, Any], key: str, place: str = place) -> httpx.Response:
+            return client.post(f"{API}/{place}", json=body, headers={"Idempotency-Key": key})
+
+        first, again = send(body, "f-1"), send(body, "f-1")
+        assert (first.status_code, again.status_code) == (201, 201), first.text
+        assert (again.content, again.headers["location"]) == (first.content, first.headers["location"])
+        changed = send(other, "f-1")
+        assert (changed.status_code, changed.json()["type"]) == (422, "urn:jointplay:problem:idempotency-key-reused")
+        assert send(other, "f-2").json()["id"] != first.json()["id"]
+    kept = [hook["url"] for hook in client.get(f"{API}/webhooks").json()["items"]]
+    assert [kept.count(hook["url"]) for hook in (webhook, other_webhook)] == [1, 1]
+    assert send(body, "f-3").json()["id"] != again.json()["id"], "without the key it is another webhook"

@@ -5,90 +5,32 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
-import queue
 import socket
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import timedelta
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
 from small_service import serving
+from webhook_listener import Listener, state, tell
 
 from app import webhook_sender
 from app.errors import BadFieldError
 from app.settings import Settings
 from app.storage import Store, now
 from app.webhook_sender import NotDeliveredError, WebhookSender, address_of, checked_url, is_public
-from app.webhooks import LEASE, WAITS, Taken, WebhookRow, Webhooks, announce
+from app.webhooks import LEASE, WAITS, Taken, Webhooks
 
 API = "/api/v1"
 
 
-@dataclass(frozen=True)
-class Told:
-    """A request as it came to the listener."""
-
-    path: str
-    headers: dict[str, str]
-    body: bytes
-
-
-class Listener(ThreadingHTTPServer):
-    """A server that keeps what it is told and answers as it was set to."""
-
-    def __init__(self) -> None:
-        super().__init__(("127.0.0.1", 0), Handler)
-        self.told: queue.Queue[Told] = queue.Queue()
-        self.status = 204
-        self.url = f"http://127.0.0.1:{self.server_port}"
-
-
-class Handler(BaseHTTPRequestHandler):
-    server: Listener
-
-    def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        self.server.told.put(Told(self.path, {name.lower(): value for name, value in self.headers.items()}, body))
-        self.send_response(self.server.status)
-        if 300 <= self.server.status < 400:
-            self.send_header("Location", f"{self.server.url}/elsewhere")
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-
-    def log_message(self, format: str, *args: Any) -> None:
-        pass
-
-
 @pytest.fixture
-def listener() -> Iterator[Listener]:
-    with Listener() as found:
-        thread = threading.Thread(target=found.serve_forever, daemon=True)
-        thread.start()
-        yield found
-        found.shutdown()
-        thread.join(10)
-
-
-@pytest.fixture
-def webhooks(tmp_path: Path) -> Iterator[Webhooks]:
-    store = Store(tmp_path)
+def webhooks(url: str, tmp_path: Path) -> Iterator[Webhooks]:
+    store = Store(tmp_path, url)
     yield Webhooks(store.database)
     store.close()
-
-
-def tell(webhooks: Webhooks, event: Any = "finding.created") -> None:
-    with webhooks._database.writing() as session:
-        announce(session, event, {"finding": "f1"})
-
-
-def state(webhooks: Webhooks, hook: WebhookRow) -> tuple[str, int, str]:
-    (row,) = webhooks.deliveries(hook.id, None, 10)
-    return row.state, row.attempts, row.error
 
 
 # --- deliveries
@@ -154,8 +96,8 @@ def test_it_is_given_up_after_the_last_attempt(webhooks: Webhooks) -> None:
     assert webhooks.take(moment + timedelta(days=30)) is None
 
 
-def test_a_delivery_outlives_its_server(tmp_path: Path, listener: Listener) -> None:
-    first = Store(tmp_path)
+def test_a_delivery_outlives_its_server(url: str, tmp_path: Path, listener: Listener) -> None:
+    first = Store(tmp_path, url)
     before = Webhooks(first.database)
     hook = before.add(listener.url, ["finding.created"])
     tell(before)
@@ -163,7 +105,7 @@ def test_a_delivery_outlives_its_server(tmp_path: Path, listener: Listener) -> N
     lost = before.take(moment)
     assert lost is not None
     first.close()  # in the middle of the attempt
-    second = Store(tmp_path)
+    second = Store(tmp_path, url)
     after = Webhooks(second.database)
     assert after.take(moment + LEASE - timedelta(seconds=1)) is None, "the first server may be alive"
     again = after.take(moment + LEASE)
@@ -173,14 +115,6 @@ def test_a_delivery_outlives_its_server(tmp_path: Path, listener: Listener) -> N
     after.settle(again, now())
     assert state(after, hook) == ("delivered", 2, "")
     second.close()
-
-
-def test_two_servers_do_not_take_the_same(webhooks: Webhooks) -> None:
-    webhooks.add("http://127.0.0.1:9/", ["finding.created"])
-    tell(webhooks)
-    moment = now()
-    assert webhooks.take(moment) is not None
-    assert webhooks.take(moment) is None
 
 
 def test_whoever_answers_without_end_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import os
+import signal
 import struct
 import warnings
 from collections.abc import Callable
@@ -22,7 +24,7 @@ from catalogue.errors import MeasurementError
 from catalogue.hdf5 import write_arrays
 from catalogue.import_profile import ImportProfile
 from catalogue.measurement import Measurement, read_measurement
-from catalogue.readers import Limits
+from catalogue.readers import Limits, cell
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 RATE = 2000.0
@@ -240,6 +242,17 @@ def test_npz_files_that_are_encrypted_or_packed_in_another_way_are_refused(
 )
 def test_a_reader_that_takes_too_much_is_ended_and_the_next_file_is_read(limits: Limits, rule: str) -> None:
     assert rule in refusal(content("slider-crank-03.uff"), "s.uff", limits=limits)
+    assert held(read_measurement(npz(), name="s.npz"))
+
+
+def test_a_process_that_does_nothing_at_all_is_killed_at_its_cap(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cell, "_GRACE", 0.1)
+    assert held(read_measurement(npz(), name="s.npz"))
+    assert cell.CELL._process is not None
+    stuck = cell.CELL._process
+    os.kill(stuck.pid, signal.SIGSTOP)
+    assert "NPZ file: its reader ended early" in refusal(npz(), "s.npz", limits=Limits(reader_seconds=0.1))
+    assert stuck.wait(30) == -signal.SIGKILL
     assert held(read_measurement(npz(), name="s.npz"))
 
 

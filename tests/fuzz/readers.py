@@ -25,8 +25,11 @@ LIMITS = Limits(file_bytes=5_000_000, decoded_bytes=20_000_000, reader_memory=40
 OPEN_ENDED = (".csv", ".uff")
 
 
-def ending(name: str, data: bytes, mutation: str) -> str:
-    """Read one file and say how that ended: read, refused, or what is wrong with that."""
+def ending(name: str, data: bytes, mutation: str, longest_s: float = float("inf")) -> str:
+    """Read one file and say how that ended: read, refused, or what is wrong with that.
+
+    How long it took is judged only by who has the computer to itself: on a busy one a time says nothing.
+    """
     given = {"units": {"ch1": "g", "ch2": "g"}} if name == "FLOAT.wav" else {}
     profile = ImportProfile(full_scale="8 g") if name == "PCM_16.wav" else None
     began = time.monotonic()
@@ -47,12 +50,12 @@ def ending(name: str, data: bytes, mutation: str) -> str:
             verdict = "WRONG: larger than is read"
         elif mutation == cut.__name__ and not name.endswith(OPEN_ENDED) and len(found.signal) != len(SIGNAL):
             verdict = f"WRONG: {len(found.signal)} samples of a file that was cut"
-    if time.monotonic() - began > LIMITS.reader_seconds + 3.0:
+    if time.monotonic() - began > longest_s:
         verdict = f"WRONG: took {time.monotonic() - began:.1f} s"
     return verdict
 
 
-def campaign(count: int, seed: int, seconds: float = float("inf")) -> Counter[str]:
+def campaign(count: int, seed: int, seconds: float = float("inf"), longest_s: float = float("inf")) -> Counter[str]:
     """Read `count` damaged files, or as many as the time allows; return how often each ending came up."""
     files, random = whole_files(), np.random.default_rng(seed)
     names = list(files)
@@ -64,7 +67,7 @@ def campaign(count: int, seed: int, seconds: float = float("inf")) -> Counter[st
         name = names[number % len(names)]
         mutation = MUTATIONS[random.integers(0, len(MUTATIONS))]
         data = mutation(random, files[name])
-        verdict = ending(name, data, mutation.__name__)
+        verdict = ending(name, data, mutation.__name__, longest_s)
         found[verdict if verdict in ("read", "refused") else f"{verdict} ({name}, {mutation.__name__}, {number})"] += 1
     return found
 
@@ -75,9 +78,11 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
+    longest_s = LIMITS.reader_seconds + 3.0
+    parser.add_argument("--longest", type=float, default=longest_s, help="longest time for one file, in seconds")
     given = parser.parse_args()
     began = time.monotonic()
-    found = campaign(given.count, given.seed, given.seconds)
+    found = campaign(given.count, given.seed, given.seconds, given.longest)
     for verdict, times in found.most_common():
         print(f"{times:6d}  {verdict}")
     print(f"{found.total()} files in {time.monotonic() - began:.0f} s, seed {given.seed}")
