@@ -9,7 +9,7 @@ import hashlib
 import hmac
 import json
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, Literal, get_args
@@ -90,10 +90,10 @@ class Webhooks:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def add(self, url: str, events: list[str]) -> WebhookRow:
+    def add(self, url: str, events: Sequence[str]) -> WebhookRow:
         """Store a webhook with a secret of its own."""
         row = WebhookRow(
-            id=secrets.token_hex(16), url=url, events=events, secret=secrets.token_hex(32), created_at=now()
+            id=secrets.token_hex(16), url=url, events=list(events), secret=secrets.token_hex(32), created_at=now()
         )
         with self._database.writing() as session:
             session.add(row)
