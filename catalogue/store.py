@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +28,9 @@ from solver.spectra.bands import BandScheme
 
 __all__ = ["Catalogue", "EntryTable", "StoredEntry"]
 
+KEPT_SHARDS = 8
+"""Shards kept in memory (half a megabyte each): neighbouring draws of a hypothesis lie in one for each contact law."""
+
 
 class Catalogue:
     """A catalogue as it was when it was opened; opened by :meth:`open`.
@@ -44,7 +49,8 @@ class Catalogue:
     def __init__(self, layout: CatalogueDirectory, manifest: Manifest, shard_names: Sequence[str]) -> None:
         self._layout, self._manifest = layout, manifest
         self._shard_names = tuple(sorted(shard_names))
-        self._last: tuple[str, Shard] | None = None
+        self._shards: OrderedDict[str, Shard] = OrderedDict()
+        self._lock = threading.Lock()
 
     @classmethod
     def open(cls, directory: str | Path) -> Self:
@@ -271,10 +277,16 @@ class Catalogue:
         return power, spread
 
     def _kept(self, name: str) -> Shard:
-        """A shard, from memory if it is the one that was asked for last."""
-        if self._last is None or self._last[0] != name:
-            self._last = name, self._read(name)
-        return self._last[1]
+        """A shard, from memory if it is one of those that were asked for last; threads may share the catalogue."""
+        with self._lock:
+            shard = self._shards.pop(name, None)
+        if shard is None:
+            shard = self._read(name)
+        with self._lock:
+            self._shards[name] = shard
+            while len(self._shards) > KEPT_SHARDS:
+                self._shards.popitem(last=False)
+        return shard
 
     def _read(self, name: str) -> Shard:
         path = self._layout.shard(name)

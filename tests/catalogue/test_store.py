@@ -119,6 +119,27 @@ def test_one_entry(catalogue: Catalogue) -> None:
     assert (entry.segments, entry.transient, entry.drive_speed) == (4, 0.25, 60.0)
 
 
+def test_cases_that_lie_in_shards_by_turns_read_each_of_them_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two_laws = parse_plan({**PLAN.content, "laws": {"own": 1, "hertz": 1}})
+    build(MACHINE, two_laws, tmp_path, workers=0, compute=compute)
+    catalogue, read = Catalogue.open(tmp_path), []
+    rows = catalogue.matrix.rows("A")
+    shards = catalogue.matrix.places(rows)[:, 0]
+    assert np.count_nonzero(np.diff(shards)) > len(set(shards.tolist()))
+    whole = Catalogue._read
+
+    def noted(self: Catalogue, name: str) -> Shard:
+        read.append(name)
+        return whole(self, name)
+
+    monkeypatch.setattr(Catalogue, "_read", noted)
+    keys = [entry.key for entry, _ in catalogue.cases(rows)]
+    assert keys == catalogue.matrix.table(rows).key.tolist()
+    assert len(read) == len(set(read)) == len(set(shards.tolist()))
+
+
 @pytest.mark.parametrize("key", ["", "0" * 64, "zzzzzzzz", "a"])
 def test_unknown_keys_are_refused(catalogue: Catalogue, key: str) -> None:
     with pytest.raises(EntryNotFoundError, match="no such entry in the catalogue"):
