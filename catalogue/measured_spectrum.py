@@ -17,6 +17,7 @@ from catalogue.import_profile import WINDOWS
 from catalogue.measured_columns import FREQUENCY_NAMES
 from catalogue.measurement import SI_UNITS, Channel
 from catalogue.readers import Limits, RawColumn, RawRecording, SpectrumForm
+from catalogue.readers.validity import LARGEST
 from solver.spectra.spectrum import Quantity
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,6 +34,7 @@ _DETECTORS: dict[str, Literal["rms", "peak", "peak-to-peak"]] = {
 }
 #: Factor from the square of an amplitude to power.
 _POWER = {"rms": 1.0, "peak": 0.5, "peak-to-peak": 0.125}
+_LEVEL = re.compile(r"dB\b\s*(?:\(?re\b:?\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)?)?\s*(.*?)\)?")
 _WINDOW = re.compile(r"\b(rectangular|hann|hamming|blackman|flat[ -]?top)(?:ing)?\b", re.IGNORECASE)
 
 
@@ -171,7 +173,7 @@ def _form_of(column: RawColumn, text: str | None, form: SpectrumForm, source: st
             source, None, column.name, rule="has no unit: write it in the header, as in 's1-x [g rms]'"
         )
     plain = text.strip()
-    level = re.fullmatch(r"dB\b\s*(?:\(?re\b:?\s*([\d.eE+-]+)?)?\s*(.*?)\)?", plain)
+    level = _LEVEL.fullmatch(plain)
     if level:
         form = dataclasses.replace(
             form, decibel=True, reference=form.reference or (float(level[1]) if level[1] else None)
@@ -207,6 +209,8 @@ def _form_of(column: RawColumn, text: str | None, form: SpectrumForm, source: st
     if form.decibel and form.reference is None:
         rule = "levels without a reference: give spectrum.reference in a profile"
         raise MeasurementError(source, None, column.name, text, rule)
+    if form.decibel and not 0 < (form.reference or 0) < LARGEST:
+        raise MeasurementError(source, None, column.name, text, f"its reference must lie between 0 and {LARGEST:g}")
     return plain, dataclasses.replace(form, scaling=scaling)
 
 

@@ -46,6 +46,7 @@ def prepare_spectrum(
     if turn / step < LINES_AN_ORDER:
         rule = f"lines {step:.4g} Hz apart: a drive at {turn:.4g} Hz needs {turn / LINES_AN_ORDER:.3g} Hz or less"
         raise MeasurementError(spectrum.name, rule=rule)
+    _refuse_beyond(spectrum.name, top, (1.0 - SEARCH_RANGE * (speed is None)) * turn)
     density = spectrum.density[:, list(sensing.columns)]
     density = density * (2.0 * np.pi * spectrum.frequency[:, None]) ** (2 * np.array(sensing.derivatives))
     estimate = (
@@ -54,11 +55,13 @@ def prepare_spectrum(
         else _speed(density, spectrum.frequency, step, turn, spectrum.name)
     )
     turn = estimate.speed / (2.0 * math.pi)
-    if top < (FEATURE_ORDERS + 0.5) * turn:
-        rule = f"ends at {top:.4g} Hz: does not reach order {FEATURE_ORDERS} of a drive at {turn:.4g} Hz"
-        raise MeasurementError(spectrum.name, rule=rule)
+    _refuse_beyond(spectrum.name, top, turn)
     scheme = scheme or BandScheme.for_drive(nominal)
     edges = scheme.edges_hz(estimate.speed)
+    begin = float(spectrum.frequency[0]) - 0.5 * step
+    if begin > edges[0]:
+        rule = f"begins at {begin:.4g} Hz: the first band of a drive at {turn:.4g} Hz begins at {edges[0]:.4g} Hz"
+        raise MeasurementError(spectrum.name, rule=rule)
     cuts = usable_cuts(scheme, estimate.speed, 2.0 * top)
     power = band_power(density, spectrum.frequency, step, edges)
     floor = NoiseFloor(_floor(density, spectrum.frequency), 2.0 * top)
@@ -123,6 +126,13 @@ def band_power(density: FloatArray, frequency: FloatArray, step: float, edges: F
     borders = np.concatenate([frequency - 0.5 * step, [frequency[-1] + 0.5 * step]])
     total = np.vstack([np.zeros(density.shape[1]), np.cumsum(density * step, axis=0)])
     return np.column_stack([np.diff(np.interp(edges, borders, column)) for column in total.T])
+
+
+def _refuse_beyond(name: str, top: float, turn: float) -> None:
+    """Refuse a spectrum that ends [Hz] before the last single order of a drive at `turn` Hz."""
+    if top < (FEATURE_ORDERS + 0.5) * turn:
+        rule = f"ends at {top:.4g} Hz: does not reach order {FEATURE_ORDERS} of a drive at {turn:.4g} Hz"
+        raise MeasurementError(name, rule=rule)
 
 
 def _speed(density: FloatArray, frequency: FloatArray, step: float, turn: float, source: str) -> SpeedEstimate:

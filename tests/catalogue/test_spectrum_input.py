@@ -83,6 +83,9 @@ def test_all_forms_of_a_spectrum_are_one() -> None:
         (table("a [V rms]", LEVEL, "# Hann"), "no column is a displacement"),
         (table("a [g rms]", LEVEL, "# Hann").replace(b"\n20,", b"\n20.2,"), "lines are not evenly spaced"),
         (table("a", LEVEL), "has no unit"),
+        (table("a [dB re e m/s2 rms]", LEVEL, "# Hann"), "levels without a reference"),
+        (table("a [dB re 0 m/s2 rms]", LEVEL, "# Hann"), "its reference must lie between 0 and 1e+30"),
+        (table("a [dB re 1e999 m/s2 rms]", LEVEL, "# Hann"), "its reference must lie between 0 and 1e+30"),
     ],
 )
 def test_what_is_not_said_is_asked_for(data: bytes, rule: str) -> None:
@@ -105,3 +108,19 @@ def test_a_spectrum_without_orders_or_too_coarse_is_refused() -> None:
     coarse = "\n".join([*plain[:2], *plain[2::3], ""]).encode()
     with pytest.raises(MeasurementError, match=r"lines 3\.66.* Hz apart"):
         prepare(read(coarse), machine)
+
+
+def test_a_spectrum_that_lacks_low_or_high_orders_is_refused() -> None:
+    plain = gzip.decompress((RECORDINGS / "four-bar-02-spectrum.csv.gz").read_bytes()).decode().splitlines()
+
+    def beginning(low: float) -> MeasuredSpectrum:
+        return read("\n".join([*plain[:2], *(row for row in plain[2:] if float(row.split(",")[0]) > low), ""]).encode())
+
+    machine = shipped_machine("four-bar")  # turns five times a second: its bands begin at 2.5 Hz
+    assert prepare(beginning(0.0), machine).cuts[-1] > 20
+    with pytest.raises(MeasurementError, match=r"begins at 10\.\d+ Hz: the first band .* begins at 2\.\d+ Hz"):
+        prepare(beginning(10.0), machine)
+    short = read(b"\n".join(table("s1-x [(m/s2)^2/Hz]", LEVEL).splitlines()[:301]))
+    for speed in (None, 60.0):
+        with pytest.raises(MeasurementError, match=r"ends at 149\.5 Hz: does not reach order 20 of a drive at"):
+            prepare(short, shipped_machine("slider-crank"), speed=speed)
