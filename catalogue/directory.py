@@ -6,6 +6,7 @@ import hashlib
 import os
 import secrets
 import shutil
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from catalogue.errors import CatalogueBusyError, CatalogueFileError
 __all__ = ["CatalogueDirectory", "publish", "replacing", "sha256_of", "sync_folder"]
 
 _TEMPORARY = ".tmp-"
+
+STALE = 3600.0
+"""Age from which a temporary file of a model or network counts as left behind [s]; they are written without a lock."""
 
 
 def sha256_of(content: bytes) -> str:
@@ -205,9 +209,13 @@ class CatalogueDirectory:
             raise CatalogueFileError(self.root, f"cannot be created ({error.strerror or error})") from error
 
     def remove_temporaries(self) -> int:
-        """Delete what interrupted writing left; only the holder of the lock may do this."""
+        """Delete what interrupted writing left, and count it; only the holder of the lock may do this."""
         folders = (self.root, self.shards, self.matrices)
         leftovers = [path for folder in folders for path in folder.glob(f"{_TEMPORARY}*")]
+        stale = time.time() - STALE
+        for folder in (self.models, self.networks):
+            with suppress(FileNotFoundError):  # whoever writes one has just renamed it
+                leftovers += [path for path in folder.glob(f"{_TEMPORARY}*") if path.stat().st_mtime < stale]
         for path in leftovers:
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)

@@ -38,19 +38,27 @@ def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
 
     Of the models there only the last :data:`KEPT` stay.
     """
-    if not _write(folder, key, model):
+    try:
+        _write(folder, key, model)
+    except CatalogueFileError:
         return False
     for file in sorted(folder.glob("*.npz"), key=written)[:-KEPT]:
         file.unlink(missing_ok=True)
     return True
 
 
-def write_network(folder: Path, key: str, network: Network) -> bool:
-    """Write a network under its key; False where the folder cannot be written."""
-    return _write(folder, key, network)
+def write_network(folder: Path, key: str, network: Network) -> None:
+    """Write a network under its key.
+
+    Raises
+    ------
+    CatalogueFileError
+        The folder cannot be written.
+    """
+    _write(folder, key, network)
 
 
-def _write(folder: Path, key: str, model: FittedGaussian | Network) -> bool:
+def _write(folder: Path, key: str, model: FittedGaussian | Network) -> None:
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = {"format": FORMAT, "key": key, "model": _plain(model, arrays)}
     content = io.BytesIO()
@@ -58,10 +66,9 @@ def _write(folder: Path, key: str, model: FittedGaussian | Network) -> bool:
     np.savez(content, allow_pickle=False, **arrays)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        publish(folder / f"{key}.npz", content.getvalue())
-    except (OSError, CatalogueFileError):
-        return False
-    return True
+    except OSError as error:
+        raise CatalogueFileError(folder, f"cannot be written ({error.strerror or error})") from error
+    publish(folder / f"{key}.npz", content.getvalue())
 
 
 def written(file: Path) -> tuple[float, str]:

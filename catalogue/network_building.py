@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 
+from catalogue.errors import BuildError
 from catalogue.executors import InProcess, LocalProcesses
 from catalogue.learning import Learning
 from catalogue.network_shelf import NetworkShelf
@@ -34,6 +36,13 @@ def train_networks(
     -------
     tuple of str
         Modes of those trained, in the order of asking.
+
+    Raises
+    ------
+    BuildError
+        A process that trains one died.
+    CatalogueFileError
+        The catalogue cannot be read, or a network cannot be written.
     """
     catalogue = Catalogue.open(folder)
     wanted = list(NetworkShelf.of(catalogue).missing())
@@ -51,14 +60,21 @@ def _train_all(
 ) -> None:
     count = min(workers, len(wanted))
     executor = LocalProcesses(count) if count > 1 else InProcess()
-    tell(0, len(wanted))
+    left, total = deque(wanted), len(wanted)
+    waiting: set[Future[None]] = set()
+    tell(0, total)
     try:
-        waiting = {executor.submit(_train, (str(folder), learning, speed)) for learning, speed in wanted}
-        while waiting:
+        while left or waiting:
+            while left and len(waiting) < count:
+                waiting.add(executor.submit(_train, (str(folder), *left.popleft())))
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in done:
+                error = future.exception()
+                if error is not None and executor.is_loss(error):
+                    rule = "a process that trains a network died; building again trains what is missing"
+                    raise BuildError(f"{folder}: {rule}") from error
                 future.result()
-            tell(len(wanted) - len(waiting), len(wanted))
+            tell(total - len(left) - len(waiting), total)
     except BaseException:
         executor.close(at_once=True)
         raise
@@ -67,4 +83,4 @@ def _train_all(
 
 def _train(asked: tuple[str, Learning, float]) -> None:
     folder, learning, speed = asked
-    NetworkShelf.of(Catalogue.open(folder)).train(learning, speed)
+    NetworkShelf.of(Catalogue.open(folder)).train(learning, speed, lasting=True)

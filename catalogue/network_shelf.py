@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from catalogue.errors import CatalogueFileError
 from catalogue.keys import content_digest
 from catalogue.learning import Learning
 from catalogue.matching import FloatArray, Mode
@@ -75,8 +76,10 @@ class NetworkShelf:
                 if self._applies(learning, speed) and self._found(self._key(learning, speed)) is None:
                     yield learning, speed
 
-    def train(self, learning: Learning, speed: float, progress: Progress | None = None) -> None:
-        """Train a network and keep it.
+    def train(
+        self, learning: Learning, speed: float, progress: Progress | None = None, *, lasting: bool = False
+    ) -> None:
+        """Train a network and keep it: where the folder cannot be written, for this shelf alone.
 
         Parameters
         ----------
@@ -85,13 +88,23 @@ class NetworkShelf:
             Drive speed, rad/s.
         progress : callable, optional
             Called with the number of steps done and their total.
+        lasting : bool
+            A network that cannot be written is an error.
+
+        Raises
+        ------
+        CatalogueFileError
+            The folder cannot be written, and it has to be.
         """
         assert self._own is not None
         whole, key = _whole(learning), self._key(learning, speed)
         trained = self._training.train(self._matrix, self._own, whole, speed=speed, progress=progress)
-        # Where the folder cannot be written it is there for this shelf alone.
         if self._folder is not None:
-            write_network(self._folder, key, trained)
+            try:
+                write_network(self._folder, key, trained)
+            except CatalogueFileError:
+                if lasting:
+                    raise
         with self._lock:
             self._known[key] = trained
 

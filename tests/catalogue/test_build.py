@@ -13,7 +13,7 @@ from building import FAILING, KEYS, assert_complete, quick_build, with_draws
 from fake_simulator import MACHINE, PLAN
 
 from catalogue.build import BuildReport, Progress
-from catalogue.directory import CatalogueDirectory
+from catalogue.directory import STALE, CatalogueDirectory
 from catalogue.errors import (
     CatalogueBusyError,
     CatalogueFileError,
@@ -136,6 +136,20 @@ def test_death_between_shard_and_index_loses_nothing(tmp_path: Path, monkeypatch
     assert report.added + report.present == len(KEYS)
     assert not list(layout.shards.glob(".tmp*"))
     assert_complete(tmp_path)
+
+
+def test_what_interrupted_writing_left_goes_and_what_is_being_written_stays(tmp_path: Path) -> None:
+    quick_build(tmp_path)
+    layout = CatalogueDirectory(tmp_path)
+    for folder in (layout.models, layout.networks):
+        folder.mkdir()
+        for name, age in ((".tmp-1-old", 2.0 * STALE), (".tmp-1-new", 0.0), ("kept.npz", 2.0 * STALE)):
+            (folder / name).write_bytes(b"part of a model")
+            written = time.time() - age
+            os.utime(folder / name, (written, written))
+    quick_build(tmp_path)
+    for folder in (layout.models, layout.networks):
+        assert {path.name for path in folder.iterdir()} == {".tmp-1-new", "kept.npz"}
 
 
 @pytest.mark.parametrize("content", [None, b"", b"this is no database" * 100])

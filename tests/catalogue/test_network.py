@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import shutil
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
 from catalogue.calibration import fit_shares, held_out, kept_apart
+from catalogue.errors import BuildError, CatalogueFileError
+from catalogue.executors import InProcess
 from catalogue.learning import Learning, training_set
 from catalogue.matching import TrainingSet
 from catalogue.model_library import ModelLibrary
@@ -66,7 +71,7 @@ def test_the_same_training_gives_the_same_network_and_files_give_it_back(tmp_pat
     again = SMALL.train(MODEL, sensing(), TRUSTED)
     assert again.digest == NETWORK.digest
     assert replace(NETWORK, loudest=0.0).digest != NETWORK.digest
-    assert write_network(tmp_path, "key", NETWORK)
+    write_network(tmp_path, "key", NETWORK)
     kept = read_network(tmp_path, "key")
     assert isinstance(kept, Network)
     assert kept.digest == NETWORK.digest
@@ -151,6 +156,8 @@ def test_where_no_file_can_be_written_a_network_lives_with_its_shelf(tmp_path: P
         one.train(TRUSTED, MODEL.nominal_speed)
         assert one.get(sensing(), TRUSTED, MODEL.nominal_speed) is not None
         assert shelf(folder).get(sensing(), TRUSTED, MODEL.nominal_speed) is None
+    with pytest.raises(CatalogueFileError, match="cannot be written"):
+        shelf(blocked).train(TRUSTED, MODEL.nominal_speed, lasting=True)
 
 
 def test_there_is_no_network_of_few_cases_or_for_other_sensors() -> None:
@@ -215,10 +222,74 @@ def test_building_trains_what_is_missing_and_forgets_former_states(
     told: list[tuple[int, int]] = []
     modes = train_networks(folder, progress=lambda done, total: told.append((done, total)))
     assert modes == ("trusted", "robust")
-    assert told == [(0, 2), (2, 2)]
+    assert told == [(0, 2), (1, 2), (2, 2)]
     names = {file.name[:12] for file in networks.iterdir()}
     assert names == {small_catalogue.id[:12]}
     assert train_networks(folder) == ()
+
+
+def test_a_network_that_is_lost_ends_a_build(
+    small_catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(small_catalogue.path, folder)
+    monkeypatch.setattr("catalogue.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
+    networks = Catalogue.open(folder).layout.networks
+    networks.write_text("no folder")
+    with pytest.raises(CatalogueFileError, match=r"networks.*: cannot be written"):
+        train_networks(folder)
+
+    class Dying(InProcess):
+        def submit(self, task: Any, argument: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            future.set_exception(BrokenProcessPool("a child was terminated"))
+            return future
+
+        def is_loss(self, error: BaseException) -> bool:
+            return isinstance(error, BrokenProcessPool)
+
+    monkeypatch.setattr("catalogue.network_building.InProcess", Dying)
+    with pytest.raises(BuildError, match="a process that trains a network died; building again"):
+        train_networks(folder)
+
+
+def test_no_more_networks_are_trained_at_a_time_than_there_are_processes(
+    small_catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    under_way: list[Future[None]] = []
+    most: list[int] = []
+
+    class Counting:
+        def __init__(self, workers: int) -> None:
+            self.capacity = workers
+
+        def submit(self, task: object, argument: tuple[str, Learning, float]) -> Future[None]:
+            under_way.append(Future())
+            running = [future for future in under_way if not future.done()]
+            most.append(len(running))
+            if len(running) == self.capacity:
+                running[0].set_result(None)
+            return under_way[-1]
+
+        def is_loss(self, error: BaseException) -> bool:
+            return False
+
+        def close(self, *, at_once: bool = False) -> None:
+            assert not at_once
+
+    wanted = [(TRUSTED, speed) for speed in (1.0, 2.0, 3.0, 4.0)]
+    monkeypatch.setattr("catalogue.network_building.LocalProcesses", Counting)
+    monkeypatch.setattr(NetworkShelf, "missing", lambda self: iter(wanted))
+    told: list[tuple[int, int]] = []
+
+    def progress(done: int, total: int) -> None:
+        told.append((done, total))
+        if total - done == 1:
+            under_way[-1].set_result(None)
+
+    assert train_networks(small_catalogue.path, workers=2, progress=progress) == ("trusted",) * 4
+    assert most == [1, 2, 2, 2]
+    assert told == [(0, 4), (1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_the_order_of_columns_does_not_matter_where_motions_are_compared() -> None:
