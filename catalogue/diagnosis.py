@@ -219,7 +219,7 @@ def answer(
         most=most,
     )
     p_value, verdict = judged(result, question.coverage)
-    trusted_p = p_value if result.mode == "trusted" else result.trusted_p_value
+    trusted_p = result.p_value if result.mode == "trusted" else result.trusted_p_value
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and matcher is None:
         if verdict == "unknown":

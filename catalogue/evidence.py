@@ -122,8 +122,12 @@ def edge_warnings(result: MatchResult, catalogue: Catalogue) -> list[str]:
     margin = EDGE * (high - low)
     warnings = []
     for found in result.best.clearances:
-        for bound, beyond, value in ((low, "smallest", found.low), (high, "largest", found.high)):
-            if abs(math.log(value) - bound) <= margin:
+        # What was simulated anew may have an interval that goes beyond them.
+        for bound, beyond, inside in (
+            (low, "smallest", math.log(found.low) - low),
+            (high, "largest", high - math.log(found.high)),
+        ):
+            if inside <= margin:
                 um = 1e6 * math.exp(bound)
                 warnings.append(f"clearance of {found.joint} reaches the catalogue's {beyond}, {um:.3g} um")
     return warnings

@@ -62,10 +62,14 @@ class Refit:
         return self.settings.fit(training, self.model.model.projection, opinion).match(feature)
 
     def _rows(self, match: HypothesisMatch) -> IntArray:
+        if not match.clearances:
+            # Nothing is nearer: the first draws, shared out among the strata as the mode has it.
+            few = min(NEAR + SPREAD, self.learning.reach)
+            return rows_of(self.matrix, match.label, replace(self.learning, most=few), self.speed)
         learning = replace(self.learning, most=self.learning.reach)
         rows = rows_of(self.matrix, match.label, learning, self.speed)
-        if len(rows) <= NEAR + SPREAD or not match.clearances:
-            return rows[: NEAR + SPREAD]
+        if len(rows) <= NEAR + SPREAD:
+            return rows
         columns = [self.matrix.joints.index(found.joint) for found in match.clearances]
         estimate = np.log([found.median for found in match.clearances])
         distance = np.sum((np.log(self.matrix.clearance(rows)[:, columns]) - estimate) ** 2, axis=1)

@@ -37,6 +37,9 @@ TOGETHER = 16
 """Cases simulated at a time: two vectors of lanes, so that histories do not fill the memory."""
 
 
+_UNFINISHED = ".tmp"
+
+
 @dataclass(frozen=True)
 class Recordings:
     """Simulations kept in a folder, least recently used ones dropped beyond a limit.
@@ -74,6 +77,8 @@ class Recordings:
                 for index, history in zip(batch, histories, strict=True):
                     signal = _ideal(machine, history, truths[index].seconds)
                     if signal is not None:
+                        # As it will come out of its file: figures do not depend on what was kept.
+                        signal = signal.astype(np.float32).astype(np.float64)
                         self._keep(self.key(protocol, truths[index]), signal)
                     yield index, signal
         self._drop()
@@ -102,7 +107,7 @@ class Recordings:
         try:
             found = np.load(self._path(key), allow_pickle=False).astype(np.float64)
             os.utime(self._path(key))
-        except (OSError, ValueError):  # dropped by another process, or damaged: simulated again
+        except (OSError, EOFError, ValueError):  # dropped by another process, or damaged: simulated again
             return None
         return np.asarray(found, dtype=np.float64)
 
@@ -110,16 +115,22 @@ class Recordings:
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=self.folder, suffix=".tmp")
-        with os.fdopen(handle, "wb") as stream:
-            np.save(stream, signal.astype(np.float32))
-        Path(temporary).replace(self._path(key))
+        handle, name = tempfile.mkstemp(dir=self.folder, suffix=_UNFINISHED)
+        temporary = Path(name)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                np.save(stream, signal.astype(np.float32))
+            temporary.replace(self._path(key))
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
 
     def _drop(self) -> None:
         if self.folder is None or not self.folder.is_dir():
             return
         kept = []
-        for path in self.folder.glob("*.npy"):
+        # Files that a process left unfinished when it was killed grow old like the others.
+        for path in (*self.folder.glob("*.npy"), *self.folder.glob(f"*{_UNFINISHED}")):
             try:
                 found = path.stat()
             except FileNotFoundError:

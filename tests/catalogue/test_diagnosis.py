@@ -6,6 +6,7 @@ import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -214,7 +215,16 @@ def test_warns_of_what_the_catalogue_does_not_cover(small_catalogue: Catalogue) 
     assert answer.drive_speed_rpm == pytest.approx(1.05 * TRUTH["slider-crank-04"]["speed_rpm"])
 
 
-@pytest.mark.parametrize(("low", "high", "told"), [(0.01, 0.5, "smallest"), (0.5, 0.99, "largest"), (0.2, 0.8, "")])
+@pytest.mark.parametrize(
+    ("low", "high", "told"),
+    [
+        (0.01, 0.5, "smallest"),
+        (-0.2, 0.5, "smallest"),
+        (0.5, 0.99, "largest"),
+        (0.5, 1.2, "largest"),
+        (0.2, 0.8, ""),
+    ],
+)
 def test_warns_of_a_clearance_at_the_end_of_its_range(
     small_catalogue: Catalogue, low: float, high: float, told: str
 ) -> None:
@@ -255,6 +265,23 @@ def answer_of(**hypotheses: tuple[float, float]) -> MatchResult:
         for label, (probability, p_value) in hypotheses.items()
     ]
     return MatchResult(tuple(sorted(matches, key=lambda match: -match.probability)))
+
+
+def test_the_p_value_that_decides_on_the_mode_is_told_whatever_coverage_is_asked(small_catalogue: Catalogue) -> None:
+    class Doubtful(ModelLibrary):
+        def answer(self, *arguments: Any, **settings: Any) -> MatchResult:
+            found = super().answer(*arguments, **settings)
+            first, second, *_ = found.hypotheses
+            both = (replace(first, probability=0.7, p_value=0.03), replace(second, probability=0.3, p_value=0.5))
+            return replace(found, hypotheses=both, conformal=None)
+
+    library = Doubtful(small_catalogue.matrix)
+    wide, narrow = (
+        diagnose(recording(2), small_catalogue, effort="fast", mode="trusted", coverage=each, library=library)
+        for each in (0.95, 0.5)
+    )
+    assert (wide.goodness_of_fit.p_value, narrow.goodness_of_fit.p_value) == (0.5, 0.03)
+    assert wide.mode.trusted_p_value == narrow.mode.trusted_p_value == 0.5
 
 
 def test_rules_of_the_verdict() -> None:

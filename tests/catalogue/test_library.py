@@ -160,6 +160,21 @@ def test_with_a_limit_a_refit_learns_from_the_first_draws_only_too(monkeypatch: 
     assert len(learned[-1]["A"]) == 30
 
 
+def test_a_refit_of_machines_in_order_keeps_the_shares_of_the_strata(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = SpectraModel(900, wide=1800)
+    learned: list[np.ndarray] = []
+
+    def spied(*arguments: Any, rows: Mapping[str, np.ndarray], **settings: Any) -> TrainingSet:
+        learned.append(rows["healthy"])
+        return training_set(*arguments, rows=rows, **settings)
+
+    monkeypatch.setattr("catalogue.refit.training_set", spied)
+    feature, _ = recording("healthy")
+    ModelLibrary(model).answer(sensing(), feature, WATCHED, mode="robust")
+    assert len(learned[0]) == 800
+    assert np.mean(model.stratum[learned[0]] == "wide") == pytest.approx(2 / 3, abs=0.01)
+
+
 def test_hypotheses_can_be_left_out_and_weighed() -> None:
     feature, _ = recording("A")
     answer = LIBRARY.answer(sensing(), feature, WATCHED, mode="trusted", without=("A",))
