@@ -10,8 +10,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
+from app.logs import DEFAULT_LOG, LogSettings, of_request
 from app.problems import problem_of
 from app.workers import prepare
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,9 @@ class Order:
     plan: Mapping[str, Any]
     folder: Path
     workers: int | None
+    log: LogSettings = DEFAULT_LOG
+    request: str | None = None
+    """Id of the request that asked for it."""
 
 
 @dataclass(frozen=True)
@@ -34,17 +40,20 @@ class Told:
 
 def work(order: Order, sender: Connection) -> None:
     """Build a catalogue in this process, which ends with the server, and send how it goes."""
-    prepare()
+    prepare(order.log)
     # A signal to all processes of a server is for the server, which ends this one and gives the build back. A handler
     # is not passed on to the builder's workers, as an ignored signal would be.
     signal.signal(signal.SIGTERM, lambda _number, _frame: None)
-    try:
-        sender.send(built(order, sender))
-    except Exception as error:
-        problem = problem_of(error)
-        if problem.status >= 500:
-            logging.getLogger(__name__).exception("the build of %s failed", order.folder)
-        sender.send(Told("failed", {"message": problem.detail}))
+    with of_request(order.request):
+        try:
+            log.info("the build of %s begins", order.folder.name)
+            sender.send(built(order, sender))
+            log.info("the build of %s has ended", order.folder.name)
+        except Exception as error:
+            problem = problem_of(error)
+            if problem.status >= 500:
+                log.exception("the build of %s failed", order.folder.name)
+            sender.send(Told("failed", {"message": problem.detail}))
 
 
 def built(order: Order, sender: Connection) -> Told:

@@ -18,6 +18,7 @@ from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 
 from app.database import Database
 from app.errors import BuildEndedError, UnknownBuildError
+from app.logs import request_id
 from app.storage import Base, newest, now
 
 ATTEMPTS = 5
@@ -55,6 +56,7 @@ class BuildRow(Base):
     owner: Mapped[str] = mapped_column(Text)
     lease_until: Mapped[float] = mapped_column(Double)
     cancel_asked: Mapped[bool]
+    request_id: Mapped[str | None] = mapped_column(String(64))
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class BuildQueue:
             owner="",
             lease_until=0.0,
             cancel_asked=False,
+            request_id=request_id(),
         )
         with self._database.writing() as session:
             session.add(row)

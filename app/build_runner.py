@@ -22,6 +22,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from app.build_process import Order, Told, work
 from app.build_queue import BuildQueue, BuildRow
+from app.logs import DEFAULT_LOG, LogSettings, of_request
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +44,8 @@ class BuildRunner:
         How long a build stays with a server that gives no sign of life.
     task : callable, optional
         What is done in a build's process.
+    log : LogSettings
+        How such a process writes its log.
     """
 
     def __init__(
@@ -52,7 +55,9 @@ class BuildRunner:
         count: int,
         lease_s: float,
         task: Callable[[Order, Connection], None] = work,
+        log: LogSettings = DEFAULT_LOG,
     ) -> None:
+        self._log_settings = log
         self._task = task
         self._queue, self._folder, self._lease_s = queue, folder, lease_s
         self._beat_s = min(0.5, lease_s / 4)
@@ -93,7 +98,8 @@ class BuildRunner:
             try:
                 row = self._queue.claim(owner, self._lease_s)
                 if row is not None:
-                    self._run(row, owner)
+                    with of_request(row.request_id):
+                        self._run(row, owner)
                     continue
             except SQLAlchemyError as error:
                 log.warning("builds wait for the database: %s", str(error).partition("\n")[0])
@@ -105,7 +111,9 @@ class BuildRunner:
         log.info("build %s of catalogue %s: attempt %d", row.id, row.catalogue, row.attempts)
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
-        order = Order(row.machine, row.plan, self._folder / row.catalogue, row.workers)
+        order = Order(
+            row.machine, row.plan, self._folder / row.catalogue, row.workers, self._log_settings, row.request_id
+        )
         process = context.Process(target=self._task, args=(order, sender), name=f"build-{row.id}")
         try:
             process.start()

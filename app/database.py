@@ -26,7 +26,7 @@ from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
 from app.errors import AppError, BadFieldError
 
-REVISION = "0001"
+REVISION = "0002"
 """The newest revision in :mod:`app.migrations`."""
 
 VERSION_TABLE = "service_revision"
@@ -116,7 +116,8 @@ class Database:
         postgres = {"pool_pre_ping": True, "connect_args": waits}
         options: dict[str, Any] = {} if self.is_sqlite else postgres
         try:
-            self.engine = create_engine(url, **options)
+            # Errors are logged, values of a statement are not: some are secrets.
+            self.engine = create_engine(url, hide_parameters=True, **options)
         except (ImportError, NoSuchModuleError):
             raise refusal("needs the package psycopg: pip install 'jointplay[cluster]'") from None
         if self.is_sqlite:

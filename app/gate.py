@@ -76,11 +76,11 @@ class Gate:
             # Wrong keys are counted as well, at their sender's address.
             if path not in PROBES:
                 self._count(key.id if key is not None else address(request))
+        request.state.key = None if key is None else key.id
         if method not in READING and (by_cookie or key is None):
             check_origin(request, browser=by_cookie)
         if key is not None and needed is not None and needed not in key.scopes:
             raise ForbiddenError(f"the key {key.id} has not the scope {needed}, which {method} {path} needs", needed)
-        request.state.key = None if key is None else key.id
         request.state.signed_in = by_cookie
 
     def _check_host(self, request: Request) -> None:

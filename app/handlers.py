@@ -15,7 +15,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
 
 from app.errors import AppError
-from app.problems import MEDIA_TYPE, Problem, of_status, of_validation, problem_of
+from app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
 from app.workers import TaskFailedError
 from catalogue.errors import CatalogueError
 from solver.errors import SolverError
@@ -25,9 +25,15 @@ log = logging.getLogger(__name__)
 
 def answer(request: Request, problem: Problem) -> Response:
     """Return a problem as the answer to a request."""
+    note(request, problem)
     return JSONResponse(
         problem.document(request.url.path), problem.status, headers=dict(problem.headers), media_type=MEDIA_TYPE
     )
+
+
+def note(request: Request, problem: Problem) -> None:
+    """Note which problem a request is answered with, for its line in the log."""
+    request.state.problem = problem.type.rpartition(":")[2] if problem.type != PLAIN_TYPE else str(problem.status)
 
 
 def problem_from(error: Exception) -> Problem:
@@ -47,7 +53,7 @@ async def handle(request: Request, error: Exception) -> Response:
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
         problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(allowed(request))})
     if problem.status >= 500:
-        log.error("%s %s: %s", request.method, request.url.path, problem.detail, exc_info=error)
+        log.error("%s", problem.detail, exc_info=error)
     return answer(request, problem)
 
 

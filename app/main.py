@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
+from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
 from app import handlers, openapi
@@ -19,7 +20,9 @@ from app.gate import Gate
 from app.headers import SecurityHeaders
 from app.keys import Keys
 from app.limits import BodyLimit
+from app.logs import LogSettings
 from app.machine_store import MachineStore
+from app.request_log import RequestLog
 from app.routes import (
     assets,
     browser_pages,
@@ -36,6 +39,7 @@ from app.routes import (
     signin,
     webhooks,
 )
+from app.scopes import API
 from app.service import Service
 from app.settings import Settings
 from app.storage import Store
@@ -61,10 +65,11 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
     @asynccontextmanager
     async def lifespan(application: FastAPI) -> AsyncIterator[None]:
         store = Store(chosen.data, chosen.database)
-        pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s)
+        log = LogSettings(chosen.log_format, chosen.log_level)
+        pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log)
         put_there = MachineStore(chosen.data / "machines")
         queue = BuildQueue(store.database)
-        runner = BuildRunner(queue, chosen.catalogues, chosen.builds, chosen.build_lease_s)
+        runner = BuildRunner(queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log)
         service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner)
         application.state.service = service
         application.state.keys = Keys(store.database)
@@ -92,18 +97,27 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         redoc_url=None,
         lifespan=lifespan,
     )
-    for module in (machines, catalogues, entries, builds, measurements, diagnoses, reports, assets, findings, webhooks):
-        application.include_router(module.router, prefix="/api/v1")
-    application.include_router(health.router)
-    application.include_router(pages.router, include_in_schema=False)
-    application.include_router(browser_pages.router, include_in_schema=False)
-    application.include_router(signin.router, include_in_schema=False)
+    templates = ["/openapi.json"]
+    for modules, prefix, shown in (
+        (
+            (machines, catalogues, entries, builds, measurements, diagnoses, reports, assets, findings, webhooks),
+            API,
+            True,
+        ),
+        ((health,), "", True),
+        ((pages, browser_pages, signin), "", False),
+    ):
+        for module in modules:
+            application.include_router(module.router, prefix=prefix, include_in_schema=shown)
+            templates += [prefix + route.path for route in module.router.routes if isinstance(route, Route)]
     application.mount("/static", StaticFiles(directory=STATIC), name="static")
+    templates.append("/static/{path:path}")
     handlers.install(application)
     application.add_middleware(
         BodyLimit, upload_bytes=chosen.max_upload_bytes, receive_timeout=chosen.receive_timeout_s
     )
     application.add_middleware(Gate, settings=chosen)
+    application.add_middleware(RequestLog, templates=templates)
     application.add_middleware(SecurityHeaders)
     application.openapi = openapi.documented(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application

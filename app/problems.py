@@ -17,6 +17,7 @@ from catalogue import errors as catalogue_errors
 from solver import errors as solver_errors
 
 MEDIA_TYPE = "application/problem+json"
+PLAIN_TYPE = "about:blank"
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,7 @@ def problem_of(error: Exception) -> Problem:
 def of_status(status: int, detail: str = "", headers: Mapping[str, str] | None = None) -> Problem:
     """Return the answer for a bare HTTP status (no such route, method not allowed ...)."""
     title = HTTPStatus(status).phrase
-    return Problem(status, "about:blank", title, detail or f"{title}.", headers=dict(headers or {}))
+    return Problem(status, PLAIN_TYPE, title, detail or f"{title}.", headers=dict(headers or {}))
 
 
 def of_validation(entries: list[dict[str, Any]]) -> Problem:

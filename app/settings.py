@@ -73,6 +73,12 @@ class Settings(BaseSettings):
     webhooks_private: bool = Field(
         default=False, description="Whether webhooks may lead to addresses that are not public, such as 10.0.0.5."
     )
+    log_format: Literal["text", "json"] = Field(
+        default="text", description="Form of the log on stderr: text, or json with one object a line."
+    )
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="Least level of what is logged."
+    )
     page_size: int = Field(default=50, ge=1, le=500, description="Number of items in one page of a list.")
 
     @property

@@ -20,7 +20,9 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any
 
+from app import logs
 from app.errors import BusyError, TimeLimitError, WorkerDiedError
+from app.logs import DEFAULT_LOG, LogSettings
 from app.problems import Problem, problem_of
 
 log = logging.getLogger(__name__)
@@ -54,8 +56,9 @@ class Outcome:
         return self.value
 
 
-def prepare() -> None:
-    """Set a fresh worker up: one thread of linear algebra, deaf to Ctrl-C, gone when the service is gone."""
+def prepare(log_settings: LogSettings) -> None:
+    """Set a fresh worker up: its log, one thread of linear algebra, deaf to Ctrl-C, gone when the service is gone."""
+    logs.configure(log_settings)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -72,21 +75,30 @@ def leave_with(sentinel: int) -> None:
 
 def attempt(task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
     """Run a task in the worker and send its exception back as a problem, because not every exception can be sent."""
+    log.debug("task %s begins", task.__name__)
     try:
         return Outcome(value=task(*args))
     except Exception as error:
         problem = problem_of(error)
         if problem.status >= 500:
-            logging.getLogger(__name__).exception("task %s failed", task.__name__)
+            log.exception("task %s failed", task.__name__)
         return Outcome(problem=problem)
+    finally:
+        log.debug("task %s has ended", task.__name__)
+
+
+def attempt_for(request: str | None, task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+    """Run a task for the request of an id."""
+    with logs.of_request(request):
+        return attempt(task, args)
 
 
 class Worker:
     """One process that runs one task at a time."""
 
-    def __init__(self) -> None:
+    def __init__(self, log_settings: LogSettings) -> None:
         self._executor = ProcessPoolExecutor(
-            max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=prepare
+            1, multiprocessing.get_context("spawn"), initializer=prepare, initargs=(log_settings,)
         )
         self._pid: int | None = None
 
@@ -95,7 +107,7 @@ class Worker:
         loop = asyncio.get_running_loop()
         if self._pid is None:
             self._pid = await loop.run_in_executor(self._executor, os.getpid)
-        outcome: Outcome = await loop.run_in_executor(self._executor, attempt, task, args)
+        outcome: Outcome = await loop.run_in_executor(self._executor, attempt_for, logs.request_id(), task, args)
         return outcome
 
     def end(self) -> None:
@@ -117,13 +129,18 @@ class WorkerPool:
         Number of tasks that may wait.
     time_limit : float
         Longest time of one task [s]; waiting in the queue does not count.
+    log_settings : LogSettings
+        How the processes write their log.
     """
 
-    def __init__(self, workers: int, queue_limit: int, time_limit: float) -> None:
+    def __init__(
+        self, workers: int, queue_limit: int, time_limit: float, log_settings: LogSettings = DEFAULT_LOG
+    ) -> None:
+        self._log_settings = log_settings
         self._queue_limit = queue_limit
         self._time_limit = time_limit
         self._waiting = 0
-        self._workers = [Worker() for _ in range(workers)]
+        self._workers = [Worker(log_settings) for _ in range(workers)]
         self._free: asyncio.Queue[Worker] = asyncio.Queue()
         for worker in self._workers:
             self._free.put_nowait(worker)
@@ -175,7 +192,7 @@ class WorkerPool:
     def _replace(self, worker: Worker) -> Worker:
         """End a worker and return the one that takes its place."""
         worker.end()
-        fresh = Worker()
+        fresh = Worker(self._log_settings)
         self._workers[self._workers.index(worker)] = fresh
         return fresh
 

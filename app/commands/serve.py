@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ipaddress
+import logging
+import signal
 import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +15,8 @@ from app.errors import AddressError
 
 if TYPE_CHECKING:
     from app.settings import Settings
+
+log = logging.getLogger(__name__)
 
 
 @click.command("serve")
@@ -46,6 +50,7 @@ def command(
     import uvicorn
     from pydantic import ValidationError
 
+    from app.logs import LogSettings, configure
     from app.main import create_app
     from app.settings import Settings
 
@@ -61,12 +66,13 @@ def command(
             f"{host}: without keys (--no-keys) only this computer itself may ask: 127.0.0.1, ::1, localhost"
         )
     settings = answering(settings, host)
+    configure(LogSettings(settings.log_format, settings.log_level))
     if not settings.catalogues.is_dir():
-        click.echo(f"jointplay: {settings.catalogues}: no catalogues there yet; `jointplay build` makes one", err=True)
+        say(settings, f"{settings.catalogues}: no catalogues there yet; `jointplay build` makes one")
     listener = listen(host, port)
-    click.echo(f"jointplay: serving http://{host}:{listener.getsockname()[1]}", err=True)
+    say(settings, f"serving http://{host}:{listener.getsockname()[1]}")
     if settings.keys == "required":
-        click.echo("jointplay: requests need a key; `jointplay keys create NAME` makes one", err=True)
+        say(settings, "requests need a key; `jointplay keys create NAME` makes one")
     application = create_app(settings, warm=True)
 
     class Server(uvicorn.Server):
@@ -75,10 +81,23 @@ def command(
             application.state.service.stop()
             await super().shutdown(sockets)
 
-    server = Server(uvicorn.Config(application, server_header=False, log_level="info", timeout_graceful_shutdown=30))
+    config = uvicorn.Config(
+        application, server_header=False, log_config=None, access_log=False, timeout_graceful_shutdown=30
+    )
+    server = Server(config)
+    # The server takes SIGTERM itself, and sends it again when it has stopped: a stop in good order is no failure (0).
+    signal.signal(signal.SIGTERM, lambda _number, _frame: None)
     server.run(sockets=[listener])
     if not server.started:
         raise click.exceptions.Exit(1)
+
+
+def say(settings: Settings, text: str) -> None:
+    """Tell whoever started the service something; where the log is JSON, as a line of it."""
+    if settings.log_format == "json":
+        log.info(text)
+    else:
+        click.echo(f"jointplay: {text}", err=True)
 
 
 def loopback(host: str) -> bool:

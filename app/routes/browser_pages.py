@@ -11,7 +11,7 @@ from starlette.responses import Response
 from app import browsing
 from app.catalogues import Offer
 from app.errors import BadFieldError
-from app.handlers import problem_from
+from app.handlers import note, problem_from
 from app.page_forms import messages_of, plain_number
 from app.pictures import machine_picture
 from app.routes.pages import REFUSALS, context, is_fragment, templates
@@ -43,6 +43,7 @@ async def catalogue(request: Request, name: str) -> Response:
         offer = await run_in_threadpool(service.shelf.find, name)
     except REFUSALS as error:
         problem = problem_from(error)
+        note(request, problem)
         summary = {"title": problem.title, "detail": problem.detail}
         members = await context(request, summary=summary)
         return templates.TemplateResponse(request, "catalogues.html", members, problem.status)
@@ -53,6 +54,7 @@ async def catalogue(request: Request, name: str) -> Response:
         members |= {"entry": await shown(service, offer, chosen), "messages": {}}
     except REFUSALS as error:
         problem = problem_from(error)
+        note(request, problem)
         messages = messages_of(problem, FIELDS)
         if not messages:
             members["summary"] = {"title": problem.title, "detail": problem.detail}

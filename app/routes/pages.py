@@ -21,7 +21,7 @@ from starlette.responses import RedirectResponse, Response
 from app import understanding
 from app.errors import AppError, BadFieldError
 from app.etags import respond
-from app.handlers import problem_from
+from app.handlers import note, problem_from
 from app.page_forms import CONFIRM, UPLOAD, messages_of, plain_form, wanted
 from app.problems import Problem
 from app.service import Service, of_request, rate_of
@@ -161,6 +161,7 @@ async def refuse(
     request: Request, problem: Problem, fields: Sequence[str], page: str, given: Mapping[str, str]
 ) -> Response:
     """Answer a problem with its message beside the field at fault."""
+    note(request, problem)
     messages = messages_of(problem, fields)
     summary = {"title": problem.title, "detail": "" if messages else problem.detail}
     headers = dict(problem.headers)

@@ -9,6 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from app.build_process import Order, Told
+from app.logs import LogSettings
 from app.workers import prepare
 
 
@@ -30,7 +31,7 @@ def quick(order: Order, sender: Connection) -> None:
 
 
 def endless(order: Order, sender: Connection) -> None:
-    prepare()
+    prepare(LogSettings())
     note(order)
     sender.send(Told("progress", {"cases_done": 3, "cases_total": 12}))
     time.sleep(600)

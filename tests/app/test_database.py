@@ -13,7 +13,8 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import text
 
-from app.database import VERSION_TABLE, database_url, revision_of
+from app.build_queue import BuildQueue
+from app.database import REVISION, VERSION_TABLE, database_url, revision_of
 from app.errors import AppError, BadFieldError, UnknownMeasurementError
 from app.storage import Base, Store, Upload, aware
 
@@ -91,7 +92,19 @@ def test_a_file_of_an_earlier_version_keeps_what_it_has(tmp_path: Path) -> None:
     store = Store(tmp_path)
     assert store.measurement(kept.id).created_at == kept.created_at
     with store.database.engine.connect() as found:
-        assert revision_of(found) == "0001"
+        assert revision_of(found) == REVISION
+    store.close()
+
+
+def test_builds_of_an_earlier_version_stay(url: str, tmp_path: Path) -> None:
+    store = Store(tmp_path, url)
+    kept = BuildQueue(store.database).add({"name": "m"}, {"name": "p"}, "h" * 64, "c", None)
+    with store.database.writing() as session:
+        session.execute(text("ALTER TABLE builds DROP COLUMN request_id"))
+        session.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '0001'"))
+    store.close()
+    store = Store(tmp_path, url)
+    assert BuildQueue(store.database).find(kept.id).request_id is None
     store.close()
 
 
