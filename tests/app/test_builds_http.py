@@ -162,7 +162,7 @@ def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path, worn: 
         there = next(state for state in following if state["attempts"] == 2 and state["cases_done"])
         process.send_signal(signal.SIGTERM)
         rest = list(following)  # it ends, and lets the server go
-        assert process.wait(60) == -signal.SIGTERM
+        assert process.wait(60) == 0
     assert there["cases_done"] < there["cases_total"]
     assert all(state["state"] in ("running", "queued") for state in rest)
 
