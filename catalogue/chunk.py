@@ -125,7 +125,7 @@ def _simulated(chunk: Chunk, guarded: Sequence[int]) -> list[Outcome]:
     accuracies = [recipe.accuracy] * len(chunk.entries) + [FINER] * len(guarded)
     machine = entries[0].variant.machine(_machine(chunk.machine))
     revolutions = recipe.revolutions + SLACK_REVOLUTIONS
-    settings = Settings(sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False)
+    settings = Settings(sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False, transient=False)
     cases = [Case(entry.fault, entry.parameters) for entry in entries]
     return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]
 
@@ -138,7 +138,7 @@ def _outcome(history: History, recipe: Recipe) -> Outcome:
 
     if history.status is not Status.OK:
         return failed(history.status.value, message)
-    signal = history.band_limited_acceleration[np.searchsorted(history.t, history.transient) :]
+    signal = history.band_limited_acceleration
     if not np.isfinite(signal).all():
         return failed("not_finite", "the acceleration holds a number that is not finite")
     bands = band_matrix(signal, history.sample_rate, history.drive_speed, recipe.scheme)

@@ -75,6 +75,8 @@ class Settings:
     motion : bool
         Give displacement, velocity and instantaneous acceleration; without them (and without `links`) a run is
         cheaper, and only the band-limited acceleration is there, to make spectra of.
+    transient : bool
+        Give the samples before the end of the start-up transient too.
     most_trials : int or None
         Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
     device : str
@@ -90,6 +92,7 @@ class Settings:
     revolutions: float = 10.0
     links: bool = False
     motion: bool = True
+    transient: bool = True
     most_trials: int | None = None
     device: Literal["cpu", "cuda"] = "cpu"
 
@@ -130,7 +133,8 @@ class History:
     message : str
         Where and why, for a status other than ok; a remark otherwise, mostly empty.
     t : (n,) array
-        s. A case that failed has the samples before its failure.
+        s. A case that failed has the samples before its failure. Without those of the transient, where the settings do
+        not want them.
     displacement, velocity, acceleration : (n, 3) arrays
         x, y (m ...) and theta (rad ...) of the frame's centre of gravity from the drawn pose, global axes, at t; no
         rows where the settings want no motion.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -153,37 +154,45 @@ def _held(run: Run, count: int) -> Array:
     return sampling.phases(np.pad(flat, ((0, 0), (0, missing)), mode="edge"), OVERSAMPLING)
 
 
+def _first_after(transient: float, sample_rate: float) -> int:
+    """The first sample that is not before the end of the transient, which begins with the first sample."""
+    last = math.floor(transient * sample_rate)
+    return next(k for k in range(max(0, last - 1), last + 3) if k / sample_rate >= transient)
+
+
 def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: Settings) -> History:
     """Frame motion at the sample rate from what was recorded above it."""
     wanted = round(run.case.duration * settings.sample_rate) + 1
     head, count = sampling.head(OVERSAMPLING), min(wanted, -(-run.samples // OVERSAMPLING))
+    first = 0 if settings.transient else min(count, _first_after(run.case.transient, settings.sample_rate))
     rows = {column: recorded.index(i) for column, i in enumerate(model.frame_indices) if i is not None}
 
     def frame(motion: Array | None) -> Array:
         if motion is None:
             return np.zeros((0, 3))
-        columns = np.zeros((3, count))
+        columns = np.zeros((3, count - first))
         for column, row in rows.items():
-            columns[column] = motion[row, :count]
+            columns[column] = motion[row, first:count]
         return columns.T
 
-    smooth = np.zeros((3, count))
-    if count and rows:
+    smooth = np.zeros((3, count - first))
+    if count > first and rows:
         velocity, rate = run.v, settings.sample_rate * OVERSAMPLING
         if run.samples < (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1:
             velocity = _held(run, count)
         if list(rows.items()) == [(0, 0), (1, 1), (2, 2)] and len(velocity) == 3:
-            sampling.band_limited_acceleration(velocity, rate, count, smooth)
+            sampling.band_limited_acceleration(velocity, rate, count, smooth, first=first)
         else:
-            smooth[list(rows)] = sampling.band_limited_acceleration(velocity[list(rows.values())], rate, count)
-    t = run.case.begin + np.arange(count) / settings.sample_rate
+            some = velocity[list(rows.values())]
+            smooth[list(rows)] = sampling.band_limited_acceleration(some, rate, count, first=first)
+    t = run.case.begin + np.arange(first, count) / settings.sample_rate
     rates = run.v[:, 0, head:]
     remarks = [run.message, run.case.remark if run.status is Status.OK else ""]
     message = "; ".join(remark for remark in remarks if remark)
     links = None
     if settings.links and run.z is not None and run.memory is not None:
-        z, v = run.z[:, :count].T, rates[:, :count].T
-        links = link_motion(model, run.case.vector, t, z, v, run.memory[:, :count].T)
+        z, v = run.z[:, first:count].T, rates[:, first:count].T
+        links = link_motion(model, run.case.vector, t, z, v, run.memory[:, first:count].T)
     return History(
         case, run.status, message, t, frame(run.z),
         frame(None if run.z is None else rates), frame(run.a), smooth.T,

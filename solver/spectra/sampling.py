@@ -73,7 +73,9 @@ def phases(velocity: Array, oversampling: int) -> Array:
     return out
 
 
-def band_limited_acceleration(velocity: Array, rate: float, count: int, out: Array | None = None) -> Array:
+def band_limited_acceleration(
+    velocity: Array, rate: float, count: int, out: Array | None = None, *, first: int = 0
+) -> Array:
     """Acceleration at the reduced rate, flat to 0.4 of it; for aliases see the module.
 
     Parameters
@@ -85,27 +87,29 @@ def band_limited_acceleration(velocity: Array, rate: float, count: int, out: Arr
     rate : float
         Rate of the velocities, Hz.
     count : int
-        Results wanted; the last one needs :func:`reach` velocities after its instant.
-    out : (c, count) array, optional
+        Results up to the last one wanted, which needs :func:`reach` velocities after its instant.
+    out : (c, count - first) array, optional
         Room for them.
+    first : int
+        So many results are not wanted.
 
     Returns
     -------
-    (c, count) array
-        At every first of a phase: instants 0, oversampling, 2 oversampling ... of the velocities.
+    (c, count - first) array
+        At every first of a phase: instants 0, oversampling, 2 oversampling ... of the velocities, without the `first`.
     """
     oversampling = velocity.shape[1]
     taps, half, free = _filter(oversampling), reach(oversampling), head(oversampling)
     before = free * oversampling
-    first, second = velocity[:, 0, free], velocity[:, 1, free]
+    start, next_one = velocity[:, 0, free], velocity[:, 1, free]
     for i in range(1, half + 1):
         place = before - i
-        velocity[:, place % oversampling, place // oversampling] = first - (second - first) * i
+        velocity[:, place % oversampling, place // oversampling] = start - (next_one - start) * i
     if out is None:
-        out = np.empty((len(velocity), count))
+        out = np.empty((len(velocity), count - first))
     # Means between velocities, then taps: together the differences of the taps on the velocities.
     weights = -np.diff(taps, prepend=0.0, append=0.0) * rate
-    _decimate(velocity, weights, before - half, np.empty(_BLOCK), out)
+    _decimate(velocity, weights, before - half + first * oversampling, np.empty(_BLOCK), out)
     return out
 
 

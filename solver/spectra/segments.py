@@ -163,6 +163,7 @@ def _fast_length(target: float) -> int:
     return min(candidates, key=lambda n: (_transform_cost(n), abs(n - target)))
 
 
+@lru_cache(maxsize=65536)  # every case of a catalogue has its own speed, and they look at the same lengths
 def _transform_cost(length: int) -> float:
     """Operations of a mixed-radix transform: each prime factor costs itself, unusual ones a little more."""
     rest, total, factor = length, 0.0, 2

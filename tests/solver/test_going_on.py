@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,33 @@ def test_without_motion_only_the_signal_for_spectra_is_there() -> None:
     cheap = simulate(MACHINE, case, Settings(duration=0.1, motion=False))
     assert (whole.band_limited_acceleration == cheap.band_limited_acceleration).all()
     assert cheap.displacement.shape == cheap.velocity.shape == cheap.acceleration.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    "settings", [Settings(revolutions=0.5), Settings(revolutions=0.5, motion=False, sample_rate=7777.7)]
+)
+def test_without_the_transient_the_rest_is_the_same(settings: Settings) -> None:
+    case = Case(FaultState({"B": 2e-4}))
+    whole = simulate(MACHINE, case, settings)
+    late = simulate(MACHINE, case, replace(settings, transient=False))
+    first = int(np.searchsorted(whole.t, whole.transient))
+    assert first > 0 and len(late.t) == len(whole.t) - first > 0
+    for name in ("t", "displacement", "velocity", "acceleration", "band_limited_acceleration"):
+        assert (getattr(late, name) == getattr(whole, name)[first:]).all(), name
+
+
+def test_a_run_that_ends_within_its_transient_has_nothing_else() -> None:
+    ended = simulate(MACHINE, Case(), Settings(duration=0.01, transient=False))
+    assert ended.status is Status.OK and ended.transient > 0.01
+    assert len(ended.t) == len(ended.displacement) == len(ended.band_limited_acceleration) == 0
+
+
+def test_links_without_the_transient() -> None:
+    settings = Settings(revolutions=0.2, links=True, sample_rate=4000)
+    whole, late = (simulate(MACHINE, Case(), replace(settings, transient=wanted)) for wanted in (True, False))
+    assert whole.links is not None and late.links is not None
+    assert len(late.links.displacement) == len(late.t) < len(whole.t)
+    assert (late.links.displacement == whole.links.displacement[-len(late.t) :]).all()
 
 
 def test_more_cases_than_places_for_their_records() -> None:
