@@ -97,7 +97,7 @@ class Assets:
                 row.updated_at = moment
             session.flush()
             if wanted.baseline is not None:
-                self._own(session, external_id, wanted.baseline)
+                self.own_in(session, external_id, wanted.baseline)
         return row, new
 
     def asset(self, external_id: str) -> AssetRow:
@@ -122,15 +122,16 @@ class Assets:
     def own(self, external_id: str, measurement: str) -> None:
         """Note that a stored measurement is of an asset."""
         with self._database.writing() as session:
-            self._own(session, external_id, measurement)
+            self.own_in(session, external_id, measurement)
 
-    def _own(self, session: Session, external_id: str, measurement: str) -> None:
+    def own_in(self, session: Session, external_id: str, measurement: str) -> None:
+        """Note in a transaction that a stored measurement is of an asset."""
         row = {"asset": external_id, "measurement": measurement}
         session.execute(self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing())
 
     def note(self, session: Session, external_id: str, measurement: str, diagnosis: str) -> None:
         """Note in a transaction that a diagnosis, and what it is of, belong to an asset."""
-        self._own(session, external_id, measurement)
+        self.own_in(session, external_id, measurement)
         row = {"asset": external_id, "diagnosis": diagnosis}
         session.execute(self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing())
 

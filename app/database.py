@@ -26,7 +26,7 @@ from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
 from app.errors import AppError, BadFieldError
 
-REVISION = "0002"
+REVISION = "0003"
 """The newest revision in :mod:`app.migrations`."""
 
 VERSION_TABLE = "service_revision"

@@ -100,19 +100,41 @@ class ChannelItem(Shape):
     name: str
     unit: str
     quantity: str
+    scaling: Literal["psd", "power", "amplitude"] | None = Field(
+        default=None, description="What the numbers of a spectrum are; null for a recording."
+    )
+    detector: Literal["rms", "peak", "peak-to-peak"] | None = Field(
+        default=None, description="Of a spectrum; null for a recording."
+    )
+    decibel: bool | None = Field(default=None, description="Whether they are levels in dB; null for a recording.")
+
+
+class SpectrumItem(Shape):
+    """How far and how finely a spectrum reaches."""
+
+    lines: int
+    resolution_hz: float = Field(description="Distance of its lines.")
+    lowest_hz: float
+    highest_hz: float
 
 
 class MeasurementOut(Shape):
-    """A stored recording."""
+    """A stored measurement: a recording over time, or a spectrum."""
 
     id: str
     name: str
     sha256: str = Field(description="Of the file's bytes.")
     size_bytes: int
     created_at: datetime
-    sample_rate_hz: float
-    samples: int
-    duration_s: float
+    kind: Literal["recording", "spectrum"] = "recording"
+    told: dict[str, Any] = Field(
+        description="What its sender said of the file: `sample_rate_hz`, `units`, `profile`, as far as they were given."
+    )
+    sample_rate_hz: float | None = Field(default=None, description="Null for a spectrum.")
+    samples: int | None = Field(default=None, description="Null for a spectrum.")
+    duration_s: float | None = Field(default=None, description="Null for a spectrum.")
+    revolutions: int | None = Field(default=None, description="By the pulses of a tacho, where one is named.")
+    spectrum: SpectrumItem | None = Field(default=None, description="Null for a recording.")
     channels: list[ChannelItem]
     warnings: list[str]
     import_report: list[str]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,9 +24,10 @@ from app.machine_store import MachineStore
 from app.schemas import DiagnosisRequest
 from app.settings import Settings
 from app.storage import DiagnosisRow, MeasurementRow, Store, Upload
+from app.told import Told
 from app.workers import WorkerPool
 from solver.errors import UnitError
-from solver.machines.units import ANGULAR_SPEED, FREQUENCY, to_si
+from solver.machines.units import ANGULAR_SPEED, to_si
 
 
 @dataclass(frozen=True)
@@ -75,28 +76,39 @@ class Service:
         workers = range(self.settings.workers)
         await asyncio.gather(*(self.pool.run(tasks.warm, shown) for _ in workers), return_exceptions=True)
 
-    async def add_measurement(self, upload: Upload, name: str, sample_rate_hz: float | None) -> MeasurementRow:
-        """Read an uploaded recording in a worker and store it."""
-        summary = await self.pool.run(tasks.summarise, str(upload.path), name, sample_rate_hz)
-        return await run_in_threadpool(self.store.add_measurement, upload, name, sample_rate_hz, summary)
+    async def add_measurement(self, upload: Upload, name: str, told: Told, asset: str | None = None) -> MeasurementRow:
+        """Read an uploaded recording or spectrum in a worker and store it, as one of an asset where that is named."""
+        note = None if asset is None else await run_in_threadpool(self.noting, asset)
+        summary = await self.pool.run(tasks.summarise, str(upload.path), name, told)
+        return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
+
+    def noting(self, external_id: str) -> Callable[[Session, str], None]:
+        """Return what notes in a transaction that a measurement is of an asset.
+
+        Raises
+        ------
+        UnknownAssetError
+            When there is none of this id.
+        """
+        assets = Assets(self.store.database)
+        found = assets.asset(external_id).external_id
+        return lambda session, key: assets.own_in(session, found, key)
 
     async def diagnose(self, request: DiagnosisRequest) -> DiagnosisRow:
         """Diagnose a stored measurement in a worker and store the result."""
         row, asked = await run_in_threadpool(self.about_stored, request)
-        recording = (str(self.store.path_of(row.sha256)), row.name, row.given_sample_rate_hz)
+        recording = (str(self.store.path_of(row.sha256)), row.name, row.told)
         result = await self.pool.run(tasks.diagnose, *recording, asked.question)
         return await run_in_threadpool(self.keep, request, asked, result)
 
-    async def diagnose_upload(
-        self, upload: Upload, name: str, sample_rate_hz: float | None, request: DiagnosisRequest
-    ) -> DiagnosisRow:
+    async def diagnose_upload(self, upload: Upload, name: str, told: Told, request: DiagnosisRequest) -> DiagnosisRow:
         """Store an uploaded recording and diagnose it: the same as both calls by themselves, but it is read once.
 
         The recording stays when the question is refused, or takes too long.
 
         Parameters
         ----------
-        upload, name, sample_rate_hz
+        upload, name, told
             As for :meth:`add_measurement`.
         request : DiagnosisRequest
             Names the measurement that the upload becomes.
@@ -104,16 +116,16 @@ class Service:
         try:
             asked = await run_in_threadpool(self.about, request)
         except Exception:
-            await self.add_measurement(upload, name, sample_rate_hz)
+            await self.add_measurement(upload, name, told)
             raise
-        recording = (str(upload.path), name, sample_rate_hz)
+        recording = (str(upload.path), name, told)
         try:
             summary, outcome = await self.pool.run(tasks.summarise_and_diagnose, *recording, asked.question)
         except (TimeLimitError, WorkerDiedError):
             # Perhaps it was the diagnosis that took too long, or too much memory.
-            await self.add_measurement(upload, name, sample_rate_hz)
+            await self.add_measurement(upload, name, told)
             raise
-        await run_in_threadpool(self.store.add_measurement, upload, name, sample_rate_hz, summary)
+        await run_in_threadpool(self.store.add_measurement, upload, name, told, summary)
         return await run_in_threadpool(self.keep, request, asked, outcome.result())
 
     def about_stored(self, request: DiagnosisRequest) -> tuple[MeasurementRow, Asked]:
@@ -172,12 +184,12 @@ class Service:
             raise BadFieldError(said, field="asset")
         return found
 
-    def baseline_of(self, asset: AssetRow, measurement: str) -> tuple[str, str, float | None] | None:
+    def baseline_of(self, asset: AssetRow, measurement: str) -> tuple[str, str, Told] | None:
         """Return where the baseline of an asset lies and how to read it; none for the baseline itself."""
         if asset.baseline is None or asset.baseline == measurement:
             return None
         row = self.store.measurement(asset.baseline)
-        return str(self.store.path_of(row.sha256)), row.name, row.given_sample_rate_hz
+        return str(self.store.path_of(row.sha256)), row.name, row.told
 
     def announce(
         self, session: Session, diagnosis: str, measurement: str, asset: AssetRow | None, result: Mapping[str, Any]
@@ -200,23 +212,10 @@ def speed_of(given: float | str | None) -> float | None:
     """Return a drive speed in rad/s from what a request says; a web form's empty text is "not given"."""
     if given is None or given == "":
         return None
-    return positive(given, "speed")
-
-
-def rate_of(given: str | None) -> float | None:
-    """Return a sample rate in Hz from what a form says."""
-    if given is None or given == "":
-        return None
-    return positive(given, "sample_rate")
-
-
-def positive(given: float | str, field: str) -> float:
-    """Return a number greater than 0 in SI, or say which field breaks the rule."""
-    dimension = FREQUENCY if field == "sample_rate" else ANGULAR_SPEED
     try:
-        value = to_si(given, dimension)
+        value = to_si(given, ANGULAR_SPEED)
     except UnitError as error:
-        raise BadFieldError(f"{field}: {given}: {error}", field=field) from None
+        raise BadFieldError(f"speed: {given}: {error}", field="speed") from None
     if value <= 0:
-        raise BadFieldError(f"{field}: {given}: must be greater than 0", field=field)
+        raise BadFieldError(f"speed: {given}: must be greater than 0", field="speed")
     return value

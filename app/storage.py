@@ -22,6 +22,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from app.database import Database, UtcDateTime, database_url
 from app.errors import UnknownDiagnosisError, UnknownMeasurementError
+from app.told import Told
 from catalogue.directory import sync_folder
 
 PARTIAL = "partial-"
@@ -51,8 +52,14 @@ class MeasurementRow(Base):
     name: Mapped[str] = mapped_column(String(255))
     size_bytes: Mapped[int] = mapped_column(BigInteger)
     given_sample_rate_hz: Mapped[float | None]
+    beside_rate: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     created_at: Mapped[datetime]
     summary: Mapped[dict[str, Any]]
+
+    @property
+    def told(self) -> Told:
+        """What its sender said of it."""
+        return Told(self.given_sample_rate_hz, **(self.beside_rate or {}))
 
 
 class DiagnosisRow(Base):
@@ -182,16 +189,31 @@ class Store:
                 upload.path.unlink(missing_ok=True)
 
     def add_measurement(
-        self, upload: Upload, name: str, sample_rate_hz: float | None, summary: Mapping[str, Any]
+        self,
+        upload: Upload,
+        name: str,
+        told: Told | None,
+        summary: Mapping[str, Any],
+        also: Callable[[Session, str], None] | None = None,
     ) -> MeasurementRow:
-        """Store a measurement, or return the one stored before from the same bytes under the same name."""
-        key = measurement_key(upload.sha256, name, sample_rate_hz)
+        """Store a measurement, or return the one stored before from the same bytes, of which the same was said.
+
+        Parameters
+        ----------
+        upload, name, told, summary
+            As in :class:`MeasurementRow`.
+        also : callable, optional
+            Called with the id in the same transaction.
+        """
+        told = told or Told()
+        key = measurement_key(upload.sha256, name, told)
         row = {
             "id": key,
             "sha256": upload.sha256,
             "name": name,
             "size_bytes": upload.size,
-            "given_sample_rate_hz": sample_rate_hz,
+            "given_sample_rate_hz": told.sample_rate_hz,
+            "beside_rate": told.beside_rate or None,
             "created_at": now(),
             "summary": dict(summary),
         }
@@ -199,6 +221,8 @@ class Store:
             session.execute(
                 self.database.insert(MeasurementRow).values(row).on_conflict_do_nothing(index_elements=["id"])
             )
+            if also is not None:
+                also(session, key)
         return self.measurement(key)
 
     def measurement(self, key: str) -> MeasurementRow:
@@ -302,10 +326,10 @@ def newest(session: Session, table: Any, before: int | None, limit: int, among: 
     return query if before is None else query.where(table.number < before)
 
 
-def measurement_key(sha256: str, name: str, sample_rate_hz: float | None) -> str:
+def measurement_key(sha256: str, name: str, told: Told) -> str:
     """Return the id of a measurement: its bytes, and what its sender said of them."""
-    content = json.dumps({"sha256": sha256, "name": name, "sample_rate_hz": sample_rate_hz}, sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()[:32]
+    said = {"sha256": sha256, "name": name, "sample_rate_hz": told.sample_rate_hz, **told.beside_rate}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def now() -> datetime:

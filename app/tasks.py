@@ -9,10 +9,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.summaries import summary_of
+from app.told import Told
 from app.workers import Outcome, attempt
 
 if TYPE_CHECKING:
     from catalogue.answer import Effort, ModeAsked
+    from catalogue.measured_spectrum import MeasuredSpectrum
     from catalogue.measurement import Measurement
     from catalogue.store import Catalogue
 
@@ -36,7 +39,7 @@ class Question:
     mapping : Mapping
         Column to sensor.
     baseline : tuple, optional
-        Path, name and sample rate of a recording of the machine in order.
+        Path, name and what is told of a recording of the machine in order.
     """
 
     catalogue: str
@@ -45,11 +48,11 @@ class Question:
     effort: Effort
     mode: ModeAsked
     mapping: Mapping[str, str]
-    baseline: tuple[str, str, float | None] | None = None
+    baseline: tuple[str, str, Told] | None = None
 
 
-def summarise(path: str, name: str, sample_rate: float | None) -> dict[str, Any]:
-    """Read a recording and return what there is to say about it.
+def summarise(path: str, name: str, told: Told) -> dict[str, Any]:
+    """Read a recording, or a spectrum, and return what there is to say about it.
 
     Parameters
     ----------
@@ -57,49 +60,31 @@ def summarise(path: str, name: str, sample_rate: float | None) -> dict[str, Any]
         Where its bytes lie.
     name : str
         What its sender calls it; its ending says how to read it.
-    sample_rate : float, optional
-        Hz; for recordings without times.
+    told : Told
+        What its sender says of it.
     """
-    return summary_of(read(path, name, sample_rate))
-
-
-def summary_of(measurement: Measurement) -> dict[str, Any]:
-    """Return what there is to say about a recording."""
-    samples = len(measurement.signal)
-    return {
-        "sample_rate_hz": float(measurement.sample_rate),
-        "samples": samples,
-        "duration_s": samples / float(measurement.sample_rate),
-        "channels": [
-            {"name": channel.name, "unit": channel.unit, "quantity": channel.quantity}
-            for channel in measurement.channels
-        ],
-        "warnings": list(measurement.warnings),
-        "import_report": list(measurement.import_report),
-    }
+    return summary_of(read(path, name, told))
 
 
 def diagnose(
     path: str,
     name: str,
-    sample_rate: float | None,
+    told: Told,
     question: Question,
 ) -> dict[str, Any]:
     """Diagnose a recording and return the contract's members as JSON values.
 
     Parameters
     ----------
-    path, name, sample_rate
+    path, name, told
         As for :func:`summarise`.
     question : Question
         What to compare it with, and how.
     """
-    return diagnosed(read(path, name, sample_rate), question)
+    return diagnosed(read(path, name, told), question)
 
 
-def summarise_and_diagnose(
-    path: str, name: str, sample_rate: float | None, question: Question
-) -> tuple[dict[str, Any], Outcome]:
+def summarise_and_diagnose(path: str, name: str, told: Told, question: Question) -> tuple[dict[str, Any], Outcome]:
     """Do what :func:`summarise` and then :func:`diagnose` do, and read the recording once.
 
     Returns
@@ -109,11 +94,11 @@ def summarise_and_diagnose(
     Outcome
         The diagnosis, or why there is none.
     """
-    measurement = read(path, name, sample_rate)
+    measurement = read(path, name, told)
     return summary_of(measurement), attempt(diagnosed, (measurement, question))
 
 
-def diagnosed(measurement: Measurement, question: Question) -> dict[str, Any]:
+def diagnosed(measurement: Measurement | MeasuredSpectrum, question: Question) -> dict[str, Any]:
     """Diagnose what was read and return the contract's members as JSON values."""
     from catalogue.diagnosis import diagnose as ranked
 
@@ -124,7 +109,7 @@ def diagnosed(measurement: Measurement, question: Question) -> dict[str, Any]:
         effort=question.effort,
         mode=question.mode,
         mapping=question.mapping or None,
-        baseline=None if question.baseline is None else read(*question.baseline),
+        baseline=None if question.baseline is None else in_order(*question.baseline),
     )
     document: dict[str, Any] = result.model_dump(mode="json")
     return document
@@ -160,7 +145,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
         Folders and stamps, as in :class:`Question`.
     """
     import catalogue.diagnosis
-    import catalogue.measurement  # noqa: F401, loaded to be there when it is needed
+    import catalogue.recordings  # noqa: F401, loaded to be there when it is needed
     from catalogue.errors import CatalogueError
     from catalogue.libraries import KEPT, library_of
 
@@ -171,11 +156,30 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     return loaded
 
 
-def read(path: str, name: str, sample_rate: float | None) -> Measurement:
-    """Read a recording by the reader that its name asks for."""
+def read(path: str, name: str, told: Told) -> Measurement | MeasuredSpectrum:
+    """Read a recording, or a spectrum, by the reader that its content and name ask for."""
+    from catalogue.recordings import read_recording
+
+    return read_recording(
+        Path(path).read_bytes(),
+        name=name,
+        sample_rate=told.sample_rate_hz,
+        units=told.units or None,
+        profile=told.import_profile,
+    )
+
+
+def in_order(path: str, name: str, told: Told) -> Measurement:
+    """Read a baseline, which has to be a recording over time."""
     from catalogue.measurement import read_measurement
 
-    return read_measurement(Path(path).read_bytes(), name=name, sample_rate=sample_rate)
+    return read_measurement(
+        Path(path).read_bytes(),
+        name=name,
+        sample_rate=told.sample_rate_hz,
+        units=told.units or None,
+        profile=told.import_profile,
+    )
 
 
 @lru_cache(maxsize=4)

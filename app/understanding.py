@@ -9,17 +9,18 @@ from functools import lru_cache
 from typing import Any
 
 from app.tasks import opened, read
+from app.told import Told
 
 POSITIONS = 72
 RPM = 30.0 / math.pi
 
 
-def understand(path: str, name: str, sample_rate: float | None, catalogue: str, stamp: str) -> dict[str, Any]:
+def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> dict[str, Any]:
     """Return how a recording would be compared with a catalogue: sensors by column, drive speed, warnings.
 
     Parameters
     ----------
-    path, name, sample_rate, catalogue, stamp
+    path, name, told, catalogue, stamp
         As for :func:`app.tasks.diagnose`.
 
     Returns
@@ -32,7 +33,7 @@ def understand(path: str, name: str, sample_rate: float | None, catalogue: str, 
     from catalogue.features import prepare
     from catalogue.sensors import map_sensors
 
-    measurement = read(path, name, sample_rate)
+    measurement = read(path, name, told)
     found = opened(catalogue, stamp)
     answer: dict[str, Any] = {"speed_rpm": None, "uncertainty_rpm": None, "warnings": [], "field": "", "message": ""}
     field = "mapping"

@@ -8,6 +8,7 @@ from typing import Any
 from app.catalogues import Offer
 from app.page_forms import NOT_USED
 from app.storage import MeasurementRow
+from app.summaries import channel_words
 from catalogue.sensors import matched_by_name
 
 
@@ -37,14 +38,12 @@ def confirmation(
         "catalogue": offer.description,
         "facts": [
             ("Machine", f"{offer.description.machine}, {offer.description.entries} cases in {offer.description.name}"),
-            ("Length", f"{summary['duration_s']:.4g} s, {summary['samples']} samples"),
-            ("Sample rate", f"{summary['sample_rate_hz']:.6g} Hz"),
+            *extents(summary),
         ],
         "columns": [
             {
                 "name": channel["name"],
-                "unit": channel["unit"],
-                "quantity": channel["quantity"],
+                "words": channel_words(channel),
                 "field": f"sensor-{index}",
                 "chosen": given.get(f"sensor-{index}", by_name.get(channel["name"], NOT_USED)),
             }
@@ -58,6 +57,20 @@ def confirmation(
         "warnings": list(dict.fromkeys([*summary["warnings"], *found["warnings"]])),
         "report": summary["import_report"],
     }
+
+
+def extents(summary: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Return how long a recording is, or how far and how finely a spectrum reaches."""
+    if summary.get("kind") == "spectrum":
+        held = summary["spectrum"]
+        return (
+            ("Spectrum", f"{held['lowest_hz']:.6g} to {held['highest_hz']:.6g} Hz"),
+            ("Resolution", f"{held['resolution_hz']:.4g} Hz, {held['lines']} lines"),
+        )
+    return (
+        ("Length", f"{summary['duration_s']:.4g} s, {summary['samples']} samples"),
+        ("Sample rate", f"{summary['sample_rate_hz']:.6g} Hz"),
+    )
 
 
 def speed_hint(found: Mapping[str, Any], offer: Offer) -> str:

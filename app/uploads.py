@@ -15,8 +15,9 @@ from app.errors import BadFieldError, UnsupportedMediaError
 from app.storage import Store, Upload
 
 MULTIPART = "multipart/form-data"
-MAX_FIELDS = 20
+MAX_FIELDS = 32
 MAX_FIELD_BYTES = 16_000
+MAX_PROFILE_BYTES = 64_000
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ def media_type(request: Request) -> str:
 async def received_form(request: Request, store: Store, known: frozenset[str]) -> AsyncIterator[Form]:
     """Read a multipart form, and keep its file on disk for the time of a ``with`` block.
 
+    The field ``profile``, where it is known, may be a text or a small file of one.
     After it, whatever way it ends, the file stays only if it became a measurement.
 
     Parameters
@@ -71,7 +73,7 @@ async def received_form(request: Request, store: Store, known: frozenset[str]) -
     file_name = ""
     fields: dict[str, str] = {}
     try:
-        async with request.form(max_files=2, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
+        async with request.form(max_files=3, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
             for name, value in form.multi_items():
                 if name != "file" and name not in known:
                     allowed = ", ".join(sorted(known | {"file"}))
@@ -81,6 +83,10 @@ async def received_form(request: Request, store: Store, known: frozenset[str]) -
                 if name in fields or (name == "file" and uploads):
                     raise BadFieldError(f"{name}: is given twice", field=name)
                 if value == "":
+                    continue
+                if name == "profile" and isinstance(value, UploadFile):
+                    if value.filename or value.size:
+                        fields[name] = await text_of(value, name)
                     continue
                 if (name == "file") != isinstance(value, UploadFile):
                     must = "a file" if name == "file" else "text, not a file"
@@ -96,6 +102,23 @@ async def received_form(request: Request, store: Store, known: frozenset[str]) -
     finally:
         for upload in uploads:
             store.settle(upload)
+
+
+async def text_of(part: UploadFile, name: str) -> str:
+    """Return the text of a small file.
+
+    Raises
+    ------
+    BadFieldError
+        When it is large, or no text in UTF-8.
+    """
+    content = await part.read(MAX_PROFILE_BYTES + 1)
+    if len(content) > MAX_PROFILE_BYTES:
+        raise BadFieldError(f"{name}: is larger than {MAX_PROFILE_BYTES // 1000} kB", field=name)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadFieldError(f"{name}: is not a text in UTF-8", field=name) from None
 
 
 def base_name(name: str) -> str:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Literal
@@ -47,6 +48,7 @@ def _table() -> dict[str, tuple[ChannelQuantity, float]]:
 
 
 _UNITS = _table()
+_VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,37 @@ def parse_unit(text: str) -> ChannelUnit | None:
     if found is None and (plain.isupper() or (len(plain) > 2 and plain.isalpha())):  # M/S2, Sec; but Mm is not mm
         found = _UNITS.get(plain.lower())
     return None if found is None else ChannelUnit(text.strip(), *found)
+
+
+def parse_sensitivity(text: str) -> tuple[float, str] | None:
+    """What a sensor gives a unit of motion, from "100 mV/g" or "10.2 mV/(m/s²)"; None when it is no such text.
+
+    Returns
+    -------
+    tuple of float and str
+        Volts a unit, > 0, and the unit of the motion.
+    """
+    found = re.fullmatch(r"\s*(\d[\d.eE+-]*)\s*([uµμm]?V)\s*(?:/|per\s)\s*(.+?)\s*", text)
+    if not found:
+        return None
+    try:
+        volts = float(found[1]) * _VOLTS[_plain(found[2])]
+    except ValueError:
+        return None
+    unit = parse_unit(found[3])
+    if unit is None or unit.quantity in ("time", "frequency") or not 0.0 < volts < math.inf:
+        return None
+    return volts, unit.text.strip("()")
+
+
+def is_voltage(text: str | None) -> bool:
+    """Whether a text is a unit of voltage: what a sensor's sensitivity turns into motion."""
+    return text is not None and _plain(text) in _VOLTS
+
+
+def volts_of(text: str) -> float:
+    """Volts in a unit of voltage; see :func:`is_voltage`."""
+    return _VOLTS[_plain(text)]
 
 
 def split_label(label: str) -> tuple[str, str | None]:

@@ -120,12 +120,23 @@ class MeasurementError(CatalogueError):
         The offending value as the file has it.
     rule : str
         The rule it breaks, as a phrase: "is not a number".
+    field : str
+        What its sender has to say, or said wrongly: ``sample_rate``, ``units``, ``full_scale``, ``sensitivity``,
+        ``tacho``, ``scaling``, ``detector``, ``window``, ``reference``, ``profile``; empty where the file is at fault.
     """
 
     def __init__(
-        self, source: str, line: int | None = None, column: str | None = None, value: object = None, rule: str = ""
+        self,
+        source: str,
+        line: int | None = None,
+        column: str | None = None,
+        value: object = None,
+        rule: str = "",
+        *,
+        field: str = "",
     ) -> None:
         self.source, self.line, self.column, self.value, self.rule = source, line, column, value, rule
+        self.field = field
         super().__init__(source, line, column, value, rule)
 
     def __str__(self) -> str:

@@ -12,8 +12,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from catalogue.channel_units import parse_unit, split_label
+from catalogue.channel_units import is_voltage, parse_sensitivity, parse_unit, split_label, volts_of
 from catalogue.errors import MeasurementError
+from catalogue.measured_columns import ALL_OTHERS, is_spectrum, said_unit
 from catalogue.readers.raw import RawColumn, RawRecording, SpectrumForm
 from catalogue.tacho import turns_of
 from solver.errors import MachineError
@@ -76,7 +77,9 @@ class ImportProfile(_Part):
     channels : list of str, optional
         Names of all columns or channels, in the file's order; in place of those of the file.
     units : mapping of column to unit
-        In place of the file's.
+        In place of the file's; ``*`` for columns of which it says nothing.
+    sensitivity : mapping of column to text
+        What a sensor gives, "100 mV/g", for columns that are in volts; ``*`` for all of them.
     sensors : mapping of column to sensor
         Of the machine.
     ignore : list of str
@@ -87,7 +90,7 @@ class ImportProfile(_Part):
     full_scale_m_s2 : float or list of float, optional
         Acceleration that a WAV file's full scale stands for, of all channels or of each.
     full_scale : str, optional
-        The same as number and unit: "5 g", "25 mm/s".
+        The same as number and unit: "5 g", "25 mm/s"; "1 V" where there is a sensitivity.
     spectrum : SpectrumSaid, optional
     tacho : Tacho, optional
     """
@@ -97,6 +100,7 @@ class ImportProfile(_Part):
     skip_lines: Annotated[int, Field(ge=0, le=10_000)] = 0
     channels: Annotated[tuple[Text, ...], Field(max_length=256)] | None = None
     units: Annotated[dict[Text, Text], Field(max_length=256)] = {}
+    sensitivity: Annotated[dict[Text, Text], Field(max_length=256)] = {}
     sensors: Annotated[dict[Text, Text], Field(max_length=256)] = {}
     ignore: Annotated[tuple[Text, ...], Field(max_length=256)] = ()
     time_column: Text | None = None
@@ -127,51 +131,83 @@ class ImportProfile(_Part):
         raw = self._scaled(self._named(raw))
         names = [column.name for column in raw.columns]
         told = list(raw.facts)
-        for field, wanted in (("units", self.units), ("sensors", self.sensors), ("ignore", self.ignore)):
-            unknown = next((name for name in wanted if name not in names), None)
+        for field in ("units", "sensitivity", "sensors", "ignore"):
+            known = (*names, ALL_OTHERS) if field in ("units", "sensitivity") else names
+            unknown = next((name for name in getattr(self, field) if name not in known), None)
             if unknown is not None:
-                raise MeasurementError(
-                    raw.source, None, unknown, rule=f"the profile's {field} names it; columns are {', '.join(names)}"
-                )
+                rule = f"the profile's {field} names it; columns are {', '.join(names)}"
+                at = field if field == "sensitivity" else "profile"
+                raise MeasurementError(raw.source, None, unknown, rule=rule, field=at)
         if self.time_column is not None and self.time_column not in names:
             rule = f"is the profile's time_column; columns are {', '.join(names)}"
-            raise MeasurementError(raw.source, None, self.time_column, rule=rule)
+            raise MeasurementError(raw.source, None, self.time_column, rule=rule, field="profile")
         turns = None
         if self.tacho is not None:
             if self.tacho.column not in names:
-                rule = f"is the profile's tacho; columns are {', '.join(names)}"
-                raise MeasurementError(raw.source, None, self.tacho.column, rule=rule)
+                rule = f"is to be the tacho; columns are {', '.join(names)}"
+                raise MeasurementError(raw.source, None, self.tacho.column, rule=rule, field="tacho")
+            if is_spectrum(raw, self.units):
+                rule = "is to be the tacho, but the file holds a spectrum"
+                raise MeasurementError(raw.source, None, self.tacho.column, rule=rule, field="tacho")
             pulsing = raw.values[:, names.index(self.tacho.column)]
             each, falling = self.tacho.pulses_per_revolution, self.tacho.edge == "falling"
             turns = turns_of(pulsing, each, self.tacho.threshold, falling, raw.source, self.tacho.column)
             told.append(f"tacho {self.tacho.column!r}: {len(turns) - 1} revolutions, {each} pulses each")
-        columns, kept = [], []
+        columns, kept, factors = [], [], []
         for index, column in enumerate(raw.columns):
             if column.name in self.ignore or (self.tacho is not None and column.name == self.tacho.column):
                 continue
             name = "time" if column.name == self.time_column else self.sensors.get(column.name, column.name)
-            unit = self.units.get(column.name, column.unit)
+            unit = said_unit(column, self.units)
             if (name, unit) != (column.name, column.unit):
                 told.append(f"{column.position} {column.label!r}: {name} in {unit or 'no unit'}, as the profile says")
+            factor, unit = self._sensed(column, unit, raw, told)
+            factors.append(factor)
             columns.append(RawColumn(column.label, name, unit, column.position))
             kept.append(index)
         if not kept:
-            raise MeasurementError(raw.source, rule="the profile ignores all columns")
+            raise MeasurementError(raw.source, rule="the profile ignores all columns", field="profile")
+        if ALL_OTHERS in self.sensitivity and not any(is_voltage(said_unit(each, self.units)) for each in raw.columns):
+            rule = "is said of columns in volts, but no column is in V, mV or uV"
+            raise MeasurementError(raw.source, None, "sensitivity", rule=rule, field="sensitivity")
+        values = raw.values[:, kept]
         return dataclasses.replace(
             raw,
             columns=tuple(columns),
-            values=raw.values[:, kept],
+            values=values * np.array(factors) if self.sensitivity else values,
             facts=tuple(told),
             form=self._form(raw),
             turns=turns,
         )
+
+    def _sensed(
+        self, column: RawColumn, unit: str | None, raw: RawRecording, told: list[str]
+    ) -> tuple[float, str | None]:
+        """Factor and unit of the motion that the voltage of a column stands for."""
+        said = self.sensitivity.get(column.name)
+        if said is None and is_voltage(unit):
+            said = self.sensitivity.get(ALL_OTHERS)
+        if said is None:
+            return 1.0, unit
+        found = parse_sensitivity(said)
+        if found is None:
+            rule = 'must be a voltage a unit of motion, such as "100 mV/g"'
+            raise MeasurementError(raw.source, None, column.name, said, rule, field="sensitivity")
+        if unit is None or not is_voltage(unit):
+            rule = f"has a sensitivity, but is in {unit or 'no unit'}: it must be in V, mV or uV"
+            raise MeasurementError(raw.source, None, column.name, said, rule, field="sensitivity")
+        if is_spectrum(raw):
+            rule = "a sensitivity can be given for recordings over time: the file holds a spectrum"
+            raise MeasurementError(raw.source, None, column.name, said, rule, field="sensitivity")
+        told.append(f"{column.position} {column.label!r}: {unit} by a sensor of {said}")
+        return volts_of(unit) / found[0], found[1]
 
     def _named(self, raw: RawRecording) -> RawRecording:
         if self.channels is None:
             return raw
         if len(self.channels) != len(raw.columns):
             rule = f"the profile names {len(self.channels)} channels, the file has {len(raw.columns)}"
-            raise MeasurementError(raw.source, rule=rule)
+            raise MeasurementError(raw.source, rule=rule, field="profile")
         labels = [split_label(name) for name in self.channels]
         columns = tuple(
             dataclasses.replace(column, name=name, unit=unit or column.unit)
@@ -184,9 +220,8 @@ class ImportProfile(_Part):
         if self.full_scale_m_s2 is None and self.full_scale is None:
             return raw
         if not raw.relative:
-            raise MeasurementError(
-                raw.source, None, "full_scale", rule="is given, but the file does not hold fractions of one"
-            )
+            rule = "is given, but the file does not hold fractions of one"
+            raise MeasurementError(raw.source, None, "full_scale", rule=rule, field="full_scale")
         if self.full_scale is not None:
             value, unit = full_scale_of(self.full_scale, raw.source)
             factors = np.full(len(raw.columns), value)
@@ -196,7 +231,7 @@ class ImportProfile(_Part):
             unit = "m/s2"
             if len(factors) not in (1, len(raw.columns)):
                 rule = f"{len(factors)} values for {len(raw.columns)} channels"
-                raise MeasurementError(raw.source, None, "full_scale_m_s2", rule=rule)
+                raise MeasurementError(raw.source, None, "full_scale_m_s2", rule=rule, field="profile")
             factors = np.broadcast_to(factors, len(raw.columns))
         columns = tuple(dataclasses.replace(column, unit=unit) for column in raw.columns)
         fact = f"full scale {', '.join(f'{factor:.6g}' for factor in np.unique(factors))} {unit}, as the profile says"
@@ -208,6 +243,10 @@ class ImportProfile(_Part):
         said = self.spectrum
         if said is None:
             return raw.form
+        if not is_spectrum(raw, self.units):
+            first = next(iter(said.model_dump(exclude_none=True)), "profile")
+            rule = "is said of a spectrum, but the file holds a recording over time"
+            raise MeasurementError(raw.source, None, f"spectrum.{first}", rule=rule, field=first)
         form = raw.form or SpectrumForm()
         widths = None if said.window is None else WINDOWS[said.window]
         for field, ours, files in (
@@ -217,7 +256,7 @@ class ImportProfile(_Part):
         ):
             if ours is not None and files is not None and ours != files:
                 rule = f"the profile says {ours}, the file {files}"
-                raise MeasurementError(raw.source, None, f"spectrum.{field}", rule=rule)
+                raise MeasurementError(raw.source, None, f"spectrum.{field}", rule=rule, field=field)
         return SpectrumForm(
             scaling=said.scaling or form.scaling,
             detector=said.detector or form.detector,
@@ -240,8 +279,10 @@ def full_scale_of(text: str, source: str) -> tuple[float, str]:
     except ValueError:
         value = float("nan")
     parsed = parse_unit(unit)
-    if not (np.isfinite(value) and value > 0) or parsed is None or parsed.quantity in ("time", "frequency"):
-        raise MeasurementError(source, None, "full_scale", text, 'must be a number and a unit, such as "5 g"')
+    motion = parsed is not None and parsed.quantity not in ("time", "frequency")
+    if not (np.isfinite(value) and value > 0) or not (motion or is_voltage(unit)):
+        rule = 'must be a number and a unit, such as "5 g"'
+        raise MeasurementError(source, None, "full_scale", text, rule, field="full_scale")
     return value, unit.strip()
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from catalogue.channel_units import parse_unit
 from catalogue.errors import MeasurementError
 from catalogue.import_profile import WINDOWS
-from catalogue.measured_columns import FREQUENCY_NAMES
+from catalogue.measured_columns import check_given, said_unit
 from catalogue.measurement import SI_UNITS, Channel
 from catalogue.readers import Limits, RawColumn, RawRecording, SpectrumForm
 from catalogue.readers.validity import LARGEST
@@ -52,6 +52,8 @@ class MeasuredSpectrum:
     channels : tuple of Channel, (c,)
     warnings, import_report : tuple of str
     sha256 : str
+    forms : tuple of SpectrumForm, (c,)
+        What the numbers of each channel are in the file.
     """
 
     name: str
@@ -61,6 +63,7 @@ class MeasuredSpectrum:
     warnings: tuple[str, ...]
     import_report: tuple[str, ...]
     sha256: str
+    forms: tuple[SpectrumForm, ...]
 
     @property
     def resolution(self) -> float:
@@ -73,13 +76,6 @@ class MeasuredSpectrum:
         return tuple(channel.name for channel in self.channels)
 
 
-def is_spectrum(raw: RawRecording) -> bool:
-    """Whether a file holds a spectrum: it says so, or its first column is a frequency."""
-    first = raw.columns[0]
-    unit = parse_unit(first.unit or "")
-    return first.name.lower() in FREQUENCY_NAMES or (unit is not None and unit.quantity == "frequency")
-
-
 def spectrum_of(raw: RawRecording, units: Mapping[str, str], limits: Limits, sha256: str) -> MeasuredSpectrum:
     """Judge what a reader has as a spectrum.
 
@@ -88,7 +84,7 @@ def spectrum_of(raw: RawRecording, units: Mapping[str, str], limits: Limits, sha
     raw : RawRecording
         Its first column is the frequency.
     units : mapping of column to unit
-        In place of the file's.
+        In place of the file's; ``*`` for columns of which it says nothing.
     limits : Limits
     sha256 : str
 
@@ -103,15 +99,17 @@ def spectrum_of(raw: RawRecording, units: Mapping[str, str], limits: Limits, sha
     """
     if len(raw.values) < limits.min_samples:
         raise MeasurementError(raw.source, rule=f"{len(raw.values)} lines; at least {limits.min_samples} are needed")
-    frequency = _frequencies(raw)
+    frequency = _frequencies(raw, units)
     step = float(frequency[1] - frequency[0])
     facts, warnings = list(raw.facts), list(raw.warnings)
     facts.append(f"spectrum of {len(frequency)} lines, {step:.6g} Hz apart, to {frequency[-1]:.6g} Hz")
     form = _windowed(raw, facts)
+    check_given(raw, units)
     channels: list[Channel] = []
+    forms: list[SpectrumForm] = []
     densities: list[FloatArray] = []
     for column, values in zip(raw.columns[1:], raw.values.T[1:], strict=True):
-        text, own = _form_of(column, units.get(column.name, column.unit), form, raw.source)
+        text, own = _form_of(column, said_unit(column, units), form, raw.source)
         unit = parse_unit(text)
         if unit is None or unit.quantity in ("time", "frequency"):
             warnings.append(f"column {column.label!r} left out: {text!r} is no unit of a motion")
@@ -120,25 +118,30 @@ def spectrum_of(raw: RawRecording, units: Mapping[str, str], limits: Limits, sha
         quantity = cast(Quantity, unit.quantity)
         channels.append(Channel(column.name, text, quantity))
         densities.append(density)
+        forms.append(own)
         rms = float(np.sqrt(density.sum() * step))
         told = f"{own.scaling}, {own.detector}" + (", dB" if own.decibel else "")
         facts.append(f"{column.position} {column.label!r}: {quantity}, {told}; rms {rms:.4g} {SI_UNITS[quantity]}")
     if not channels:
-        raise MeasurementError(raw.source, rule="no column is a displacement, velocity or acceleration")
+        rule = "no column is a displacement, velocity or acceleration"
+        raise MeasurementError(raw.source, rule=rule, field="units")
     warnings.append(
         "a spectrum has no phases and no course in time: sensors are compared one by one; noise, wander, mains hum,"
         " clipping and unsteady parts cannot be told from the machine"
     )
     table = np.column_stack(densities)
     table.flags.writeable = False
-    return MeasuredSpectrum(raw.source, frequency, table, tuple(channels), tuple(warnings), tuple(facts), sha256)
+    said = (tuple(channels), tuple(warnings), tuple(facts), sha256, tuple(forms))
+    return MeasuredSpectrum(raw.source, frequency, table, *said)
 
 
-def _frequencies(raw: RawRecording) -> FloatArray:
+def _frequencies(raw: RawRecording, given: Mapping[str, str]) -> FloatArray:
     column = raw.columns[0]
-    unit = parse_unit(column.unit or "")
+    text = given.get(column.name) or column.unit
+    unit = parse_unit(text or "")
     if unit is None or unit.quantity != "frequency":
-        raise MeasurementError(raw.source, None, column.name, column.unit, "is not a unit of frequency: Hz, kHz")
+        rule = "is not a unit of frequency: Hz, kHz"
+        raise MeasurementError(raw.source, None, column.name, text, rule, field="units")
     frequency = raw.values[:, 0] * unit.factor
     steps = np.diff(frequency)
     mean = float(frequency[-1] - frequency[0]) / len(steps)
@@ -169,9 +172,8 @@ def _windowed(raw: RawRecording, facts: list[str]) -> SpectrumForm:
 def _form_of(column: RawColumn, text: str | None, form: SpectrumForm, source: str) -> tuple[str, SpectrumForm]:
     """Unit of the motion and form of a column, from "g rms", "(m/s2)^2/Hz", "dB re 1 m/s2 peak" and the profile."""
     if text is None:
-        raise MeasurementError(
-            source, None, column.name, rule="has no unit: write it in the header, as in 's1-x [g rms]'"
-        )
+        rule = "has no unit: write it in the header, as in 's1-x [g rms]', or give it"
+        raise MeasurementError(source, None, column.name, rule=rule, field="units")
     plain = text.strip()
     level = _LEVEL.fullmatch(plain)
     if level:
@@ -193,24 +195,26 @@ def _form_of(column: RawColumn, text: str | None, form: SpectrumForm, source: st
     elif squares:
         plain = squares[1] or squares[2]
     if said is not None and form.scaling not in (None, said):
-        raise MeasurementError(source, None, column.name, text, f"is a unit of {said}, not of {form.scaling}")
+        rule = f"is a unit of {said}, not of {form.scaling}"
+        raise MeasurementError(source, None, column.name, text, rule, field="scaling")
     scaling = form.scaling or said or ("amplitude" if form.detector else None)
     if scaling is None:
         rule = "does not say what it is: give spectrum.scaling (psd, power or amplitude) in a profile"
-        raise MeasurementError(source, None, column.name, text, rule)
+        raise MeasurementError(source, None, column.name, text, rule, field="scaling")
     if scaling == "psd":
         form = dataclasses.replace(form, detector=form.detector or "rms")
     if form.detector is None:
         rule = "does not say whether it is rms or peak: give spectrum.detector in a profile"
-        raise MeasurementError(source, None, column.name, text, rule)
+        raise MeasurementError(source, None, column.name, text, rule, field="detector")
     if scaling != "psd" and form.line_widths is None:
         rule = "the window is needed to compare amplitudes: give spectrum.window in a profile"
-        raise MeasurementError(source, None, column.name, text, rule)
+        raise MeasurementError(source, None, column.name, text, rule, field="window")
     if form.decibel and form.reference is None:
         rule = "levels without a reference: give spectrum.reference in a profile"
-        raise MeasurementError(source, None, column.name, text, rule)
+        raise MeasurementError(source, None, column.name, text, rule, field="reference")
     if form.decibel and not 0 < (form.reference or 0) < LARGEST:
-        raise MeasurementError(source, None, column.name, text, f"its reference must lie between 0 and {LARGEST:g}")
+        rule = f"its reference must lie between 0 and {LARGEST:g}"
+        raise MeasurementError(source, None, column.name, text, rule, field="reference")
     return plain, dataclasses.replace(form, scaling=scaling)
 
 

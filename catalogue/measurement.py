@@ -109,7 +109,7 @@ def read_measurement(
     sample_rate : float, optional
         Hz, for files that neither state it nor have a time column.
     units : mapping of column name to unit, optional
-        For columns whose label has none.
+        For columns whose label has none; ``*`` for all of them.
     limits : Limits, optional
         How much is read.
     profile : ImportProfile, optional
@@ -191,7 +191,7 @@ def measurement_of(
         raise MeasurementError(raw.source, rule=rule)
     if raw.relative:
         rule = 'holds fractions of a full scale and does not say which: give full_scale, such as "5 g"'
-        raise MeasurementError(raw.source, None, "full_scale", rule=rule)
+        raise MeasurementError(raw.source, None, "full_scale", rule=rule, field="full_scale")
     understood = understood_columns(raw, dict(units or {}))
     facts = list(raw.facts)
     base = _time_base(raw, understood, sample_rate)
@@ -234,7 +234,9 @@ def measurement_of(
 
 def _time_base(raw: RawRecording, units: list[ChannelUnit | None], given: float | None) -> TimeBase:
     if given is not None and not (given > 0 and math.isfinite(given)):
-        raise MeasurementError(raw.source, value=given, rule="sample rate must be positive and finite")
+        raise MeasurementError(
+            raw.source, value=given, rule="sample rate must be positive and finite", field="sample_rate"
+        )
     times = [i for i, unit in enumerate(units) if unit is not None and unit.quantity == "time"]
     if len(times) > 1:
         raise MeasurementError(raw.source, None, raw.columns[times[1]].name, rule="a second time column")
@@ -246,13 +248,14 @@ def _time_base(raw: RawRecording, units: list[ChannelUnit | None], given: float 
         for whose, rate in stated.items():
             if rate is not None and abs(rate / base.sample_rate - 1.0) > 0.01:
                 rule = f"the time column has {base.sample_rate:.6g} Hz, but the sample rate {whose} is {rate:g} Hz"
-                raise MeasurementError(raw.source, None, column.name, rule=rule)
+                raise MeasurementError(raw.source, None, column.name, rule=rule, field="sample_rate")
         return base
     if given is not None and raw.sample_rate is not None and abs(given / raw.sample_rate - 1.0) > 0.01:
         rule = f"the sample rate given is {given:g} Hz, the one stated in the file {raw.sample_rate:g} Hz"
-        raise MeasurementError(raw.source, rule=rule)
+        raise MeasurementError(raw.source, rule=rule, field="sample_rate")
     rate = given if given is not None else raw.sample_rate
     if rate is None:
-        raise MeasurementError(raw.source, rule="has no time column and states no sample rate: give the sample rate")
+        rule = "has no time column and states no sample rate: give the sample rate"
+        raise MeasurementError(raw.source, rule=rule, field="sample_rate")
     whose = "given" if given is not None else "stated in the file"
     return TimeBase(rate, (f"{len(raw.values)} samples at {rate:g} Hz ({whose}), {len(raw.values) / rate:.4g} s",), ())

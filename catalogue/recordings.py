@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from catalogue.errors import MeasurementError
 from catalogue.import_profile import ImportProfile, profile_beside
-from catalogue.measured_spectrum import MeasuredSpectrum, is_spectrum, spectrum_of
+from catalogue.measured_columns import is_spectrum
+from catalogue.measured_spectrum import MeasuredSpectrum, spectrum_of
 from catalogue.measurement import Measurement, measurement_of, raw_of
 from catalogue.readers import Limits
 
@@ -31,7 +33,10 @@ def read_recording(
     """
     limits, profile = limits or Limits(), profile or profile_beside(source)
     raw, sha256 = raw_of(source, name, limits, profile)
-    if is_spectrum(raw):
+    if is_spectrum(raw, units):
+        if sample_rate is not None:
+            rule = "is given, but the file holds a spectrum"
+            raise MeasurementError(raw.source, None, "sample_rate", sample_rate, rule, field="sample_rate")
         return spectrum_of(raw, dict(units or {}), limits, sha256)
     rate = sample_rate or profile.sample_rate_hz
     return measurement_of(raw, sample_rate=rate, units=units, limits=limits, sha256=sha256)

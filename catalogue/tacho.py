@@ -62,13 +62,13 @@ def turns_of(
     turns = pulses(signal, threshold, falling)[::pulses_per_revolution]
     if len(turns) < LEAST_REVOLUTIONS + 1:
         rule = f"{max(0, len(turns) - 1)} revolutions by its pulses; at least {LEAST_REVOLUTIONS} are needed"
-        raise MeasurementError(source, None, column, rule=rule)
+        raise MeasurementError(source, None, column, rule=rule, field="tacho")
     lengths = np.diff(turns)
     wrong = np.abs(lengths / np.median(lengths) - 1.0) > UNEVEN
     if wrong.any():
         at = int(np.argmax(wrong))
         rule = f"a pulse is missing or too many at sample {turns[at]:.0f}: check threshold and pulses_per_revolution"
-        raise MeasurementError(source, None, column, rule=rule)
+        raise MeasurementError(source, None, column, rule=rule, field="tacho")
     return turns
 
 
@@ -92,9 +92,8 @@ def track_of(turns: FloatArray, sample_rate: float, first: int, last: int, sourc
     """
     inside = (turns[(turns >= first) & (turns < last)] - first) / sample_rate
     if len(inside) < LEAST_REVOLUTIONS + 1:
-        raise MeasurementError(
-            source, rule=f"fewer than {LEAST_REVOLUTIONS} revolutions by the pulses in its steady part"
-        )
+        rule = f"fewer than {LEAST_REVOLUTIONS} revolutions by the pulses in its steady part"
+        raise MeasurementError(source, rule=rule, field="tacho")
     course = 2.0 * math.pi / np.diff(inside)
     span = float(inside[-1] - inside[0])
     mean = 2.0 * math.pi * (len(inside) - 1) / span

@@ -60,7 +60,9 @@ if TYPE_CHECKING:
 @click.option(
     "--map", "mapping", type=Pairs("COLUMN=SENSOR"), multiple=True, help="Column of a sensor; may be repeated."
 )
-@click.option("--unit", "units", type=Pairs("COLUMN=UNIT"), multiple=True, help="Unit of a column that names none.")
+@click.option(
+    "--unit", "units", type=Pairs("COLUMN=UNIT"), multiple=True, help='Unit of a column; "*" for all that name none.'
+)
 @click.option(
     "--profile",
     type=click.Path(path_type=Path),
@@ -68,6 +70,15 @@ if TYPE_CHECKING:
     help="How to read the recording: names, units, full scale, decimal comma and more, in YAML or JSON.",
 )
 @click.option("--full-scale", metavar="VALUE UNIT", help='What the full scale of a WAV file stands for, such as "5 g".')
+@click.option(
+    "--sensitivity",
+    "sensitivities",
+    type=Pairs("COLUMN=VOLTAGE/UNIT"),
+    multiple=True,
+    help='What a sensor gives whose column is in volts: "s1-x=100 mV/g"; "*" for all of them.',
+)
+@click.option("--tacho", metavar="COLUMN", help="Column with pulses of the drive's shaft.")
+@click.option("--pulses", type=click.IntRange(1, 10_000), help="Pulses of the tacho a revolution; 1 unless given.")
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Draw measured and matched."
 )
@@ -85,6 +96,9 @@ def command(
     units: Sequence[tuple[str, str]],
     profile: Path | None,
     full_scale: str | None,
+    sensitivities: Sequence[tuple[str, str]],
+    tacho: str | None,
+    pulses: int | None,
     plot: Path | None,
     as_json: bool,
 ) -> None:
@@ -95,6 +109,8 @@ def command(
         check_ending(plot)
     if effort != "thorough":
         refuse_given(("budget",), "means something with --effort thorough only")
+    if tacho is None:
+        refuse_given(("pulses",), "means something with --tacho only")
     from catalogue.diagnosis import diagnose
     from catalogue.measurement import read_measurement
     from catalogue.recordings import read_recording
@@ -102,10 +118,12 @@ def command(
 
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
     opened = Catalogue.open(existing_catalogue(catalogue))
-    told = told_of(profile, full_scale)
+    said = said_of(full_scale, each_once(sensitivities, "--sensitivity"))
+    told = told_of(measurement, profile, said, tacho, pulses)
     recording = read_recording(measurement, sample_rate=sample_rate, units=given_units or None, profile=told)
     in_order = None
     if baseline is not None:
+        told = told_of(baseline, profile, said)
         in_order = read_measurement(baseline, sample_rate=sample_rate, units=given_units or None, profile=told)
     diagnosis = diagnose(
         recording,
@@ -130,16 +148,29 @@ def command(
             click.echo(f"drawn: {plot}")
 
 
-def told_of(profile: Path | None, full_scale: str | None) -> ImportProfile | None:
-    """Return what the options say of the recording's file; None where they say nothing."""
-    from catalogue.import_profile import ImportProfile, load_profile
-
-    if profile is None and full_scale is None:
-        return None
-    told = ImportProfile() if profile is None else load_profile(profile)
+def said_of(full_scale: str | None, sensitivities: Mapping[str, str]) -> dict[str, Any]:
+    """Return the members of a profile that options stand for, and that all files have in common."""
+    said: dict[str, Any] = {}
     if full_scale is not None:
-        told = told.model_copy(update={"full_scale": full_scale, "full_scale_m_s2": None})
-    return told
+        said |= {"full_scale": full_scale, "full_scale_m_s2": None}
+    if sensitivities:
+        said["sensitivity"] = dict(sensitivities)
+    return said
+
+
+def told_of(
+    file: Path, profile: Path | None, said: Mapping[str, Any], tacho: str | None = None, pulses: int | None = None
+) -> ImportProfile:
+    """Return what is told of a file: its profile, the given one or that beside it, and what options say."""
+    from catalogue.import_profile import Tacho, load_profile, profile_beside
+
+    told = profile_beside(file) if profile is None else load_profile(profile)
+    members = dict(said)
+    if tacho is not None:
+        before = {} if told.tacho is None else told.tacho.model_dump()
+        given = {"column": tacho} if pulses is None else {"column": tacho, "pulses_per_revolution": pulses}
+        members["tacho"] = Tacho.model_validate({**before, **given})
+    return told.model_copy(update=members)
 
 
 def report(result: Mapping[str, Any]) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 from app import words
 from app.storage import DiagnosisRow, MeasurementRow, aware
+from app.summaries import extent
 
 SHOWN_HYPOTHESES = 5
 SHOWN_SUGGESTIONS = 3
@@ -113,7 +114,7 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
         *((Named("Asset", cut(asset)),) if asset else ()),
         Named("Machine", cut(row.result["machine"])),
         Named("Recording", f"{cut(measurement.name)}, received {moment(measurement)}"),
-        Named("Length", f"{summary['duration_s']:.4g} s at {summary['sample_rate_hz']:.6g} Hz"),
+        Named("Extent" if summary.get("kind") == "spectrum" else "Length", extent(summary)),
         Named("Channels", cut(channels)),
         Named("Drive speed", f"{row.result['drive_speed_rpm']:.5g} rpm"),
         Named("Diagnosed", moment(row)),

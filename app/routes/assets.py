@@ -30,9 +30,12 @@ def put(request: Request, response: Response, external_id: ExternalId, wanted: A
     service = of_request(request)
     if wanted.baseline is not None:
         try:
-            service.store.measurement(wanted.baseline)
+            measured = service.store.measurement(wanted.baseline)
         except UnknownMeasurementError as error:
             raise BadFieldError(f"baseline: {error}", field="baseline") from None
+        if measured.summary.get("kind") == "spectrum":
+            rule = "is a spectrum; a baseline has to be a recording over time"
+            raise BadFieldError(f"baseline: {measured.id}: {rule}", field="baseline")
     row, new = Assets(service.store.database).put(external_id, wanted)
     if new:
         response.status_code = 201

@@ -16,21 +16,22 @@ from app import paging
 from app.assets import diagnoses_of
 from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from app.etags import respond
+from app.file_fields import ASSET, FILE, SAID
 from app.idempotency import IdempotencyKey, once
 from app.openapi import COMPUTING, problems
 from app.results import DiagnosisOut, diagnosis_out
 from app.routes.findings import Only, Since
 from app.routes.machines import Cursor, Limit
-from app.routes.measurements import FILE, RATE
 from app.schemas import DiagnosisItem, DiagnosisPage, DiagnosisRequest
-from app.service import of_request, rate_of
+from app.service import of_request
 from app.storage import DiagnosisRow, aware, measurement_key
+from app.told import TOLD, Told, told_of
 from app.uploads import MULTIPART, Form, media_type, received_form
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
 JSON_TYPE = "application/json"
-FIELDS = frozenset({"measurement", "catalogue", "speed", "effort", "mode", "mapping", "asset", "sample_rate"})
+FIELDS = TOLD | {"measurement", "catalogue", "speed", "effort", "mode", "mapping", "asset"}
 TEXT = {"type": "string"}
 FORM = {
     "type": "object",
@@ -38,13 +39,13 @@ FORM = {
     "description": "Either `file` or `measurement` is needed.",
     "properties": {
         "file": FILE,
-        "sample_rate": RATE,
+        **SAID,
         "measurement": TEXT,
         "catalogue": TEXT,
         "speed": TEXT,
         "effort": TEXT,
         "mode": TEXT,
-        "asset": TEXT,
+        "asset": ASSET,
         "mapping": {"type": "string", "description": "A JSON object: measurement column to sensor."},
     },
 }
@@ -73,10 +74,10 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
     if kind != MULTIPART:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
     async with received_form(request, service.store, FIELDS) as form:
-        wanted, rate = of_form(form)
+        wanted, told = of_form(form)
         if form.file is None:
             return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
-        diagnose = partial(service.diagnose_upload, form.file, form.file_name, rate, wanted)
+        diagnose = partial(service.diagnose_upload, form.file, form.file_name, told, wanted)
         return await answer(request, idempotency_key, wanted, diagnose)
 
 
@@ -114,17 +115,20 @@ async def diagnosis(request: Request, key: str) -> Response:
     return respond(request, Response(diagnosis_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
 
 
-def of_form(form: Form) -> tuple[DiagnosisRequest, float | None]:
-    """Return what a form asks for, with the id that its file has when it is stored, and the sample rate [Hz]."""
-    members: dict[str, Any] = {name: value for name, value in form.fields.items() if name != "sample_rate"}
+def of_form(form: Form) -> tuple[DiagnosisRequest, Told]:
+    """Return what a form asks for, with the id that its file has when it is stored, and what is told of the file."""
+    members: dict[str, Any] = {name: value for name, value in form.fields.items() if name not in TOLD}
+    told = told_of(form.fields)
     if "mapping" in members:
         members["mapping"] = parsed(members["mapping"], "mapping")
     if form.file is None:
-        return checked(members), None
+        named = sorted(TOLD & form.fields.keys())
+        if named:
+            raise BadFieldError(f"{named[0]}: says something of a file, and there is none", field=named[0])
+        return checked(members), told
     if "measurement" in members:
         raise BadFieldError("measurement: give either a measurement or a file, not both", field="measurement")
-    rate = rate_of(form.fields.get("sample_rate"))
-    return checked({**members, "measurement": measurement_key(form.file.sha256, form.file_name, rate)}), rate
+    return checked({**members, "measurement": measurement_key(form.file.sha256, form.file_name, told)}), told
 
 
 def checked(members: object) -> DiagnosisRequest:

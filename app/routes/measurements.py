@@ -9,46 +9,40 @@ from app import paging
 from app.assets import measurements_of
 from app.errors import BadFieldError
 from app.etags import respond
+from app.file_fields import ASSET, FILE, SAID
 from app.idempotency import IdempotencyKey, once
-from app.openapi import problems
+from app.openapi import COMPUTING, problems
 from app.routes.findings import Only
 from app.routes.machines import Cursor, Limit
 from app.schemas import MeasurementOut, MeasurementPage
-from app.service import of_request, rate_of
+from app.service import of_request
 from app.storage import MeasurementRow, aware
+from app.told import TOLD, told_of
 from app.uploads import MULTIPART, received_form
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 
-FILE = {"type": "string", "format": "binary", "description": "The recording; its name's ending says what it is."}
-RATE = {"type": "string", "description": 'Sample rate of a recording without times: "10 kHz", or a number in Hz.'}
-BODY = {
-    "required": True,
-    "content": {
-        MULTIPART: {
-            "schema": {"type": "object", "required": ["file"], "properties": {"file": FILE, "sample_rate": RATE}}
-        }
-    },
-}
+FORM = {"type": "object", "required": ["file"], "properties": {"file": FILE, **SAID, "asset": ASSET}}
+BODY = {"required": True, "content": {MULTIPART: {"schema": FORM}}}
 
 
 @router.post(
     "",
     status_code=201,
     response_model=MeasurementOut,
-    responses=problems(400, 409, 413, 415, 422, 500, 503, 504, 507),
+    responses=problems(*COMPUTING),
     openapi_extra={"requestBody": BODY},
 )
 async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
-    """Store a recording; the same bytes under the same name give the same measurement again."""
+    """Store a recording or a spectrum; the same bytes, of which the same is said, are the same measurement again."""
     service = of_request(request)
-    async with received_form(request, service.store, frozenset({"sample_rate"})) as form:
+    async with received_form(request, service.store, TOLD | {"asset"}) as form:
         if form.file is None:
             raise BadFieldError("file: is missing", field="file")
-        file, name, rate = form.file, form.file_name, rate_of(form.fields.get("sample_rate"))
+        file, name, told, asset = form.file, form.file_name, told_of(form.fields), form.fields.get("asset")
 
         async def answered() -> Response:
-            row = await service.add_measurement(file, name, rate)
+            row = await service.add_measurement(file, name, told, asset)
             headers = {"Location": f"/api/v1/measurements/{row.id}"}
             return Response(measurement_out(row).model_dump_json(), 201, headers, "application/json")
 
@@ -84,5 +78,6 @@ def measurement_out(row: MeasurementRow) -> MeasurementOut:
         sha256=row.sha256,
         size_bytes=row.size_bytes,
         created_at=aware(row.created_at),
+        told=row.told.shown,
         **row.summary,
     )

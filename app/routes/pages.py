@@ -24,8 +24,9 @@ from app.etags import respond
 from app.handlers import note, problem_from
 from app.page_forms import CONFIRM, UPLOAD, messages_of, plain_form, wanted
 from app.problems import Problem
-from app.service import Service, of_request, rate_of
+from app.service import Service, of_request
 from app.storage import DiagnosisRow
+from app.told import told_of
 from app.understood import confirmation
 from app.uploads import received_form
 from app.views import view
@@ -59,8 +60,7 @@ async def upload(request: Request) -> Response:
             if form.file is None:
                 raise BadFieldError("choose a recording", field="file")
             await run_in_threadpool(service.shelf.find, given["catalogue"])
-            rate = rate_of(given.get("sample_rate"))
-            measurement = await service.add_measurement(form.file, form.file_name, rate)
+            measurement = await service.add_measurement(form.file, form.file_name, told_of(given))
     except REFUSALS as error:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
     place = f"/confirm?{urlencode({'measurement': measurement.id, 'catalogue': given['catalogue']})}"
@@ -148,7 +148,7 @@ async def understood(request: Request, given: Mapping[str, str]) -> dict[str, An
         understanding.understand,
         path,
         measurement.name,
-        measurement.given_sample_rate_hz,
+        measurement.told,
         str(offer.path),
         offer.stamp,
     )

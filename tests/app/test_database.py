@@ -17,6 +17,7 @@ from app.build_queue import BuildQueue
 from app.database import REVISION, VERSION_TABLE, database_url, revision_of
 from app.errors import AppError, BadFieldError, UnknownMeasurementError
 from app.storage import Base, Store, Upload, aware
+from app.told import Told
 
 UPLOAD = Upload(Path("nowhere"), "a" * 64, 5_000_000_000)
 
@@ -105,6 +106,24 @@ def test_builds_of_an_earlier_version_stay(url: str, tmp_path: Path) -> None:
     store.close()
     store = Store(tmp_path, url)
     assert BuildQueue(store.database).find(kept.id).request_id is None
+    store.close()
+
+
+def test_measurements_of_an_earlier_version_are_read_as_they_were(url: str, tmp_path: Path) -> None:
+    store = Store(tmp_path, url)
+    told = Told(10_000.0)
+    kept = store.add_measurement(UPLOAD, "a.csv", told, {})
+    with store.database.writing() as session:
+        session.execute(text("ALTER TABLE measurements DROP COLUMN beside_rate"))
+        session.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '0002'"))
+    store.close()
+    store = Store(tmp_path, url)
+    assert store.measurement(kept.id).told == told
+    assert store.add_measurement(UPLOAD, "a.csv", told, {}).number == kept.number
+    others = [Told(10_000.0, {"*": "g"}), Told(10_000.0, {}, {"full_scale": "5 g"}), Told(10_000.0, {"a": "g"})]
+    rows = [store.add_measurement(UPLOAD, "a.csv", each, {}) for each in others]
+    assert len({row.id for row in (kept, *rows)}) == 4
+    assert [store.measurement(row.id).told for row in rows] == others
     store.close()
 
 

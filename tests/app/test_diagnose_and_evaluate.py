@@ -54,6 +54,30 @@ def test_diagnose_takes_columns_units_and_rate(shelf: Path, recording: Path, tmp
     assert result.stdout.startswith("Joint B is worn")
 
 
+def test_diagnose_takes_volts_and_pulses(shelf: Path, recording: Path, tmp_path: Path) -> None:
+    head, *rows = recording.read_text().splitlines()
+    names = [name.split()[0] for name in head.split(",")]
+    lines = []
+    for number, row in enumerate(rows):
+        time, *values = row.split(",")
+        volts = [f"{float(value) / 98.0665:.9f}" for value in values]  # 100 mV/g
+        lines.append(",".join([time, *volts, str(int(number % 989 < 100))]))
+    path = tmp_path / "volts.csv"
+    path.write_text("\n".join([",".join([names[0], *(f"{name} [V]" for name in names[1:]), "key"]), *lines]))
+    catalogue = ("--catalogue", shelf / "slider-crank", "--unit", f"{names[0]}=s", "--effort", "fast")
+    assert_refused(invoke("diagnose", path, *catalogue, "--tacho", "key"), 2, "sensitivity, such as")
+    told = ("--sensitivity", "*=100 mV/g", "--tacho", "key")
+    result = invoke("diagnose", path, *catalogue, *told, "--json")
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["hypotheses"][0]["joints"].keys() == {"B"}
+    assert document["drive_speed_rpm"] == pytest.approx(60 * 10_000 / 989, rel=1e-4)
+    assert_refused(invoke("diagnose", path, *catalogue, "--pulses", "2"), 2, "--tacho only")
+    (tmp_path / "volts.csv.yaml").write_text("tacho: {column: key}\n")
+    beside = invoke("diagnose", path, *catalogue, *told[:2], "--json")
+    assert json.loads(beside.stdout)["drive_speed_rpm"] == document["drive_speed_rpm"]
+
+
 def sensors_of(name: str) -> list[dict[str, str]]:
     sensors: list[dict[str, str]] = json.loads(invoke("machines", name, "--json").stdout)["sensors"]
     return sensors

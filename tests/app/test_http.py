@@ -157,7 +157,7 @@ def test_a_refused_recording_leaves_no_file(client: httpx.Client, worn: bytes, s
 @pytest.mark.parametrize(
     ("place", "fields"),
     [
-        (f"{API}/measurements", {"units": "g"}),
+        (f"{API}/measurements", {"tacho": "none of its columns"}),
         (f"{API}/measurements", {"sample_rate": "fast"}),
         (f"{API}/diagnoses", {}),
         ("/recordings", {"catalogue": "slider-crank", "sample_rate": "fast"}),

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.17.0", "9c6e9485867619fc")
+OF_VERSION = ("1.18.0", "b77fe1eeebb8ed8b")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 

@@ -63,5 +63,5 @@ def test_a_recording_with_a_tacho_is_compared_at_its_speed() -> None:
     assert prepare(found, machine).drive_speed == pytest.approx(plain.drive_speed, rel=2e-4)
     # The pulses are believed, not the orders.
     assert prepare(with_tacho(1.01 * plain.drive_speed), machine).drive_speed > 1.009 * plain.drive_speed
-    with pytest.raises(MeasurementError, match="is the profile's tacho; columns are"):
+    with pytest.raises(MeasurementError, match="is to be the tacho; columns are"):
         read_measurement(RECORDINGS / "slider-crank-04.csv.gz", profile=ImportProfile(tacho=Tacho(column="pulse")))
