@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from app.build_queue import BuildQueue, BuildRow
+from app.build_queue import ENDED, BuildQueue, BuildRow
 from app.build_schemas import BuildRequest
-from app.errors import BadFieldError, UnknownMachineError
+from app.errors import BadFieldError, BuildOpenError, UnknownMachineError
 from app.machine_store import MachineStore
 from catalogue.directory import CatalogueDirectory
 from catalogue.errors import PlanError
 from catalogue.manifest import Manifest
 from catalogue.plan import Plan, parse_plan, preset
 from catalogue.plan_check import check_plan
-from solver.machines.machine import Machine
+from solver.machines.machine import Machine, parse_machine
 
 
 def order(queue: BuildQueue, machines: MachineStore, folder: Path, wanted: BuildRequest) -> BuildRow:
@@ -39,14 +39,39 @@ def order(queue: BuildQueue, machines: MachineStore, folder: Path, wanted: Build
     """
     machine = machine_of(machines, wanted.machine)
     plan = plan_of(wanted.plan, machine)
+    return placed(queue, folder, machine, plan, wanted.catalogue, wanted.workers)
+
+
+def order_again(queue: BuildQueue, folder: Path, key: str) -> BuildRow:
+    """Put the same build into the queue once more; it goes on with what the catalogue holds.
+
+    Raises
+    ------
+    UnknownBuildError
+        When there is none of this id.
+    BuildOpenError
+        When it has not ended.
+    CatalogueMismatchError
+        The catalogue is another one by now.
+    """
+    row = queue.find(key)
+    if row.state not in ENDED:
+        raise BuildOpenError(f"build {key}: is {row.state}, and goes on by itself")
+    return placed(queue, folder, parse_machine(row.machine), parse_plan(row.plan), row.catalogue, row.workers)
+
+
+def placed(
+    queue: BuildQueue, folder: Path, machine: Machine, plan: Plan, catalogue: str, workers: int | None
+) -> BuildRow:
+    """Put a build into the queue, if its catalogue can take it."""
     if CatalogueDirectory(folder).manifest.is_file():
         rule = "this service serves one catalogue alone; set JOINTPLAY_CATALOGUES to a folder of catalogues"
-        raise BadFieldError(f"catalogue: {wanted.catalogue}: {rule}", field="catalogue")
-    layout = CatalogueDirectory(folder / wanted.catalogue)
+        raise BadFieldError(f"catalogue: {catalogue}: {rule}", field="catalogue")
+    layout = CatalogueDirectory(folder / catalogue)
     if layout.manifest.is_file():
-        Manifest.read(layout).check_accepts(machine, plan.resolved(machine), Path(wanted.catalogue))
+        Manifest.read(layout).check_accepts(machine, plan.resolved(machine), Path(catalogue))
     content = json.loads(machine.canonical_json())
-    return queue.add(content, plan.content, plan.hash, wanted.catalogue, wanted.workers)
+    return queue.add(content, plan.content, plan.hash, catalogue, workers)
 
 
 def machine_of(machines: MachineStore, name: str) -> Machine:

@@ -123,6 +123,14 @@ class EntryShelf:
                 start += BLOCK
         return found[:size], len(found) > size
 
+    def failed(self, offer: Offer, size: int) -> tuple[list[EntryItem], int]:
+        """Return the first cases of a catalogue that have no spectrum, and how many there are of them."""
+        with self._reading:
+            matrix = self._catalogue(offer).matrix
+            rows = matrix.failed_rows
+            table = matrix.table(rows[:size])
+        return [item(table, row) for row in range(len(table))], len(rows)
+
     def _catalogue(self, offer: Offer) -> Catalogue:
         from catalogue.store import Catalogue
 

@@ -45,6 +45,10 @@ class BuildEndedError(AppError):
     """A build that has ended already, and cannot be cancelled."""
 
 
+class BuildOpenError(AppError):
+    """A build that has not ended, and cannot be begun again."""
+
+
 class UnknownAssetError(AppError):
     """No asset has this external id."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import URL
@@ -15,6 +15,7 @@ from starlette.types import Scope as Connection
 
 from app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
 from app.handlers import answer, problem_from
+from app.page_templates import is_fragment, is_page
 from app.rates import TokenBuckets
 from app.scopes import READING, scope_of
 from app.settings import Settings
@@ -77,11 +78,12 @@ class Gate:
             if path not in PROBES:
                 self._count(key.id if key is not None else address(request))
         request.state.key = None if key is None else key.id
+        request.state.signed_in = by_cookie
+        request.state.scopes = None if key is None else key.scopes
         if method not in READING and (by_cookie or key is None):
             check_origin(request, browser=by_cookie)
         if key is not None and needed is not None and needed not in key.scopes:
             raise ForbiddenError(f"the key {key.id} has not the scope {needed}, which {method} {path} needs", needed)
-        request.state.signed_in = by_cookie
 
     def _check_host(self, request: Request) -> None:
         """Refuse a request that names another host: a page that points its own name here must not be answered."""
@@ -151,13 +153,41 @@ def check_origin(request: Request, *, browser: bool) -> None:
 
 def refused(request: Request, error: Exception) -> Response:
     """Return the answer to a request that may not pass; a browser without a session is shown the form to sign in."""
-    page = not request.url.path.startswith("/api/") and request.method == "GET"
-    if isinstance(error, UnauthorizedError) and page and "text/html" in request.headers.get("accept", ""):
-        place = URL("/sign-in").include_query_params(next=request.url.path)
-        if request.headers.get("hx-request") == "true":
+    if isinstance(error, UnauthorizedError) and (is_page(request) or is_visit(request)):
+        place = URL("/sign-in").include_query_params(next=wanted_place(request))
+        if is_fragment(request):
             return Response(status_code=401, headers={"HX-Redirect": str(place)})
         return RedirectResponse(str(place), status_code=303)
     return answer(request, problem_from(error))
+
+
+def is_visit(request: Request) -> bool:
+    """Return whether a browser goes to an address by itself, such as that of a report."""
+    return request.method == "GET" and request.headers.get("sec-fetch-mode") == "navigate"
+
+
+def wanted_place(request: Request) -> str:
+    """Return where a browser goes on after it signed in: to the page it asked for, or the one that sent the form.
+
+    What names another site, or cannot be read, becomes the first page.
+    """
+    if request.method == "GET":
+        return own_place(quote(request.scope["path"]), request.url.query)
+    sender = request.headers.get("hx-current-url") or request.headers.get("referer", "")
+    try:
+        parts = urlsplit(sender)
+    except ValueError:
+        return "/"
+    if parts.netloc.lower() != request.headers.get("host", "").lower():
+        return "/"
+    return own_place(parts.path, parts.query)
+
+
+def own_place(path: str, query: str) -> str:
+    """Return a path of this service with its query, in the form of an address."""
+    if not path.startswith("/") or path.startswith("//"):
+        return "/"
+    return f"{path}?{query}" if query else path
 
 
 def host_name(named: str) -> str:

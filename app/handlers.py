@@ -15,6 +15,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
 
 from app.errors import AppError
+from app.page_templates import is_page, problem_page
 from app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
 from app.workers import TaskFailedError
 from catalogue.errors import CatalogueError
@@ -24,8 +25,10 @@ log = logging.getLogger(__name__)
 
 
 def answer(request: Request, problem: Problem) -> Response:
-    """Return a problem as the answer to a request."""
+    """Return a problem as the answer to a request: a document, or a page where a person in a browser reads it."""
     note(request, problem)
+    if is_page(request):
+        return problem_page(request, problem)
     return JSONResponse(
         problem.document(request.url.path), problem.status, headers=dict(problem.headers), media_type=MEDIA_TYPE
     )

@@ -40,6 +40,9 @@ class SecurityHeaders:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)  # a page of its own kind may say something stricter
+                if headers.get("content-type", "").startswith("text/html"):
+                    # Pages and their parts share addresses; going back must not show one for the other.
+                    headers.add_vary_header("HX-Request")
             await send(message)
 
         await self._app(scope, receive, with_headers if scope["type"] == "http" else send)

@@ -26,6 +26,7 @@ from app.request_log import RequestLog
 from app.routes import (
     assets,
     browser_pages,
+    build_pages,
     builds,
     catalogues,
     diagnoses,
@@ -105,7 +106,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
             True,
         ),
         ((health,), "", True),
-        ((pages, browser_pages, signin), "", False),
+        ((pages, browser_pages, build_pages, signin), "", False),
     ):
         for module in modules:
             application.include_router(module.router, prefix=prefix, include_in_schema=shown)

@@ -81,6 +81,7 @@ TABLE: dict[type[Exception], Kind] = {
     errors.UnknownDiagnosisError: Kind(404, "unknown-diagnosis", "No such diagnosis"),
     errors.UnknownBuildError: Kind(404, "unknown-build", "No such build"),
     errors.BuildEndedError: Kind(409, "build-ended", "The build has ended already"),
+    errors.BuildOpenError: Kind(409, "build-open", "The build has not ended"),
     errors.UnknownAssetError: Kind(404, "unknown-asset", "No such asset"),
     errors.UnknownFindingError: Kind(404, "unknown-finding", "No such finding"),
     errors.UnknownWebhookError: Kind(404, "unknown-webhook", "No such webhook"),

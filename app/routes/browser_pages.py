@@ -13,8 +13,9 @@ from app.catalogues import Offer
 from app.errors import BadFieldError
 from app.handlers import note, problem_from
 from app.page_forms import messages_of, plain_number
+from app.page_templates import is_fragment, templates
 from app.pictures import machine_picture
-from app.routes.pages import REFUSALS, context, is_fragment, templates
+from app.routes.pages import REFUSALS, context
 from app.service import Service, of_request
 from app.spectra import NAMES, UNITS
 from app.words import micrometres

@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.templating import Jinja2Templates
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
@@ -23,6 +21,7 @@ from app.errors import AppError, BadFieldError
 from app.etags import respond
 from app.handlers import note, problem_from
 from app.page_forms import CONFIRM, UPLOAD, messages_of, plain_form, wanted
+from app.page_templates import is_fragment, templates
 from app.problems import Problem
 from app.service import Service, of_request
 from app.storage import DiagnosisRow
@@ -35,7 +34,6 @@ from catalogue.errors import CatalogueError
 from solver.errors import SolverError
 
 router = APIRouter()
-templates = Jinja2Templates(directory=Path(__file__).parent.parent / "templates")
 
 REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValidationError, HTTPException)
 
@@ -43,7 +41,7 @@ REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValid
 @router.get("/")
 async def form(request: Request) -> Response:
     """Show the form that takes a recording."""
-    chosen = {"catalogue": request.query_params.get("catalogue", "")}
+    chosen = {name: value for name, value in request.query_params.items() if name in UPLOAD}
     return templates.TemplateResponse(request, "index.html", await context(request, chosen=chosen))
 
 
@@ -177,11 +175,6 @@ async def refuse(
             summary["detail"] = problem.detail
     whole.update(summary=summary, messages={**whole["messages"], **messages})
     return templates.TemplateResponse(request, page, whole, problem.status, headers)
-
-
-def is_fragment(request: Request) -> bool:
-    """Return whether a script asks, and shows the answer in a part of the page."""
-    return request.headers.get("hx-request") == "true"
 
 
 async def context(request: Request, **more: Any) -> dict[str, Any]:

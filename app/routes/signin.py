@@ -11,7 +11,7 @@ from starlette.responses import RedirectResponse, Response
 from app.errors import UnauthorizedError, UnsupportedMediaError
 from app.gate import COOKIE
 from app.keys import SESSION, Keys
-from app.routes.pages import templates
+from app.page_templates import templates
 from app.service import of_request
 from app.uploads import media_type
 

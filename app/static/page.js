@@ -29,7 +29,20 @@
     byId("result").replaceChildren(card);
   };
 
-  window.jointplay = { mark, noAnswer };
+  // A session that has ended is begun anew; what was typed comes back with the address.
+  const signIn = (place, form) => {
+    const fields = [...new FormData(form)].filter(([, value]) => typeof value === "string" && value !== "");
+    window.location.assign(`/sign-in?next=${encodeURIComponent(`${place}?${new URLSearchParams(fields)}`)}`);
+  };
+
+  window.jointplay = { mark, noAnswer, signIn };
+
+  document.addEventListener("htmx:before:response", (event) => {
+    const form = byId("confirm");
+    if (!form || event.detail.ctx.response.status !== 401) return;
+    event.preventDefault();
+    signIn("/confirm", form);
+  });
 
   document.addEventListener("htmx:after:swap", (event) => {
     mark();
@@ -44,4 +57,9 @@
     }
   });
   document.addEventListener("htmx:error", noAnswer);
+  // A whole page that came back with a refusal, from a form that is sent without a script.
+  document.addEventListener("DOMContentLoaded", () => {
+    mark();
+    document.querySelector("main [aria-invalid='true'], main [data-wrong]")?.focus();
+  });
 })();

@@ -23,8 +23,11 @@
   };
 
   const answered = (request) => {
-    // A session that has ended is begun anew.
-    const place = request.status === 401 ? "/sign-in?next=/" : request.getResponseHeader("Location");
+    if (request.status === 401) {
+      window.jointplay.signIn("/", byId("ask"));
+      return;
+    }
+    const place = request.getResponseHeader("Location");
     if (place) {
       window.location.assign(place);
       return;

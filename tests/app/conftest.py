@@ -10,6 +10,8 @@ import databases
 import httpx
 import pytest
 from filelock import FileLock
+from playwright.sync_api import Browser
+from real_browser import running
 from small_service import PLAN, serving
 from webhook_listener import Listener, listening
 
@@ -65,6 +67,13 @@ def client(server: str) -> Iterator[httpx.Client]:
 def worn() -> bytes:
     """A recording, as CSV, of a slider-crank whose joint B has 150 um of radial clearance."""
     return gzip.decompress((RECORDINGS / "slider-crank-02.csv.gz").read_bytes())
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Chromium; closed with the module, because its loop would be in the way of others."""
+    with running() as found:
+        yield found
 
 
 @pytest.fixture

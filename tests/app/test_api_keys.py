@@ -168,6 +168,36 @@ def test_a_browser_signs_in_and_out(guarded: tuple[str, Keys]) -> None:
         assert browser.get("/").status_code == 303
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "headers", "place"),
+    [
+        ("GET", "/confirm?measurement=a&catalogue=b%20c", {}, "/confirm?measurement=a&catalogue=b%20c"),
+        ("GET", "//evil.example/x?y", {}, "/"),
+        ("GET", "/a%3Fb%0Ac", {}, "/a%3Fb%0Ac"),
+        ("GET", "/api/v1/diagnoses/7/report?format=pdf", {"Sec-Fetch-Mode": "navigate"}, None),
+        ("POST", "/diagnose", {"Referer": "{address}/confirm?measurement=a"}, "/confirm?measurement=a"),
+        ("POST", "/diagnose", {"Referer": "{address}//evil.example/"}, "/"),
+        ("POST", "/diagnose", {"Referer": "https://evil.example/confirm"}, "/"),
+        ("POST", "/diagnose", {"Referer": "http://[/confirm"}, "/"),
+        ("POST", "/diagnose", {}, "/"),
+        ("POST", "/diagnose", {"HX-Request": "true", "HX-Current-URL": "{address}/confirm?a=b"}, "/confirm?a=b"),
+    ],
+)
+def test_signing_in_leads_back(
+    guarded: tuple[str, Keys], method: str, path: str, headers: dict[str, str], place: str | None
+) -> None:
+    address, keys = guarded
+    sent = {name: value.format(address=address) for name, value in headers.items()}
+    refused = httpx.request(method, address + path, headers={"Accept": "text/html", **sent})
+    script = "HX-Request" in headers
+    assert refused.status_code == (401 if script else 303)
+    leads = httpx.URL(refused.headers["hx-redirect" if script else "location"])
+    assert (leads.host, leads.path) == ("", "/sign-in")
+    assert leads.params["next"] == (place or path)
+    entered = httpx.post(f"{address}/sign-in", data={"key": make(keys, Scope.READ), "next": leads.params["next"]})
+    assert entered.headers["location"] == (place or path)
+
+
 @pytest.mark.parametrize("place", ["//evil.example", "https://evil.example", "/\\evil.example", "/\tx"])
 def test_signing_in_leads_to_no_other_site(guarded: tuple[str, Keys], place: str) -> None:
     address, keys = guarded

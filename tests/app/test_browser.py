@@ -4,67 +4,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, Response, Route, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Route, expect
+from real_browser import SCREENS, SECONDS, Visit, is_within_screen, serious, visiting
 from small_service import serving, spoiled
 
+from app.keys import Keys
+from app.scopes import Scope
 from app.settings import Settings
-
-AXE = Path(__file__).parent / "vendor" / "axe-4.14.1.min.js"
-CHROMIUM = "/usr/bin/chromium"
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-SECONDS = 60_000
+from app.storage import Store
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        yield running
-        running.close()
-
-
-class Visit:
-    """A page under watch: whatever its console complains of, and whatever it loads from elsewhere, fails the test."""
-
-    def __init__(self, context: BrowserContext, server: str) -> None:
-        self.complaints: list[str] = []
-        self.hosts: set[str] = set()
-        self.page: Page = context.new_page()
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("console", lambda message: self._heard(message.type, message.text))
-        self.page.on("response", self._loaded)
-        self.page.goto(server)
-
-    def _heard(self, kind: str, text: str) -> None:
-        # The browser itself notes every answer with an error status; the tests ask about those on purpose.
-        if kind in ("error", "warning") and "responded with a status of" not in text:
-            self.complaints.append(text)
-
-    def _loaded(self, response: Response) -> None:
-        self.hosts.add(urlsplit(response.url).netloc)
-
-
-@pytest.fixture(params=[(1280, 900, "light"), (360, 740, "dark")], ids=["wide", "narrow"])
+@pytest.fixture(params=SCREENS, ids=["wide", "narrow"])
 def visit(request: pytest.FixtureRequest, browser: Browser, server: str) -> Iterator[Visit]:
-    width, height, scheme = request.param
-    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
-    context.set_default_timeout(SECONDS)
-    visit = Visit(context, server)
-    yield visit
-    assert visit.complaints == []
-    assert visit.hosts == {urlsplit(server).netloc}
-    context.close()
+    with visiting(browser, server, request.param) as found:
+        yield found
 
 
 @pytest.fixture(scope="module")
@@ -87,24 +44,6 @@ def diagnose(page: Page, recording: Path) -> None:
     page.get_by_label("Effort").select_option("fast")
     page.get_by_role("button", name="Diagnose").click()
     expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
-
-
-def serious(page: Page) -> list[str]:
-    """What axe finds that is serious or worse; it is evaluated, as the policy lets no page load it."""
-    page.evaluate(AXE.read_text(encoding="utf-8"))
-    found = page.evaluate("axe.run()")
-    assert len(found["passes"]) > 10
-    return [
-        f"{fault['id']}: {node['html']}"
-        for fault in found["violations"]
-        if fault["impact"] in ("serious", "critical")
-        for node in fault["nodes"]
-    ]
-
-
-def is_within_screen(page: Page) -> bool:
-    wide: bool = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-    return wide
 
 
 def test_from_upload_to_verdict(visit: Visit, recording: Path) -> None:
@@ -309,6 +248,73 @@ def test_pages_of_what_is_not_there_are_in_order(visit: Visit, server: str, plac
     expect(visit.page.get_by_role("alert")).to_contain_text("there is none of this id")
     assert is_within_screen(visit.page)
     assert serious(visit.page) == []
+
+
+@pytest.fixture
+def guarded(settings: Settings, tmp_path: Path) -> Iterator[tuple[str, Keys]]:
+    """A service over the small catalogue that asks for keys, and its keys."""
+    asking = settings.model_copy(update={"keys": "required", "data": tmp_path / "data"})
+    with serving(asking) as address:
+        store = Store(asking.data)
+        yield address, Keys(store.database)
+        store.close()
+
+
+def test_a_session_that_ends_is_begun_anew_where_it_was(
+    browser: Browser, guarded: tuple[str, Keys], recording: Path
+) -> None:
+    address, keys = guarded
+    token = keys.create("analyst", frozenset({Scope.READ, Scope.MATCH}), timedelta(days=1))[1]
+
+    def enter(page: Page) -> None:
+        page.get_by_label("Key").fill(token)
+        page.get_by_role("button", name="Sign in").click()
+
+    with visiting(browser, f"{address}/?sample_rate=9000", SCREENS[0]) as visit:
+        page = visit.page
+        enter(page)
+        expect(page.get_by_label("Sample rate")).to_have_value("9000")
+        page.context.clear_cookies()
+        page.get_by_label("Recording", exact=True).set_input_files(recording)
+        page.get_by_label("Sample rate").fill("")
+        page.get_by_label("Catalogue").select_option(label=page.locator("#catalogue option").inner_text())
+        page.get_by_role("button", name="Read the recording").click()
+        enter(page)
+        expect(page).to_have_url(re.compile(r"/\?catalogue=[0-9a-f]{64}$"))
+        read(page, recording)
+        page.get_by_label("Drive speed").fill("606.5")
+        page.get_by_label("s2-y").select_option("not used")
+        page.get_by_label("Effort").select_option("fast")
+        page.context.clear_cookies()
+        page.get_by_role("button", name="Diagnose").click()
+        enter(page)
+        expect(page.get_by_label("Drive speed")).to_have_value("606.5")
+        expect(page.get_by_label("Effort")).to_have_value("fast")
+        expect(page.get_by_label("s2-y")).to_have_value("-")
+        page.get_by_role("button", name="Diagnose").click()
+        expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
+
+
+def test_without_scripts_from_upload_to_verdict(browser: Browser, server: str, recording: Path) -> None:
+    with visiting(browser, server, SCREENS[1], java_script_enabled=False) as visit:
+        page = visit.page
+        page.get_by_role("button", name="Read the recording").click()
+        expect(page.locator("#error-file")).to_have_text("choose a recording")
+        read(page, recording)
+        page.get_by_label("Drive speed").fill("fast")
+        page.get_by_role("button", name="Diagnose").click()
+        expect(page.locator("#error-speed")).to_contain_text("speed: fast")
+        page.get_by_label("Drive speed").fill("")
+        page.get_by_label("Effort").select_option("fast")
+        page.get_by_role("button", name="Diagnose").click()
+        expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
+        expect(page.get_by_role("heading", name="Bands that decided")).to_be_visible()
+        expect(page.get_by_role("button", name="Show one revolution")).to_be_hidden()
+        page.get_by_role("link", name="Catalogues").click()
+        page.get_by_role("link", name="slider-crank").click()
+        page.get_by_label("Worn").select_option("B")
+        page.get_by_role("button", name="Show").click()
+        expect(page.get_by_role("heading", name=re.compile("^B at .* against healthy"))).to_be_visible()
 
 
 def test_the_page_to_sign_in_is_in_order(browser: Browser, tmp_path: Path) -> None:

@@ -1,0 +1,184 @@
+"""The pages of builds: asking for a catalogue, and following it while it is computed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import RedirectResponse, Response
+
+from app import paging
+from app.build_orders import order, order_again
+from app.build_queue import BuildRow
+from app.build_schemas import BuildRequest
+from app.build_view import PLANS, build_view, failures_view
+from app.errors import BadFieldError, UnknownCatalogueError
+from app.handlers import problem_from
+from app.page_forms import messages_of, plain_form
+from app.page_templates import is_fragment, templates
+from app.problems import Problem
+from app.routes.pages import REFUSALS, context
+from app.scopes import Scope
+from app.service import Service, of_request
+from catalogue.errors import CatalogueError
+
+router = APIRouter(prefix="/builds")
+
+FIELDS = ("machine", "plan", "catalogue")
+SHOWN_FAILURES = 50
+
+
+@router.get("")
+async def builds(request: Request) -> Response:
+    """Show the form that asks for a build, and the builds there are."""
+    try:
+        return await listed(request, request.query_params.get("cursor"), {})
+    except REFUSALS as error:
+        return await listed(request, None, {}, problem_from(error))
+
+
+@router.post("")
+async def ask(request: Request) -> Response:
+    """Put a build into the queue, and go to its page."""
+    service = of_request(request)
+    given: dict[str, str] = {}
+    try:
+        given.update(await plain_form(request))
+        row = await run_in_threadpool(
+            order, service.builds, service.machines, service.settings.catalogues, wanted(given)
+        )
+    except REFUSALS as error:
+        return await listed(request, None, given, problem_from(error))
+    service.runner.wake()
+    return RedirectResponse(f"/builds/{row.id}", status_code=303)
+
+
+@router.get("/{key}")
+async def build(request: Request, key: str) -> Response:
+    """Show a build and how far it is; to a script that follows it only that."""
+    service = of_request(request)
+    try:
+        row = await run_in_threadpool(service.builds.find, key)
+    except REFUSALS as error:
+        return await listed(request, None, {}, problem_from(error))
+    return await shown(request, row)
+
+
+@router.post("/{key}/cancel")
+async def cancel(request: Request, key: str) -> Response:
+    """Stop a build."""
+    service = of_request(request)
+    try:
+        await run_in_threadpool(service.builds.cancel, key)
+    except REFUSALS as error:
+        return await refused(request, key, problem_from(error))
+    return RedirectResponse(f"/builds/{key}", status_code=303)
+
+
+@router.post("/{key}/resume")
+async def resume(request: Request, key: str) -> Response:
+    """Go on with a build that ended before it was done: the same one is put into the queue again."""
+    service = of_request(request)
+    try:
+        row = await run_in_threadpool(order_again, service.builds, service.settings.catalogues, key)
+    except REFUSALS as error:
+        return await refused(request, key, problem_from(error))
+    service.runner.wake()
+    return RedirectResponse(f"/builds/{row.id}", status_code=303)
+
+
+def wanted(given: dict[str, str]) -> BuildRequest:
+    """Return what the form asks for.
+
+    Raises
+    ------
+    BadFieldError
+        For a field that was left empty.
+    RequestValidationError
+        For one that breaks a rule of the HTTP interface.
+    """
+    for name, rule in (("machine", "choose a machine"), ("plan", "choose a plan"), ("catalogue", "give it a name")):
+        if name not in given:
+            raise BadFieldError(rule, field=name)
+    try:
+        return BuildRequest.model_validate(given)
+    except ValidationError as error:
+        raise RequestValidationError(error.errors()) from None
+
+
+async def listed(
+    request: Request, cursor: str | None, given: dict[str, str], problem: Problem | None = None
+) -> Response:
+    """Return the page with the form and the list, and with what was wrong."""
+    service = of_request(request)
+    size = service.settings.page_size
+    rows = await run_in_threadpool(service.builds.listed, paging.decode_number(cursor), size + 1)
+    cut, following = paging.cut(rows, size)
+    members: dict[str, Any] = {
+        "builds": [build_view(row) for row in cut],
+        "following": following,
+        "first": cursor is None,
+        "machines": await run_in_threadpool(service.machines.names),
+        "plans": PLANS,
+        "chosen": {"plan": "quick", **given},
+        "may_build": may_build(request),
+        "title": "Builds: jointplay",
+    }
+    if problem is None:
+        return templates.TemplateResponse(request, "builds.html", await context(request, **members))
+    members["messages"] = messages = refusals(problem)
+    members["summary"] = None if messages else {"title": problem.title, "detail": problem.detail}
+    whole = await context(request, **members)
+    return templates.TemplateResponse(request, "builds.html", whole, problem.status, dict(problem.headers))
+
+
+def refusals(problem: Problem) -> dict[str, str]:
+    """Return the messages of a problem by field of the form; a catalogue of something else is about its name."""
+    if problem.type.rpartition(":")[2] == "catalogue-mismatch":
+        return {"catalogue": problem.detail}
+    return messages_of(problem, FIELDS)
+
+
+async def refused(request: Request, key: str, problem: Problem) -> Response:
+    """Return the page of a build with what cannot be done to it."""
+    service = of_request(request)
+    try:
+        row = await run_in_threadpool(service.builds.find, key)
+    except REFUSALS as error:
+        return await listed(request, None, {}, problem_from(error))
+    return await shown(request, row, problem)
+
+
+async def shown(request: Request, row: BuildRow, problem: Problem | None = None) -> Response:
+    """Return the page of a build, or the part that changes while it goes on."""
+    service = of_request(request)
+    members: dict[str, Any] = {"build": build_view(row), "may_build": may_build(request)}
+    if not members["build"]["open"]:
+        members |= await run_in_threadpool(outcome, service, row)
+    if is_fragment(request):
+        return templates.TemplateResponse(request, "_build.html", members)
+    members["title"] = f"Build of {row.catalogue}: jointplay"
+    if problem is None:
+        return templates.TemplateResponse(request, "build.html", await context(request, **members))
+    members["summary"] = {"title": problem.title, "detail": problem.detail}
+    whole = await context(request, **members)
+    return templates.TemplateResponse(request, "build.html", whole, problem.status, dict(problem.headers))
+
+
+def outcome(service: Service, row: BuildRow) -> dict[str, Any]:
+    """Return what there is of the catalogue of a build that ended: whether it can be used, and what failed."""
+    try:
+        offer = service.shelf.find(row.catalogue)
+        items, count = service.entries.failed(offer, SHOWN_FAILURES)
+    except (UnknownCatalogueError, CatalogueError):  # none yet, or one that cannot be opened, which its pages tell
+        return {"usable": False, "failures": [], "failure_count": 0}
+    return {"usable": True, "failures": failures_view(items), "failure_count": count}
+
+
+def may_build(request: Request) -> bool:
+    """Return whether the session may ask for builds; without keys everybody may."""
+    scopes = getattr(request.state, "scopes", None)
+    return scopes is None or Scope.BUILD in scopes

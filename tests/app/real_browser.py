@@ -1,0 +1,85 @@
+"""A real browser for tests: what its pages may load, what its console may say, and what axe finds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from playwright.sync_api import Browser, BrowserContext, Page, Response, sync_playwright
+
+AXE = Path(__file__).parent / "vendor" / "axe-4.14.1.min.js"
+CHROMIUM = "/usr/bin/chromium"
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+SECONDS = 60_000
+SCREENS = [(1280, 900, "light"), (360, 740, "dark")]
+
+
+@contextmanager
+def running() -> Iterator[Browser]:
+    """A browser without a window."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+class Visit:
+    """A page under watch: whatever its console complains of, and whatever it loads from elsewhere, fails the test."""
+
+    def __init__(self, context: BrowserContext, server: str) -> None:
+        self.complaints: list[str] = []
+        self.hosts: set[str] = set()
+        self.page: Page = context.new_page()
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", lambda message: self._heard(message.type, message.text))
+        self.page.on("response", self._loaded)
+        self.page.goto(server)
+
+    def _heard(self, kind: str, text: str) -> None:
+        # The browser itself notes every answer with an error status; the tests ask about those on purpose.
+        if kind in ("error", "warning") and "responded with a status of" not in text:
+            self.complaints.append(text)
+
+    def _loaded(self, response: Response) -> None:
+        self.hosts.add(urlsplit(response.url).netloc)
+
+
+@contextmanager
+def visiting(browser: Browser, server: str, screen: tuple[int, int, Any], **more: Any) -> Iterator[Visit]:
+    """A visit on a screen of some width, height and scheme of colours, which is in order to its end."""
+    width, height, scheme = screen
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme, **more)
+    context.set_default_timeout(SECONDS)
+    visit = Visit(context, server)
+    yield visit
+    assert visit.complaints == []
+    assert visit.hosts == {urlsplit(server).netloc}
+    context.close()
+
+
+def serious(page: Page) -> list[str]:
+    """What axe finds that is serious or worse; it is evaluated, as the policy lets no page load it."""
+    page.evaluate(AXE.read_text(encoding="utf-8"))
+    found = page.evaluate("axe.run()")
+    assert len(found["passes"]) > 10
+    return [
+        f"{fault['id']}: {node['html']}"
+        for fault in found["violations"]
+        if fault["impact"] in ("serious", "critical")
+        for node in fault["nodes"]
+    ]
+
+
+def is_within_screen(page: Page) -> bool:
+    wide: bool = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    return wide

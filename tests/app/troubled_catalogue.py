@@ -1,0 +1,44 @@
+"""A catalogue that is there at once, a part of whose cases failed: its spectra are made up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from catalogue.build import build
+from catalogue.chunk import Chunk
+from catalogue.plan import parse_plan
+from catalogue.shard import OK, Outcome
+from solver.machines.machine import shipped_machine
+
+PLAN = parse_plan({"name": "made up", "draws": {"healthy": 6, "single": 12}, "laws": {"own": 1}})
+MESSAGE = "left <the range> at t = 0.1 s"
+
+
+def fails(key: str) -> bool:
+    """One case in eight."""
+    return key.startswith(("7", "c"))
+
+
+def compute(chunk: Chunk) -> tuple[Outcome, ...]:
+    """Make up the outcomes of some cases; they follow from the keys."""
+    return tuple(outcome(entry.key, chunk.recipe.scheme.count) for entry in chunk.entries)
+
+
+def outcome(key: str, bands: int) -> Outcome:
+    if fails(key):
+        return Outcome("diverged", MESSAGE, 60.0, 0.0, 0, 0.5)
+    random = np.random.default_rng(int(key[:8], 16))
+    root = random.normal(size=(bands, 3, 3)) + 1j * random.normal(size=(bands, 3, 3))
+    power = (root @ root.conj().swapaxes(1, 2)).astype(np.complex64)
+    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, random.random((bands, 3)).astype(np.float32))
+
+
+def make(folder: Path) -> tuple[int, int]:
+    """Make the catalogue; returns how many cases it has, and how many of them failed."""
+    machine = shipped_machine("slider-crank")
+    report = build(machine, PLAN, folder, workers=0, compute=compute)
+    failed = sum(fails(entry.key) for entry in PLAN.entries(machine))
+    assert 0 < failed == sum(report.failed.values())
+    return len(PLAN.entries(machine)), failed
