@@ -52,22 +52,16 @@ def pulses(signal: FloatArray, threshold: float | None, falling: bool) -> FloatA
 def turns_of(
     signal: FloatArray, pulses_per_revolution: int, threshold: float | None, falling: bool, source: str, column: str
 ) -> FloatArray:
-    """Ends of revolutions in samples, (k,), from the pulses of a channel.
+    """Ends of revolutions in samples, (k,), from the pulses of a channel; in a run-up they may be of any length.
 
     Raises
     ------
     MeasurementError
-        Too few pulses, or one is missing or too many.
+        Too few pulses.
     """
     turns = pulses(signal, threshold, falling)[::pulses_per_revolution]
     if len(turns) < LEAST_REVOLUTIONS + 1:
         rule = f"{max(0, len(turns) - 1)} revolutions by its pulses; at least {LEAST_REVOLUTIONS} are needed"
-        raise MeasurementError(source, None, column, rule=rule, field="tacho")
-    lengths = np.diff(turns)
-    wrong = np.abs(lengths / np.median(lengths) - 1.0) > UNEVEN
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        rule = f"a pulse is missing or too many at sample {turns[at]:.0f}: check threshold and pulses_per_revolution"
         raise MeasurementError(source, None, column, rule=rule, field="tacho")
     return turns
 
@@ -88,13 +82,19 @@ def track_of(turns: FloatArray, sample_rate: float, first: int, last: int, sourc
     Raises
     ------
     MeasurementError
-        Fewer than three revolutions lie in it.
+        Fewer than three revolutions lie in it, or a pulse is missing or too many there.
     """
     inside = (turns[(turns >= first) & (turns < last)] - first) / sample_rate
     if len(inside) < LEAST_REVOLUTIONS + 1:
         rule = f"fewer than {LEAST_REVOLUTIONS} revolutions by the pulses in its steady part"
         raise MeasurementError(source, rule=rule, field="tacho")
-    course = 2.0 * math.pi / np.diff(inside)
+    lengths = np.diff(inside)
+    wrong = np.abs(lengths / np.median(lengths) - 1.0) > UNEVEN
+    if wrong.any():
+        at = first + inside[int(np.argmax(wrong))] * sample_rate
+        rule = f"tacho: a pulse is missing or too many at sample {at:.0f}: check threshold and pulses_per_revolution"
+        raise MeasurementError(source, rule=rule, field="tacho")
+    course = 2.0 * math.pi / lengths
     span = float(inside[-1] - inside[0])
     mean = 2.0 * math.pi * (len(inside) - 1) / span
     # Both ends of the stretch are known to a sample, evenly distributed.

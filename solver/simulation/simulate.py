@@ -105,9 +105,12 @@ def simulate_batch(
     MachineError
         A fault or a parameter that the machine does not have, or something the solver does not model.
     SettingsError
-        Settings that cannot be met.
+        Settings that cannot be met; starts or accuracies that are not one a case.
     """
     settings = settings or Settings()
+    for name, given_each in (("starts", starts), ("accuracies", accuracies)):
+        if given_each is not None and len(given_each) != len(cases):
+            raise SettingsError(f"{name}: {len(given_each)} for {len(cases)} cases: must be one a case")
     runs = _runs(settings)
     results: dict[int, History] = {}
     for group in groups(machine, cases, settings, accuracies):

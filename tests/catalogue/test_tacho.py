@@ -48,10 +48,22 @@ def test_noise_on_an_edge_makes_no_second_pulse() -> None:
 def test_a_missing_pulse_is_named() -> None:
     signal = pulsed(60.0, 30_000)
     signal[9_000:10_000] = 0.0
-    with pytest.raises(MeasurementError, match="column 'key': a pulse is missing or too many at sample"):
-        turns_of(signal, 1, None, False, "r", "key")
+    turns = turns_of(signal, 1, None, False, "r", "key")
+    # Pulses rise at 0.7 turns, and every 1047 samples: the one after 8064 is missing.
+    with pytest.raises(MeasurementError, match="r: tacho: a pulse is missing or too many at sample 8064"):
+        track_of(turns, RATE, 0, 30_000, "r")
+    assert track_of(turns, RATE, 10_000, 30_000, "r").estimate.speed == pytest.approx(60.0, rel=1e-4)
     with pytest.raises(MeasurementError, match="at least 3 are needed"):
         turns_of(signal[:2_000], 1, None, False, "r", "key")
+
+
+def test_slow_turns_of_a_run_up_are_no_missing_pulses() -> None:
+    time = np.arange(40_000) / RATE
+    angle = 60.0 * np.where(time < 1.0, 0.5 * time**2, time - 0.5)  # a second from standstill to 60 rad/s
+    signal = 5.0 * (np.mod(angle / (2.0 * np.pi) + 0.3, 1.0) < 0.1)
+    turns = turns_of(signal, 1, None, False, "r", "key")
+    assert np.ptp(np.diff(turns)) > np.median(np.diff(turns))
+    assert track_of(turns, RATE, 10_000, 40_000, "r").estimate.speed == pytest.approx(60.0, rel=1e-4)
 
 
 def test_a_recording_with_a_tacho_is_compared_at_its_speed() -> None:

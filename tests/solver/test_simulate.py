@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -61,6 +61,13 @@ def test_accuracies_side_by_side_change_nothing(method: Literal["adaptive", "gil
         assert np.array_equal(found.acceleration, alone.acceleration)
     coarse = simulate(QR, cases[1], replace(settings, accuracy="draft"))
     assert together[1].step < coarse.step
+
+
+@pytest.mark.parametrize("given", [{"starts": [None]}, {"accuracies": ["draft", "draft", "standard"]}])
+def test_lists_of_another_length_than_the_cases_are_refused(given: dict[str, Any]) -> None:
+    (name, values), *_ = given.items()
+    with pytest.raises(SettingsError, match=rf"^{name}: {len(values)} for 2 cases: must be one a case$"):
+        simulate_batch(QR, [Case(), Case()], SHORT, **given)
 
 
 def test_progress_counts_every_case() -> None:
