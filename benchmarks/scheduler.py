@@ -27,7 +27,7 @@ from catalogue.index import Index
 
 @dataclass(frozen=True)
 class Costs:
-    """What the parts of a build cost; the defaults are measured (docs/scale.md).
+    """What the parts of a build cost: those of chunks are measured, the others assumed (docs/scale.md).
 
     Parameters
     ----------

@@ -222,6 +222,9 @@ class ImportProfile(_Part):
         if not raw.relative:
             rule = "is given, but the file does not hold fractions of one"
             raise MeasurementError(raw.source, None, "full_scale", rule=rule, field="full_scale")
+        if self.full_scale is not None and self.full_scale_m_s2 is not None:
+            rule = "is given beside full_scale_m_s2: give one of them"
+            raise MeasurementError(raw.source, None, "full_scale", self.full_scale, rule, field="full_scale")
         if self.full_scale is not None:
             value, unit = full_scale_of(self.full_scale, raw.source)
             factors = np.full(len(raw.columns), value)

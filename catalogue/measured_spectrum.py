@@ -177,14 +177,19 @@ def _form_of(column: RawColumn, text: str | None, form: SpectrumForm, source: st
     plain = text.strip()
     level = _LEVEL.fullmatch(plain)
     if level:
-        form = dataclasses.replace(
-            form, decibel=True, reference=form.reference or (float(level[1]) if level[1] else None)
-        )
+        reference = float(level[1]) if level[1] else None
+        if None not in (reference, form.reference) and reference != form.reference:
+            rule = f"the profile says re {form.reference:g}"
+            raise MeasurementError(source, None, column.name, text, rule, field="reference")
+        form = dataclasses.replace(form, decibel=True, reference=form.reference if reference is None else reference)
         plain = (level[2] or "").strip()
     detector = next(
         (word for word in _DETECTORS if re.search(rf"(^|[\s,(]){re.escape(word)}\)?$", plain.lower())), None
     )
     if detector is not None:
+        if form.detector not in (None, _DETECTORS[detector]):
+            rule = f"the profile says {form.detector}"
+            raise MeasurementError(source, None, column.name, text, rule, field="detector")
         form = dataclasses.replace(form, detector=_DETECTORS[detector])
         plain = plain[: plain.lower().rindex(detector)].rstrip(" ,(")
     density = re.fullmatch(r"\(?(.*?)\)?\s*(?:\^?2|²)\s*/\s*Hz", plain)

@@ -157,6 +157,8 @@ def test_floating_wav_has_units_of_its_own_and_pcm_has_a_full_scale() -> None:
     assert "3 values for 2 channels" in refusal(
         wav("PCM_16"), "s.wav", profile=ImportProfile(full_scale_m_s2=(1.0, 2.0, 3.0))
     )
+    both = ImportProfile(full_scale="8 m/s2", full_scale_m_s2=8.0)
+    assert "'full_scale': '8 m/s2': is given beside full_scale_m_s2" in refusal(wav("PCM_16"), "s.wav", profile=both)
     assert "'full_scale': '5': must be a number and a unit" in refusal(
         wav("PCM_16"), "s.wav", profile=ImportProfile(full_scale="5")
     )

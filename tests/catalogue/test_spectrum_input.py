@@ -94,6 +94,20 @@ def test_what_is_not_said_is_asked_for(data: bytes, rule: str) -> None:
     assert rule in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("head", "said", "rule"),
+    [
+        ("a [m/s2 rms]", {"detector": "peak", "window": "hann"}, "'m/s2 rms': the profile says peak"),
+        ("a [dB re 1e-6 m/s2 rms]", {"reference": 1e-5, "window": "hann"}, "the profile says re 1e-05"),
+    ],
+)
+def test_a_header_and_a_profile_that_contradict_each_other_are_refused(
+    head: str, said: dict[str, object], rule: str
+) -> None:
+    with pytest.raises(MeasurementError, match=rule):
+        read(table(head, LEVEL), **said)
+
+
 def test_bands_split_lines_that_straddle_their_edges() -> None:
     power = band_power(np.ones((800, 1)), FREQUENCY, STEP, np.array([10.0, 20.1, 100.0]))
     assert np.allclose(power[:, 0], [10.1, 79.9])
