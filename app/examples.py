@@ -1,8 +1,23 @@
-"""Examples in the OpenAPI document: of every parameter and body; a test sends them all to a running service."""
+"""Examples in the OpenAPI document: of every parameter, body and answer.
+
+A test sends them all to a running service, and compares what it answers with the examples of answers.
+"""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
+
+ANSWERS = Path(__file__).with_name("example_answers.json")
+"""Operation, status and media type to example: what a service really answered."""
+
+ITEMS = 3
+TEXT = 400
+NOTE = (
+    f"Examples are answers of a running service; lists are cut to {ITEMS} items there, texts to {TEXT} characters,"
+    " numbers to six digits."
+)
 
 MEASUREMENT = "0f7c3f8b9f0d4a6e8f3d5a1b2c4e6f80"
 DIAGNOSIS = "5b1e0c9d8a7f46352413f0e1d2c3b4a5"
@@ -56,7 +71,7 @@ PUT_NAME = "press-7"
 #: Handed out by the service: an example of it would be one of nothing.
 WITHOUT = frozenset({"cursor"})
 
-DIAGNOSE = {"catalogue": "slider-crank", "speed": "606.8 rpm", "effort": "fast"}
+DIAGNOSE = {"catalogue": "slider-crank", "speed": "606.8 rpm", "effort": "fast", "asset": "press-7"}
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
     ("put", "/api/v1/machines/{name}"): {"application/json": MACHINE_FILE, "application/yaml": MACHINE_YAML},
     ("post", "/api/v1/builds"): {
@@ -84,6 +99,8 @@ BODIES: dict[tuple[str, str], dict[str, Any]] = {
 
 def with_examples(document: dict[str, Any]) -> dict[str, Any]:
     """Add the examples to an OpenAPI document."""
+    answers: dict[str, dict[str, dict[str, Any]]] = json.loads(ANSWERS.read_text(encoding="utf-8"))
+    document["info"]["description"] = NOTE
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             for parameter in operation.get("parameters", ()):
@@ -92,6 +109,9 @@ def with_examples(document: dict[str, Any]) -> dict[str, Any]:
                     parameter["example"] = found
             for kind, example in BODIES.get((method, path), {}).items():
                 operation["requestBody"]["content"][kind]["example"] = example
+            for status, contents in answers.get(f"{method} {path}", {}).items():
+                for kind, example in contents.items():
+                    operation["responses"][status]["content"][kind]["example"] = example
     return document
 
 

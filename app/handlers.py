@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
 
-from app.errors import AppError
+from app.errors import AppError, BadRequestError
 from app.page_templates import is_page, problem_page
 from app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
 from app.workers import TaskFailedError
@@ -44,8 +44,14 @@ def problem_from(error: Exception) -> Problem:
     if isinstance(error, TaskFailedError):
         return error.problem
     if isinstance(error, RequestValidationError):
-        return of_validation(list(error.errors()))
+        entries = list(error.errors())
+        broken = next((entry for entry in entries if entry["type"] == "json_invalid"), None)
+        if broken is not None:
+            return problem_of(BadRequestError(f"is not JSON: {broken['ctx']['error']}"))
+        return of_validation(entries)
     if isinstance(error, HTTPException):
+        if isinstance(error.__cause__, AppError):
+            return problem_of(error.__cause__)  # the framework reads the body, and says 400 of whatever ends that
         return of_status(error.status_code, str(error.detail or ""), error.headers)
     return problem_of(error)
 

@@ -15,6 +15,7 @@ from app.errors import BadFieldError, UnsupportedMediaError
 from app.storage import Store, Upload
 
 MULTIPART = "multipart/form-data"
+JSON_TYPE = "application/json"
 MAX_FIELDS = 32
 MAX_FIELD_BYTES = 16_000
 MAX_PROFILE_BYTES = 64_000
@@ -42,6 +43,19 @@ class Form:
 def media_type(request: Request) -> str:
     """Return the type of the request's body, lower case, without parameters."""
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+async def json_body(request: Request) -> None:
+    """Refuse a request whose body is not said to be JSON: a dependency of routes whose body the framework reads.
+
+    Raises
+    ------
+    UnsupportedMediaError
+        When it is of another type, or of none.
+    """
+    kind = media_type(request)
+    if kind != JSON_TYPE:
+        raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE}")
 
 
 @asynccontextmanager

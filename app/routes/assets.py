@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from app import paging
@@ -17,6 +17,7 @@ from app.openapi import problems
 from app.routes.machines import Cursor, Limit
 from app.service import of_request
 from app.storage import aware
+from app.uploads import JSON_TYPE, json_body
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
@@ -24,7 +25,7 @@ ExternalId = Annotated[str, Path(pattern=EXTERNAL_ID, description="The asset's n
 CREATED: dict[int | str, dict[str, Any]] = {201: {"model": AssetOut, "description": "There was none of this id."}}
 
 
-@router.put("/{external_id}", responses={**CREATED, **problems(413, 422)})
+@router.put("/{external_id}", responses={**CREATED, **problems(400, 413, 415, 422)}, dependencies=[Depends(json_body)])
 def put(request: Request, response: Response, external_id: ExternalId, wanted: AssetIn) -> AssetOut:
     """Say which machine an asset is, what to note of it, and its baseline; what is left out is emptied."""
     service = of_request(request)
@@ -58,7 +59,7 @@ async def asset(request: Request, external_id: ExternalId) -> Response:
     """Return one asset."""
     row = await run_in_threadpool(Assets(of_request(request).store.database).asset, external_id)
     text = asset_out(row).model_dump_json()
-    return respond(request, Response(text, media_type="application/json"), hashlib.sha256(text.encode()).hexdigest())
+    return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
 
 
 @router.put("/{external_id}/measurements/{measurement}", status_code=204, responses=problems(404, 422))

@@ -39,7 +39,7 @@ def entries(request: Request, name: str, query: Annotated[EntryQuery, Query()]) 
     return EntryPage(items=items, next_cursor=paging.encode(items[-1].key) if more else None)
 
 
-@router.get("/{key}", response_model=EntryDetail, responses={**FORMS_SHOWN, **problems(404, 406, 409, 422, 500)})
+@router.get("/{key}", response_model=EntryDetail, responses={**FORMS_SHOWN, **problems(404, 406, 409, 500)})
 async def entry(request: Request, name: str, key: str) -> Response:
     """Return one case with its spectrum: JSON, or by `Accept` as CSV, HDF5 or NPY.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from app import paging
@@ -17,6 +17,7 @@ from app.openapi import problems
 from app.routes.machines import Cursor, Limit
 from app.service import of_request
 from app.storage import aware
+from app.uploads import JSON_TYPE, json_body
 
 router = APIRouter(tags=["findings"])
 
@@ -25,7 +26,11 @@ Only = Annotated[str | None, Query(min_length=1, max_length=128, pattern=r"^[A-Z
 
 
 @router.post(
-    "/diagnoses/{key}/finding", status_code=201, response_model=FindingOut, responses=problems(404, 409, 413, 422)
+    "/diagnoses/{key}/finding",
+    status_code=201,
+    response_model=FindingOut,
+    responses=problems(400, 404, 409, 413, 415, 422),
+    dependencies=[Depends(json_body)],
 )
 async def report_back(request: Request, key: str, found: FindingIn, idempotency_key: IdempotencyKey = None) -> Response:
     """Report what an inspection found after a diagnosis; the same finding sent twice is kept once."""
@@ -37,7 +42,7 @@ async def report_back(request: Request, key: str, found: FindingIn, idempotency_
     async def answered() -> Response:
         row = await run_in_threadpool(kept)
         headers = {"Location": f"/api/v1/findings/{row.id}"}
-        return Response(finding_out(row).model_dump_json(), 201, headers, "application/json")
+        return Response(finding_out(row).model_dump_json(), 201, headers, JSON_TYPE)
 
     return await once(request, idempotency_key, store.database, found.model_dump(mode="json"), answered)
 
@@ -64,7 +69,7 @@ def findings(
 async def finding(request: Request, key: str) -> Response:
     """Return a finding again."""
     row = await run_in_threadpool(Assets(of_request(request).store.database).finding, key)
-    return respond(request, Response(finding_out(row).model_dump_json(), media_type="application/json"), row.id)
+    return respond(request, Response(finding_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
 
 
 def finding_out(row: FindingRow) -> FindingOut:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from app import paging
@@ -11,6 +11,7 @@ from app.openapi import problems
 from app.routes.machines import Cursor, Limit
 from app.service import of_request
 from app.storage import aware
+from app.uploads import JSON_TYPE, json_body
 from app.webhook_schemas import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
 from app.webhook_sender import checked_url
 from app.webhooks import WebhookRow, Webhooks
@@ -18,7 +19,13 @@ from app.webhooks import WebhookRow, Webhooks
 router = APIRouter(prefix="/webhooks", tags=["webhooks"])
 
 
-@router.post("", status_code=201, response_model=WebhookMade, responses=problems(409, 413, 422))
+@router.post(
+    "",
+    status_code=201,
+    response_model=WebhookMade,
+    responses=problems(400, 409, 413, 415, 422),
+    dependencies=[Depends(json_body)],
+)
 async def add(request: Request, wanted: WebhookIn, idempotency_key: IdempotencyKey = None) -> Response:
     """Name an address that is told of events; the answer holds the secret that signs, which is not shown again."""
     service = of_request(request)
@@ -29,7 +36,7 @@ async def add(request: Request, wanted: WebhookIn, idempotency_key: IdempotencyK
         row = await run_in_threadpool(Webhooks(database).add, wanted.url, events)
         made = WebhookMade(**webhook_out(row).model_dump(), secret=row.secret)
         headers = {"Location": f"/api/v1/webhooks/{row.id}"}
-        return Response(made.model_dump_json(), 201, headers, "application/json")
+        return Response(made.model_dump_json(), 201, headers, JSON_TYPE)
 
     return await once(request, idempotency_key, database, [wanted.url, events], answered)
 

@@ -1,47 +1,65 @@
-"""The examples of the OpenAPI document: every parameter and body has one, and every operation succeeds with them."""
+"""The examples of the OpenAPI document: every parameter, body and answer has one, and they are what really happens."""
 
 from __future__ import annotations
 
+import json
+import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import jsonschema
 import pytest
-from small_service import serving
+from example_calls import BINARY, Answered, ExampleService, shown
 
 from app import examples
-from app.settings import Settings
-from catalogue.store import Catalogue
+from app.problems import MEDIA_TYPE
 
-OPERATIONS_AT_LEAST = 25
+OPERATIONS_AT_LEAST = 34
 #: Not in any document: the file of a form.
 UPLOAD = ("post", "/api/v1/measurements")
-STREAM = ("get", "/api/v1/builds/{key}/events")
+ID = re.compile(r"\b[0-9a-f]{12,64}\b")
+TIME = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z")
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
+#: Numbers that were computed may differ a little from one computer to another.
+RELATIVE, ABSOLUTE = 0.2, 0.05
+
+Answers = dict[str, dict[str, dict[str, Any]]]
 
 
 @pytest.fixture(scope="module")
-def service(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
-    settings = Settings(catalogues=shelf, data=tmp_path_factory.mktemp("examples"), workers=1, builds=0, keys="off")
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=90) as client:
-        yield client
+def service(shelf: Path, tmp_path_factory: pytest.TempPathFactory, worn: bytes) -> Iterator[ExampleService]:
+    running = ExampleService(shelf, tmp_path_factory.mktemp("examples"), worn)
+    yield running
+    running.close()
 
 
-def documented(client: httpx.Client) -> tuple[dict[str, Any], list[tuple[str, str, dict[str, Any]]]]:
-    document: dict[str, Any] = client.get("/openapi.json").json()
-    return document, [(m, path, each) for path, each_path in document["paths"].items() for m, each in each_path.items()]
+@pytest.fixture(scope="module")
+def successes(service: ExampleService) -> list[Answered]:
+    return service.successes()
 
 
-def swapped(node: Any, real: dict[str, str]) -> Any:
-    """A copy of an example in which invented ids are real ones."""
-    if isinstance(node, dict):
-        return {name: swapped(child, real) for name, child in node.items()}
-    return real.get(node, node) if isinstance(node, str) else node
+@pytest.fixture(scope="module")
+def answers(service: ExampleService, successes: list[Answered]) -> Answers:
+    """What the service answers now: operation, status and media type to example."""
+    found: Answers = {}
+    for each in successes:
+        if each.response.content and each.kind not in BINARY:
+            place = found.setdefault(f"{each.call.method} {each.call.path}", {})
+            place.setdefault(str(each.response.status_code), {}).setdefault(each.kind, shown(each.response))
+    for method, path, status, response in service.refusals():
+        assert status in (str(response.status_code), "default"), (method, path, status, response.text)
+        found.setdefault(f"{method} {path}", {})[status] = {MEDIA_TYPE: shown(response)}
+    text = json.dumps(found)
+    for real, invented in service.invented.items():
+        text = text.replace(real, invented)
+    replaced: Answers = json.loads(text)
+    return replaced
 
 
-def test_everything_has_an_example(service: httpx.Client) -> None:
-    _, operations = documented(service)
+def test_everything_that_is_sent_has_an_example(service: ExampleService) -> None:
+    operations = service.operations()
     assert len(operations) >= OPERATIONS_AT_LEAST
     for method, path, operation in operations:
         for parameter in operation.get("parameters", ()):
@@ -50,57 +68,90 @@ def test_everything_has_an_example(service: httpx.Client) -> None:
             assert "example" in media or (method, path) == UPLOAD, (method, path, kind)
 
 
-def test_every_operation_succeeds_with_its_examples(service: httpx.Client, shelf: Path, worn: bytes) -> None:
-    document, operations = documented(service)
-    answer = service.post("/api/v1/measurements", files={"file": ("worn.csv", worn)})
-    real = {examples.MEASUREMENT: answer.json()["id"]}
-    real[examples.ENTRY] = str(Catalogue.open(shelf / "slider-crank").entries.key[0])[:12]
-    # What creates comes first, and gives the ids that the others ask for.
-    created = {"/api/v1/diagnoses": examples.DIAGNOSIS, "/api/v1/builds": examples.BUILD}
-    created["/api/v1/diagnoses/{key}/finding"] = examples.FINDING
-    created["/api/v1/webhooks"] = examples.WEBHOOK
-    places = ("/api/v1/assets/{external_id}", "/api/v1/diagnoses", "/api/v1/builds", "/api/v1/diagnoses/{key}/finding")
-
-    def order(entry: tuple[str, str, dict[str, Any]]) -> tuple[bool, bool, int, bool]:
-        method, path, _ = entry
-        return (
-            method == "delete",
-            method not in ("put", "post"),
-            places.index(path) if path in places else 9,
-            path.endswith("/cancel"),
-        )
-
-    tried = 0
-    for method, path, operation in sorted(operations, key=order):
-        if (method, path) in (UPLOAD, STREAM):
-            continue
-        given = [each for each in operation.get("parameters", ()) if "example" in each]
-        where = {each["name"]: swapped(each["example"], real) for each in given if each["in"] == "path"}
-        query = {each["name"]: swapped(each["example"], real) for each in given if each["in"] == "query"}
-        content = operation.get("requestBody", {}).get("content", {None: {}})
-        for kind, media in content.items():
-            body = swapped(media.get("example"), real)
-            if kind == "multipart/form-data":
-                sent: dict[str, Any] = {"files": {name: (None, str(value)) for name, value in body.items()}}
-            elif kind == "application/json":
-                sent = {"json": body}
-            else:
-                sent = {"content": body, "headers": {"Content-Type": kind}} if kind else {}
-            answer = service.request(method.upper(), path.format(**where), params=query, **sent)
-            assert answer.status_code < 300, (method, path, kind, answer.text)
-            described = operation["responses"][str(answer.status_code)].get("content", {})
-            found = answer.headers.get("content-type", "").partition(";")[0]
-            assert found in described or not answer.content, (method, path, found)
-            if found == "application/json" and answer.content:
-                schema = {**described[found]["schema"], "components": document["components"]}
-                jsonschema.validate(answer.json(), schema)
-            if method == "post" and path in created:
-                real[created[path]] = answer.json()["id"]
-            tried += 1
-    assert tried >= OPERATIONS_AT_LEAST
+def test_every_operation_succeeds_with_its_examples(service: ExampleService, successes: list[Answered]) -> None:
+    described = {(method, path): operation["responses"] for method, path, operation in service.operations()}
+    seen = set()
+    for each in successes:
+        place = (each.call.method, each.call.path)
+        assert each.response.status_code < 300, (place, each.response.text)
+        content = described[place][str(each.response.status_code)].get("content", {})
+        assert each.kind in content or not each.response.content, (place, each.kind)
+        if each.kind == "application/json" and each.response.content:
+            schema = {**content[each.kind]["schema"], "components": service.document["components"]}
+            jsonschema.validate(each.response.json(), schema)
+        seen.add(place)
+    assert seen == set(described)
 
 
-def test_an_example_that_is_wrong_would_be_seen(service: httpx.Client) -> None:
+def test_every_answer_has_an_example_that_fits(service: ExampleService) -> None:
+    for method, path, operation in service.operations():
+        for status, response in operation["responses"].items():
+            if status == "default" and not path.startswith("/api/"):
+                continue
+            for kind, media in response.get("content", {}).items():
+                assert ("example" in media) != (kind in BINARY), (method, path, status, kind)
+                if kind not in BINARY:
+                    schema = {**media["schema"], "components": service.document["components"]}
+                    jsonschema.validate(media["example"], schema)
+
+
+def test_the_examples_are_what_is_answered(answers: Answers, tmp_path: Path) -> None:
+    written = json.loads(examples.ANSWERS.read_text(encoding="utf-8"))
+    made = tmp_path / examples.ANSWERS.name
+    made.write_text(json.dumps(answers, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    found = list(differences(written, answers, ""))
+    assert not found, f"{found[:5]}: if what is answered now is right, copy {made} to {examples.ANSWERS}"
+
+
+def test_an_example_that_is_wrong_would_be_seen(service: ExampleService) -> None:
     place = f"/api/v1/machines/{examples.PUT_NAME}"
     wrong = {**examples.MACHINE_FILE, "drive": {"kind": "rotation", "joint": "P", "speed": 1}}
-    assert service.put(place, json=wrong).status_code == 422
+    assert service.client.put(place, json=wrong).status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "alike"),
+    [
+        ({"a": 1}, {"a": 1, "b": 2}, False),
+        ([1, 2], [1], False),
+        ([1.0], [1.1], True),
+        ([100.0], [150.0], False),
+        (3, 4, False),
+        (None, 1.0, False),
+        (True, 1, False),
+        ("a 17.5", "a 18", True),
+        ("a 17.5", "b 17.5", False),
+        ("0123456789abcdef", "fedcba9876543210", True),
+        ("2026-11-21T10:00:00Z", "2027-01-01T00:00:00.5Z", True),
+    ],
+)
+def test_what_counts_as_a_difference(one: Any, other: Any, alike: bool) -> None:
+    assert bool(list(differences(one, other, ""))) is not alike
+
+
+def differences(one: Any, other: Any, place: str) -> Iterator[str]:
+    """Where two answers differ: ids, times and the last digits of what was computed aside."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for name in one.keys() | other.keys():
+            if name in one and name in other:
+                yield from differences(one[name], other[name], f"{place}/{name}")
+            else:
+                yield f"{place}/{name} is only {'written' if name in one else 'answered'}"
+    elif isinstance(one, list) and isinstance(other, list):
+        if len(one) != len(other):
+            yield f"{place} has {len(one)} items, not {len(other)}"
+        for number, (each, its) in enumerate(zip(one, other, strict=False)):
+            yield from differences(each, its, f"{place}/{number}")
+    elif isinstance(one, float) and isinstance(other, float):
+        if not math.isclose(one, other, rel_tol=RELATIVE, abs_tol=ABSOLUTE):
+            yield f"{place} is {one}, not {other}"
+    elif isinstance(one, str) and isinstance(other, str):
+        if plain(one) != plain(other):
+            yield f"{place} is {one!r}, not {other!r}"
+    elif type(one) is not type(other) or one != other:
+        yield f"{place} is {one!r}, not {other!r}"
+
+
+def plain(text: str) -> str:
+    """A text without what differs from call to call."""
+    return NUMBER.sub("0", ID.sub("ID", TIME.sub("TIME", text)))

@@ -1,0 +1,313 @@
+"""The examples of the OpenAPI document as calls: what is sent with them, and what is sent to be refused."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import httpx
+from small_service import serving
+from sqlalchemy import update
+
+from app import examples
+from app.build_queue import BuildRow
+from app.errors import BusyError, DatabaseGoneError, KeyInUseError, TimeLimitError, WorkerDiedError
+from app.gate import Gate
+from app.settings import Settings
+from app.storage import Store
+from app.webhook_sender import WebhookSender
+from catalogue.errors import CatalogueFileError, CatalogueMismatchError
+from catalogue.store import Catalogue
+
+UPLOAD_MB = 3.0
+MULTIPART = "multipart/form-data"
+JSON = "application/json"
+BINARY = ("application/pdf", "application/x-hdf5", "application/x-npy")
+#: What creates comes first, and gives the ids that the others ask for; what forgets comes last.
+FIRST = (
+    "/api/v1/webhooks",
+    "/api/v1/measurements",
+    "/api/v1/assets/{external_id}",
+    "/api/v1/diagnoses",
+    "/api/v1/builds",
+)
+CREATED = {
+    "/api/v1/diagnoses": examples.DIAGNOSIS,
+    "/api/v1/builds": examples.BUILD,
+    "/api/v1/diagnoses/{key}/finding": examples.FINDING,
+    "/api/v1/webhooks": examples.WEBHOOK,
+    "/api/v1/measurements": examples.MEASUREMENT,
+}
+
+
+@dataclass(frozen=True)
+class Call:
+    """One request of an operation, as the client takes it."""
+
+    method: str
+    path: str
+    where: dict[str, str] = field(default_factory=dict)
+    query: dict[str, Any] = field(default_factory=dict)
+    sent: dict[str, Any] = field(default_factory=dict)
+    headers: dict[str, str] = field(default_factory=dict)
+
+    def made(self, client: httpx.Client) -> httpx.Response:
+        place = self.path.format(**self.where)
+        return client.request(self.method.upper(), place, params=self.query, headers=self.headers, **self.sent)
+
+
+@dataclass(frozen=True)
+class Answered:
+    """A call with its answer."""
+
+    call: Call
+    response: httpx.Response
+
+    @property
+    def kind(self) -> str:
+        return str(self.response.headers.get("content-type", "")).partition(";")[0]
+
+
+class ExampleService:
+    """A running service to which examples are sent."""
+
+    def __init__(self, shelf: Path, data: Path, worn: bytes) -> None:
+        settings: dict[str, Any] = {
+            "catalogues": shelf,
+            "data": data,
+            "workers": 1,
+            "builds": 0,
+            "max_upload_mb": UPLOAD_MB,
+        }
+        self._stack = ExitStack()
+        enter = self._stack.enter_context
+        enter(mock.patch.object(WebhookSender, "step", return_value=False))  # nobody is told of examples
+        self.client = enter(httpx.Client(base_url=enter(serving(Settings(**settings, keys="off"))), timeout=90))
+        locked = Settings(**{**settings, "data": data / "locked"}, keys="required")
+        self.locked = enter(httpx.Client(base_url=enter(serving(locked)), timeout=90))
+        self._data, self._worn = data, worn
+        self.document: dict[str, Any] = self.client.get("/openapi.json").json()
+        #: Example of an id, or of an entry's key, to the real one.
+        self.real: dict[str, str] = {}
+        #: And back, also of those that are forgotten by now.
+        self.invented: dict[str, str] = {}
+        self.know(examples.ENTRY, str(Catalogue.open(shelf / "slider-crank").entries.key[0])[:12])
+
+    def close(self) -> None:
+        self._stack.close()
+
+    def know(self, invented: str, real: str) -> None:
+        self.real[invented] = real
+        self.invented[real] = invented
+
+    def operations(self) -> list[tuple[str, str, dict[str, Any]]]:
+        """Method, path and description of every operation, in the order in which they can succeed."""
+        found = [(m, path, each) for path, each_path in self.document["paths"].items() for m, each in each_path.items()]
+
+        def order(entry: tuple[str, str, dict[str, Any]]) -> tuple[bool, bool, int, bool]:
+            method, path, _ = entry
+            place = FIRST.index(path) if path in FIRST else len(FIRST)
+            return method == "delete", method not in ("put", "post"), place, path.endswith("/cancel")
+
+        return sorted(found, key=order)
+
+    def calls(self, method: str, path: str, operation: dict[str, Any]) -> Iterator[Call]:
+        """The calls of an operation with its examples: one for each body it takes."""
+        given = [each for each in operation.get("parameters", ()) if "example" in each]
+        where, query = (
+            {each["name"]: self.swapped(each["example"]) for each in given if each["in"] == place}
+            for place in ("path", "query")
+        )
+        for kind, media in operation.get("requestBody", {}).get("content", {None: {}}).items():
+            body = self.swapped(media.get("example", {}))
+            if kind == MULTIPART:
+                sent: dict[str, Any] = {"files": {name: (None, str(value)) for name, value in body.items()}}
+                if path == "/api/v1/measurements":
+                    sent["files"]["file"] = ("press-7.csv", self._worn)
+            elif kind == JSON:
+                sent = {"json": body}
+            else:
+                sent = {"content": body, "headers": {"Content-Type": kind}} if kind else {}
+            headers = sent.pop("headers", {})
+            yield Call(method, path, where, query, sent, headers)
+
+    def successes(self) -> list[Answered]:
+        """Send every example."""
+        found = []
+        for method, path, operation in self.operations():
+            shown = [kind for status in operation["responses"].values() for kind in status.get("content", {})]
+            for call in self.calls(method, path, operation):
+                answered = Answered(call, call.made(self.client))
+                found.append(answered)
+                self.learn(answered)
+                if method == "put" and answered.response.status_code == 201:
+                    found.append(Answered(call, call.made(self.client)))  # now there is one
+                if method == "get":
+                    # The forms that are not the usual one; `format` goes before `Accept`.
+                    others = [kind for kind in shown if kind not in (answered.kind, "application/problem+json")]
+                    query = {name: value for name, value in call.query.items() if name != "format"}
+                    for kind in others:
+                        other = replace(call, query=query, headers={"Accept": kind})
+                        found.append(Answered(other, other.made(self.client)))
+        return found
+
+    def learn(self, answered: Answered) -> None:
+        """Note the id of what was created."""
+        place = answered.call.path if answered.call.method == "post" else ""
+        if place in CREATED and answered.response.status_code < 300:
+            self.know(CREATED[place], answered.response.json()["id"])
+
+    def refusals(self) -> Iterator[tuple[str, str, str, httpx.Response]]:
+        """Method, path, status (or ``default``) and the answer, for every error that an operation says it has."""
+        for method, path, operation in self.operations():
+            call = next(self.calls(method, path, operation))
+            if (method, path) == ("post", FIRST[0]):
+                self.learn(Answered(call, call.made(self.client)))  # there was one, and it was forgotten
+            for status in operation["responses"]:
+                if status == "default":
+                    if path.startswith("/api/"):  # the others are open
+                        yield method, path, status, call.made(self.locked)
+                elif status >= "400":
+                    yield method, path, status, self.refused(call, operation, int(status))
+
+    def refused(self, call: Call, operation: dict[str, Any], status: int) -> httpx.Response:
+        """Send a call that is answered with an error."""
+        failing = self.failing(call, operation, status)
+        if failing is not None:
+            with mock.patch.object(Gate, "_judge", mock.AsyncMock(side_effect=failing)):
+                return call.made(self.client)
+        if call.path == "/api/v1/builds/{key}/cancel" and status == 409:
+            self.end_build()
+            return call.made(self.client)
+        return WRONG[status](call, operation).made(self.client)
+
+    def failing(self, call: Call, operation: dict[str, Any], status: int) -> Exception | None:
+        """What goes wrong inside where an error is not the client's fault, or only at that moment."""
+        keyed = any(each["name"] == "Idempotency-Key" for each in operation.get("parameters", ()))
+        if status == 409 and keyed:
+            return KeyInUseError("Idempotency-Key: the first request with it is not answered yet")
+        if "entries" in call.path and status in (409, 500):
+            if status == 409:
+                return CatalogueMismatchError("slider-crank", "has schema version 4; this program reads 3")
+            return CatalogueFileError("slider-crank", "does not match its checksum: verify the catalogue")
+        computing = "504" in operation["responses"]
+        return {
+            500: WorkerDiedError("the process that computed this ended early, perhaps for want of memory"),
+            503: BusyError("32 requests wait for a worker already; try again in a few seconds")
+            if computing
+            else DatabaseGoneError("the database of the service does not answer; try again in a few seconds"),
+            504: TimeLimitError("stopped after 120 s, the time limit of this service"),
+            507: OSError(errno.ENOSPC, "No space left on device"),
+        }.get(status)
+
+    def end_build(self) -> None:
+        """Let all builds be done."""
+        store = Store(self._data)
+        with store.database.writing() as session:
+            session.execute(update(BuildRow).values(state="done"))
+        store.close()
+
+    def swapped(self, node: Any) -> Any:
+        """A copy of an example in which invented ids are real ones."""
+        if isinstance(node, dict):
+            return {name: self.swapped(child) for name, child in node.items()}
+        return self.real.get(node, node) if isinstance(node, str) else node
+
+
+def unreadable(call: Call, operation: dict[str, Any]) -> Call:
+    """A cursor that is none, or a body that ends early."""
+    if any(each["name"] == "cursor" for each in operation.get("parameters", ())):
+        return replace(call, query={"cursor": "x"})
+    if "files" in call.sent:
+        headers = {"Content-Type": f"{MULTIPART}; boundary=b"}
+        return replace(call, sent={"content": b"--b\r\nContent-Disposition\r\n\r\n"}, headers=headers)
+    return replace(call, sent={"content": b'{"name": '}, headers={"Content-Type": JSON})
+
+
+def unknown(call: Call, _operation: dict[str, Any]) -> Call:
+    """An id that nothing has."""
+    if call.where:
+        last = "name" if "name" in call.where else list(call.where)[-1]
+        return replace(call, where={**call.where, last: "unknown"})
+    if "files" in call.sent:
+        return replace(call, sent={"files": {**call.sent["files"], "asset": (None, "unknown")}})
+    return replace(call, sent={"json": {**call.sent["json"], "measurement": "unknown"}})
+
+
+def too_large(call: Call, _operation: dict[str, Any]) -> Call:
+    """A body over the limit."""
+    if "files" in call.sent:
+        return replace(call, sent={"files": {"file": ("long.csv", b"0" * int(UPLOAD_MB * 1.01e6))}})
+    return replace(call, sent={"content": b" " * 1_010_000}, headers={"Content-Type": JSON})
+
+
+def wrong(call: Call, operation: dict[str, Any]) -> Call:
+    """A field that breaks a rule: of the body, of the query, of the path."""
+    if "json" in call.sent:
+        body = dict(call.sent["json"])
+        body.pop(next(name for name in ("machine", "catalogue", "links", "url", "at") if name in body))
+        return replace(call, sent={"json": body})
+    if "files" in call.sent:
+        return replace(call, sent={"files": {"sample_rate": (None, "10 kHz")}})
+    names = [each["name"] for each in operation.get("parameters", ()) if each["in"] == "query"]
+    if names:
+        return replace(call, query={names[-1]: "0"})
+    return replace(call, where={**call.where, "external_id": ".press"})
+
+
+def conditional(call: Call, _operation: dict[str, Any]) -> Call:
+    return replace(call, headers={**call.headers, "If-None-Match": "*"})
+
+
+def of_no_type(call: Call, _operation: dict[str, Any]) -> Call:
+    return replace(call, sent={"content": b"-"}, headers={"Content-Type": "text/plain"})
+
+
+def unwanted(call: Call, _operation: dict[str, Any]) -> Call:
+    return replace(call, query={}, headers={"Accept": "image/png"})
+
+
+def shipped(call: Call, _operation: dict[str, Any]) -> Call:
+    return replace(call, where={"name": "slider-crank"})
+
+
+#: From a call that succeeds to one that is refused.
+WRONG: dict[int, Callable[[Call, dict[str, Any]], Call]] = {
+    400: unreadable,
+    404: unknown,
+    406: unwanted,
+    409: shipped,
+    412: conditional,
+    413: too_large,
+    415: of_no_type,
+    422: wrong,
+}
+
+
+def shown(answered: httpx.Response) -> Any:
+    """An answer as its example: JSON, the first event of a stream, the beginning of a text."""
+    kind = answered.headers.get("content-type", "").partition(";")[0]
+    if kind.endswith("json"):
+        return shortened(answered.json())
+    if kind == "text/event-stream":
+        first = answered.text.partition("\n\n")[0]
+        return dict(line.split(": ", 1) for line in first.splitlines())
+    return shortened(answered.text)
+
+
+def shortened(node: Any) -> Any:
+    """A copy with three items of every list, six digits of every number, the beginning of every long text."""
+    if isinstance(node, dict):
+        return {name: shortened(child) for name, child in node.items()}
+    if isinstance(node, list):
+        return [shortened(child) for child in node[: examples.ITEMS]]
+    if isinstance(node, float):
+        return float(f"{node:.6g}")
+    if isinstance(node, str) and len(node) > examples.TEXT:
+        return f"{node[: examples.TEXT]}…"
+    return node
