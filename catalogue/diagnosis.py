@@ -266,7 +266,9 @@ def answer(
                 prepared.drive_speed,
                 dict(mapping or {}),
                 asked,
-                known and known.sha256,
+                # What a sender has said of the file: units, sensitivities, a full scale.
+                list(prepared.notes),
+                known and [known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
             ]
         )[:32],
         "machine": catalogue.machine.name,

@@ -29,7 +29,7 @@ from solver.spectra.bands import BandScheme
 __all__ = ["Catalogue", "EntryTable", "StoredEntry"]
 
 KEPT_SHARDS = 8
-"""Shards kept in memory (half a megabyte each): neighbouring draws of a hypothesis lie in one for each contact law."""
+"""Shards kept in memory (a megabyte each): neighbouring draws of a hypothesis lie in one for each contact law."""
 
 
 class Catalogue:
