@@ -13,11 +13,13 @@ from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from app.problems import Problem
 from app.schemas import DiagnosisRequest
 from app.service import speed_of
+from app.told import TOLD
 from app.uploads import media_type
 from catalogue.sensors import matched_by_name
 from solver.machines.machine import Machine
 
-UPLOAD = ("catalogue", "file", "sample_rate")
+SAID = tuple(sorted(TOLD))
+UPLOAD = ("catalogue", "file", *SAID)
 CONFIRM = ("measurement", "catalogue", "speed", "effort", "mode", "mapping")
 NOT_USED = "-"
 URLENCODED = "application/x-www-form-urlencoded"

@@ -26,16 +26,18 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     Returns
     -------
     dict
-        ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found; ``warnings``; ``field`` and
-        ``message``: what has to be put right first, empty where nothing has.
+        ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found; ``tacho``: whether pulses say it;
+        ``warnings``; ``field`` and ``message``: what has to be put right first, empty where nothing has.
     """
     from catalogue.errors import MeasurementError
     from catalogue.features import prepare
+    from catalogue.measurement import Measurement
     from catalogue.sensors import map_sensors
 
     measurement = read(path, name, told)
     found = opened(catalogue, stamp)
     answer: dict[str, Any] = {"speed_rpm": None, "uncertainty_rpm": None, "warnings": [], "field": "", "message": ""}
+    answer["tacho"] = isinstance(measurement, Measurement) and measurement.turns is not None
     field = "mapping"
     try:
         map_sensors(measurement, found.machine)

@@ -39,6 +39,7 @@ def confirmation(
         "facts": [
             ("Machine", f"{offer.description.machine}, {offer.description.entries} cases in {offer.description.name}"),
             *extents(summary),
+            *((("You said", said(measurement.told.shown)),) if measurement.told.shown else ()),
         ],
         "columns": [
             {
@@ -73,13 +74,34 @@ def extents(summary: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     )
 
 
+def said(told: Mapping[str, Any]) -> str:
+    """Return what a sender said of a file, in one line."""
+    flat: dict[str, Any] = {}
+    for name, value in told.items():
+        if name == "sample_rate_hz":
+            flat["sample_rate"] = f"{value:g} Hz"
+        else:
+            flat.update(value if name == "profile" else {name: value})
+    return "; ".join(f"{name.replace('_', ' ')} {plainly(value)}" for name, value in flat.items())
+
+
+def plainly(value: Any) -> str:
+    """Return a JSON value as a reader writes it."""
+    if isinstance(value, Mapping):
+        return ", ".join(plainly(each) if name == "*" else f"{name}: {plainly(each)}" for name, each in value.items())
+    if isinstance(value, list):
+        return ", ".join(plainly(each) for each in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def speed_hint(found: Mapping[str, Any], offer: Offer) -> str:
     """Return where the drive speed comes from, in a sentence."""
     nominal = offer.description.nominal_speed_rpm
     usual = f" The machine's own is {nominal:.4g} rpm." if nominal is not None else ""
     if found["speed_rpm"] is None:
         return f"It was not found in the recording: write it here.{usual}"
+    source = "By the pulses of the tacho" if found["tacho"] else "Found in the recording"
     return (
-        f"Found in the recording: {found['speed_rpm']:.6g} ± {found['uncertainty_rpm']:.2g} rpm (standard uncertainty)."
+        f"{source}: {found['speed_rpm']:.6g} ± {found['uncertainty_rpm']:.2g} rpm (standard uncertainty)."
         f" Write another one if you know better.{usual}"
     )

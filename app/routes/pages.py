@@ -20,7 +20,7 @@ from app import understanding
 from app.errors import AppError, BadFieldError
 from app.etags import respond
 from app.handlers import note, problem_from
-from app.page_forms import CONFIRM, UPLOAD, messages_of, plain_form, wanted
+from app.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, wanted
 from app.page_templates import is_fragment, templates
 from app.problems import Problem
 from app.service import Service, of_request
@@ -166,7 +166,9 @@ async def refuse(
     if is_fragment(request):
         members = {"summary": summary, "fields": fields, "messages": messages}
         return templates.TemplateResponse(request, "fragment.html", members, problem.status, headers)
-    whole = await context(request, chosen=dict(given))
+    whole = await context(
+        request, chosen=dict(given), told_open=any(name in messages or name in given for name in SAID)
+    )
     if page == "confirm.html":
         try:
             whole = await understood(request, given)
@@ -187,6 +189,7 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
         "catalogues": [offer.description for offer in offers],
         "chosen": {},
         "messages": {},
+        "told_open": False,
         "result": None,
         "summary": None,
         "max_bytes": settings.max_upload_bytes,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import html
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from small_service import spoiled
 
 from app import main
+from app.told import TOLD
 
 VENDOR = main.STATIC / "vendor"
 
@@ -74,7 +76,7 @@ def place(client: httpx.Client, worn: bytes) -> str:
 def error_of(text: str, field: str) -> str:
     found = re.search(rf'<p class="error" id="error-{field}"[^>]*>([^<]*)</p>', text)
     assert found is not None
-    return found[1]
+    return html.unescape(found[1])
 
 
 def test_only_own_files_are_loaded(client: httpx.Client) -> None:
@@ -104,7 +106,7 @@ def test_every_field_has_a_label_and_a_place_for_its_error(client: httpx.Client,
     page = Page(client.get(place if step == "confirm" else step).text)
     assert len(page.ids) == len(set(page.ids))
     shown = [field for field in page.fields if field.get("type") != "hidden" and field["id"] != "other-catalogue"]
-    assert len(shown) == (7 if step == "confirm" else 3)
+    assert len(shown) == (7 if step == "confirm" else 2 + len(TOLD))
     for field in shown:
         assert field["id"] in page.labels
         described = str(field["aria-describedby"]).split()
@@ -186,6 +188,12 @@ def test_the_drawing_of_a_result_can_move(client: httpx.Client, place: str) -> N
     ("fields", "field", "text"),
     [
         ({"sample_rate": "3 kg"}, "sample_rate", "3 kg"),
+        ({"units": '{"s1-x": 3}'}, "units", "s1-x: 3"),
+        ({"full_scale": "5 g"}, "full_scale", "does not hold fractions of one"),
+        ({"sensitivity": "9 mV/g"}, "sensitivity", "no column is in V"),
+        ({"tacho": "key"}, "tacho", "columns are time"),
+        ({"window": "hann"}, "window", "holds a recording over time"),
+        ({"profile": "skip_lines: -1"}, "profile", "skip_lines"),
         ({"catalogue": "nonsense"}, "catalogue", "there is none"),
         ({"catalogue": ""}, "catalogue", "choose a catalogue"),
     ],
@@ -195,7 +203,8 @@ def test_a_wrong_field_of_the_upload_is_told_beside_it(
     client: httpx.Client, worn: bytes, fields: dict[str, str], field: str, text: str, htmx: bool
 ) -> None:
     response = send(client, worn, htmx=htmx, **fields)
-    assert_told(response, field, text, {"catalogue", "file", "sample_rate"})
+    assert_told(response, field, text, {"catalogue", "file", *TOLD})
+    assert htmx or re.search(r"<details\s+(open)?>", response.text)[1] == ("open" if field in TOLD else None)
 
 
 @pytest.mark.parametrize(
@@ -285,3 +294,19 @@ def test_an_unknown_result_is_a_page(client: httpx.Client) -> None:
 
 def test_static_files_are_packaged() -> None:
     assert Path(main.STATIC / "page.css").is_file()
+
+
+def test_what_the_file_does_not_say_is_asked_for_and_shown(client: httpx.Client, worn: bytes) -> None:
+    bare = b"a,b,c,d\n" + b"\n".join(line.partition(b",")[2] for line in worn.splitlines()[1:])
+    given: dict[str, str] = {}
+    for field, text, value in (
+        ("units", "has no unit", "m/s2"),
+        ("sample_rate", "give the sample rate", "10 kHz"),
+    ):
+        response = send(client, bare, **given)
+        assert_told(response, field, text, {"catalogue", "file", *TOLD})
+        for name, said in given.items():
+            assert f'name="{name}" type="text"' in response.text and f'value="{said}"' in response.text
+        given[field] = value
+    shown = client.get(send(client, bare, **given).headers["location"])
+    assert "sample rate 10000 Hz; units m/s2" in shown.text
