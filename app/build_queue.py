@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, get_args
 
 from sqlalchemy import Double, String, Text, and_, func, or_, select
 from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
@@ -65,6 +65,14 @@ class Beat:
 
     owned: bool
     cancel: bool
+
+
+class Running(NamedTuple):
+    """How far all builds are that run, together."""
+
+    done: int
+    total: int
+    rate: float
 
 
 class BuildQueue:
@@ -127,6 +135,15 @@ class BuildQueue:
         """Return builds, the newest first, from below a row number on."""
         with self._database.reading() as session:
             return list(session.scalars(newest(session, BuildRow, before, limit)))
+
+    def counts(self) -> tuple[dict[State, int], Running]:
+        """Return how many builds are in each state, and how far those are that run."""
+        sums = (func.sum(BuildRow.cases_done), func.sum(BuildRow.cases_total), func.sum(BuildRow.rate_per_s))
+        with self._database.reading() as session:
+            found = session.execute(select(BuildRow.state, func.count(), *sums).group_by(BuildRow.state)).all()
+        rows = {state: (count, Running(done, total, rate)) for state, count, done, total, rate in found}
+        counts = {state: rows[state][0] if state in rows else 0 for state in get_args(State)}
+        return counts, rows["running"][1] if "running" in rows else Running(0, 0, 0.0)
 
     def claim(self, owner: str, seconds: float) -> BuildRow | None:
         """Take the oldest build that nobody works on, for a while; ``None`` where there is none.

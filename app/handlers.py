@@ -57,12 +57,13 @@ def problem_from(error: Exception) -> Problem:
 
 
 async def handle(request: Request, error: Exception) -> Response:
-    """Answer an exception; those that are our own fault are logged whole."""
+    """Answer an exception; those that nobody foresaw are logged whole."""
     problem = problem_from(error)
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
         problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(allowed(request))})
     if problem.status >= 500:
-        log.error("%s", problem.detail, exc_info=error)
+        known = isinstance(error, AppError) and problem.status != 500
+        log.error("%s", problem.detail, exc_info=None if known else error)
     return answer(request, problem)
 
 

@@ -22,6 +22,7 @@ from app.keys import Keys
 from app.limits import BodyLimit
 from app.logs import LogSettings
 from app.machine_store import MachineStore
+from app.metrics import Metrics
 from app.request_log import RequestLog
 from app.routes import (
     assets,
@@ -62,20 +63,22 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         Whether workers start at once and load what they need, in the background, in place of with the first request.
     """
     chosen = settings if settings is not None else Settings()
+    metrics = Metrics()
 
     @asynccontextmanager
     async def lifespan(application: FastAPI) -> AsyncIterator[None]:
         store = Store(chosen.data, chosen.database)
         log = LogSettings(chosen.log_format, chosen.log_level)
-        pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log)
+        pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log, metrics)
         put_there = MachineStore(chosen.data / "machines")
         queue = BuildQueue(store.database)
         runner = BuildRunner(queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log)
-        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner)
+        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner, metrics)
+        metrics.watch(service)
         application.state.service = service
         application.state.keys = Keys(store.database)
         runner.start()
-        sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private)
+        sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.delivered)
         sender.start()
         warming = asyncio.create_task(service.warm()) if warm else None
         try:
@@ -118,7 +121,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         BodyLimit, upload_bytes=chosen.max_upload_bytes, receive_timeout=chosen.receive_timeout_s
     )
     application.add_middleware(Gate, settings=chosen)
-    application.add_middleware(RequestLog, templates=templates)
+    application.add_middleware(RequestLog, templates=templates, metrics=metrics)
     application.add_middleware(SecurityHeaders)
     application.openapi = openapi.documented(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 import secrets
@@ -15,7 +16,10 @@ from starlette.routing import compile_path
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
+from app.errors import NotReadyError
 from app.handlers import handle
+from app.metrics import Metrics
+from app.uploads import MULTIPART
 
 HEADER = "X-Request-ID"
 SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")
@@ -34,10 +38,13 @@ class RequestLog:
         The application behind.
     templates : sequence of str
         Of all routes.
+    metrics : Metrics
+        Counts answers.
     """
 
-    def __init__(self, app: ASGIApp, templates: Sequence[str]) -> None:
+    def __init__(self, app: ASGIApp, templates: Sequence[str], metrics: Metrics) -> None:
         self._app = app
+        self._metrics = metrics
         self._templates = Templates(templates)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -65,6 +72,12 @@ class RequestLog:
             await self._app(scope, receive, noted)
         except ClientDisconnect:
             pass
+        except asyncio.CancelledError:
+            # The server is ending, and does not wait any longer.
+            if status is None:
+                error = NotReadyError("the service is stopping, and this was not done; try again in a few seconds")
+                await (await handle(Request(scope), error))(scope, receive, noted)
+            raise
         except Exception as error:
             # Not left to the framework: its answer would be without an id and without the headers of all others.
             if status is not None:
@@ -75,9 +88,11 @@ class RequestLog:
             self._note(scope, GONE if status is None else status, time.perf_counter() - began)
 
     def _note(self, scope: Scope, status: int, seconds: float) -> None:
+        route = self._templates.of(scope["path"])
+        self._metrics.answered(scope["method"], route, status, seconds)
         told: dict[str, Any] = {
             "method": scope["method"],
-            "route": self._templates.of(scope["path"]),
+            "route": route,
             "path": scope["path"],
             "status": status,
             "duration_ms": round(1000 * seconds, 1),
@@ -85,6 +100,8 @@ class RequestLog:
         }
         if "problem" in scope["state"]:
             told["problem"] = scope["state"]["problem"]
+            if scope["method"] == "POST" and Headers(scope=scope).get("content-type", "").startswith(MULTIPART):
+                self._metrics.refused(told["problem"])
         log.info("request", extra={logs.MEMBERS: told})
 
 

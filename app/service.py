@@ -21,6 +21,7 @@ from app.catalogues import CatalogueShelf, Offer
 from app.entries import EntryShelf
 from app.errors import BadFieldError, TimeLimitError, WorkerDiedError
 from app.machine_store import MachineStore
+from app.metrics import Metrics
 from app.schemas import DiagnosisRequest
 from app.settings import Settings
 from app.storage import DiagnosisRow, MeasurementRow, Store, Upload
@@ -60,6 +61,7 @@ class Service:
     machines: MachineStore
     builds: BuildQueue
     runner: BuildRunner
+    metrics: Metrics
     entries: EntryShelf = field(default_factory=EntryShelf)
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server is to stop: answers that go on and on then end."""
@@ -157,6 +159,7 @@ class Service:
 
     def keep(self, request: DiagnosisRequest, asked: Asked, result: Mapping[str, Any]) -> DiagnosisRow:
         """Store a diagnosis, with what is told of it."""
+        self.metrics.diagnosed(result)
         return self.store.add_diagnosis(
             request.measurement,
             asked.offer.description.id,

@@ -73,6 +73,11 @@ class Settings(BaseSettings):
     webhooks_private: bool = Field(
         default=False, description="Whether webhooks may lead to addresses that are not public, such as 10.0.0.5."
     )
+    stop_limit_s: float = Field(
+        default=30.0,
+        ge=0.0,
+        description="Longest time that answers have to end after SIGTERM, in seconds; those that do not get a 503.",
+    )
     log_format: Literal["text", "json"] = Field(
         default="text", description="Form of the log on stderr: text, or json with one object a line."
     )

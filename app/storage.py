@@ -21,7 +21,7 @@ from sqlalchemy.engine import URL
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from app.database import Database, UtcDateTime, database_url
-from app.errors import UnknownDiagnosisError, UnknownMeasurementError
+from app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
 from app.told import Told
 from catalogue.directory import sync_folder
 
@@ -127,6 +127,7 @@ class Store:
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = Database(database_url(url) if url else file, Base.metadata)
         self._session = self.database.session
+        self._opened = self._identity()
         self._lock = threading.Lock()
         self._in_use: Counter[str] = Counter()
 
@@ -134,10 +135,43 @@ class Store:
         """Let go of the database."""
         self.database.close()
 
-    def ready(self) -> bool:
-        """Return whether the database answers."""
+    def ready(self) -> None:
+        """Ask the database for something.
+
+        Raises
+        ------
+        SQLAlchemyError
+            When it does not answer.
+        NotReadyError
+            When its file was taken away, or another lies in its place: what is written would be lost.
+        """
+        if self._identity() != self._opened:
+            raise NotReadyError("its file is not the one that was opened")
         with self._session() as session:
-            return bool(session.execute(text("SELECT 1")).scalar_one())
+            session.execute(text("SELECT 1")).scalar_one()
+
+    def try_writing(self) -> None:
+        """Write a file where uploads go, and delete it.
+
+        Raises
+        ------
+        OSError
+            When that cannot be done.
+        """
+        with tempfile.NamedTemporaryFile(dir=self._files, prefix=PARTIAL) as attempt:
+            attempt.write(b"?")
+            attempt.flush()
+
+    def _identity(self) -> tuple[int, int] | None:
+        """Tell the database's file from others; None where it is no file, or there is none any more."""
+        path = self.database.engine.url.database
+        if not self.database.is_sqlite or not path:
+            return None
+        try:
+            found = os.stat(path)
+        except FileNotFoundError:
+            return None
+        return found.st_dev, found.st_ino
 
     def receive(self, source: BinaryIO) -> Upload:
         """Copy an upload below the directory, named by its content, and return where it is.

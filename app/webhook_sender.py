@@ -13,6 +13,7 @@ import socket
 import ssl
 import threading
 import time
+from collections.abc import Callable
 from urllib.parse import SplitResult, urlsplit
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -204,9 +205,12 @@ class WebhookSender:
     webhooks : Webhooks
     private : bool
         Whether addresses that are not public may be told.
+    count : callable, optional
+        Called after every attempt: ``delivered``, ``failed``, or ``given_up`` after the last that failed.
     """
 
-    def __init__(self, webhooks: Webhooks, private: bool) -> None:
+    def __init__(self, webhooks: Webhooks, private: bool, count: Callable[[str], None] = lambda _outcome: None) -> None:
+        self._count = count
         self._webhooks = webhooks
         self._private = private
         self._stop = threading.Event()
@@ -241,11 +245,16 @@ class WebhookSender:
             send(taken, self._private)
         except (NotDeliveredError, BadFieldError) as error:
             log.warning("webhook delivery %s, attempt %d: %s", taken.id, taken.attempts, error)
-            self._webhooks.settle(taken, now(), str(error))
+            self._failed(taken, str(error))
         except Exception:
             # Whatever it is, it must neither end the thread nor come again without end.
             log.exception("webhook delivery %s, attempt %d", taken.id, taken.attempts)
-            self._webhooks.settle(taken, now(), "failed in a way that was not foreseen; the log has the details")
+            self._failed(taken, "failed in a way that was not foreseen; the log has the details")
         else:
             self._webhooks.settle(taken, now())
+            self._count("delivered")
         return True
+
+    def _failed(self, taken: Taken, error: str) -> None:
+        self._webhooks.settle(taken, now(), error)
+        self._count("given_up" if taken.is_last else "failed")

@@ -77,6 +77,11 @@ class Taken:
     body: str
     attempts: int
 
+    @property
+    def is_last(self) -> bool:
+        """Return whether no attempt follows this one."""
+        return self.attempts > len(WAITS)
+
 
 class Webhooks:
     """The webhooks of a service.
@@ -161,7 +166,7 @@ class Webhooks:
         values: dict[str, Any] = {"error": error[:KEPT_ERROR]}
         if not error:
             values["state"] = "delivered"
-        elif taken.attempts > len(WAITS):
+        elif taken.is_last:
             values["state"] = "failed"
         else:
             values["due_at"] = moment + WAITS[taken.attempts - 1]

@@ -13,12 +13,13 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing.connection import wait
-from typing import Any
+from typing import Any, Protocol
 
 from app import logs
 from app.errors import BusyError, TimeLimitError, WorkerDiedError
@@ -42,6 +43,13 @@ class Outcome:
 
     value: Any = None
     problem: Problem | None = None
+
+    @property
+    def kind(self) -> str:
+        """Return whether it is a value (ok), or the fault of who asked (refused) or of the program (failed)."""
+        if self.problem is None:
+            return "ok"
+        return "refused" if self.problem.status < 500 else "failed"
 
     def result(self) -> Any:
         """Return the value.
@@ -100,22 +108,32 @@ class Worker:
         self._executor = ProcessPoolExecutor(
             1, multiprocessing.get_context("spawn"), initializer=prepare, initargs=(log_settings,)
         )
-        self._pid: int | None = None
+        self.pid: int | None = None
 
     async def run(self, task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
         """Run one task; the process is started when it is first needed."""
         loop = asyncio.get_running_loop()
-        if self._pid is None:
-            self._pid = await loop.run_in_executor(self._executor, os.getpid)
+        if self.pid is None:
+            self.pid = await loop.run_in_executor(self._executor, os.getpid)
         outcome: Outcome = await loop.run_in_executor(self._executor, attempt_for, logs.request_id(), task, args)
         return outcome
 
     def end(self) -> None:
         """Stop the process now, even in the middle of a task."""
-        if self._pid is not None:
+        if self.pid is not None:
             with contextlib.suppress(ProcessLookupError):
-                os.kill(self._pid, signal.SIGKILL)
+                os.kill(self.pid, signal.SIGKILL)
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+class Watch(Protocol):
+    """Is told how long tasks wait and work."""
+
+    def waited(self, task: str, seconds: float) -> None:
+        """A task has got a worker."""
+
+    def worked(self, task: str, outcome: str, seconds: float) -> None:
+        """A worker is done with a task: ok, refused, failed, time-limit, worker-died, cancelled."""
 
 
 class WorkerPool:
@@ -131,11 +149,18 @@ class WorkerPool:
         Longest time of one task [s]; waiting in the queue does not count.
     log_settings : LogSettings
         How the processes write their log.
+    watch : Watch, optional
     """
 
     def __init__(
-        self, workers: int, queue_limit: int, time_limit: float, log_settings: LogSettings = DEFAULT_LOG
+        self,
+        workers: int,
+        queue_limit: int,
+        time_limit: float,
+        log_settings: LogSettings = DEFAULT_LOG,
+        watch: Watch | None = None,
     ) -> None:
+        self._watch = watch
         self._log_settings = log_settings
         self._queue_limit = queue_limit
         self._time_limit = time_limit
@@ -169,25 +194,77 @@ class WorkerPool:
         if self._waiting >= self._queue_limit:
             raise BusyError(f"{self._waiting} requests wait for a worker already; try again in a few seconds")
         self._waiting += 1
+        asked = time.perf_counter()
         try:
             worker = await self._free.get()
         finally:
             self._waiting -= 1
+        began = time.perf_counter()
+        came_to = "failed"
         try:
             async with asyncio.timeout(self._time_limit):
                 outcome = await worker.run(task, args)
+            came_to = outcome.kind
         except TimeoutError:
+            came_to = "time-limit"
             worker = self._replace(worker)
             raise TimeLimitError(f"stopped after {self._time_limit:g} s, the time limit of this service") from None
-        except BrokenProcessPool:
+        except (BrokenProcessPool, OSError):
+            came_to = "worker-died"
             worker = self._replace(worker)
             raise WorkerDiedError("the process that computed this ended early, perhaps for want of memory") from None
         except asyncio.CancelledError:
+            came_to = "cancelled"
             worker = self._replace(worker)
             raise
         finally:
             self._free.put_nowait(worker)
+            if self._watch is not None:
+                self._watch.waited(task.__name__, began - asked)
+                self._watch.worked(task.__name__, came_to, time.perf_counter() - began)
         return outcome.result()
+
+    @property
+    def waiting(self) -> int:
+        """Number of tasks that wait for a worker."""
+        return self._waiting
+
+    @property
+    def busy(self) -> int:
+        """Number of workers that have a task."""
+        return len(self._workers) - self._free.qsize()
+
+    def processes(self) -> list[tuple[str, int]]:
+        """Return names and ids of the processes that were started."""
+        numbered = enumerate(list(self._workers))
+        return [(f"worker-{number}", worker.pid) for number, worker in numbered if worker.pid is not None]
+
+    async def check(self, seconds: float) -> bool:
+        """Return whether there is a worker that works; one that died meanwhile is replaced.
+
+        Parameters
+        ----------
+        seconds : float
+            Longest time that a process may take to start.
+        """
+        for _ in range(2):  # the second time with a fresh one
+            try:
+                worker = self._free.get_nowait()
+            except asyncio.QueueEmpty:
+                return True  # all of them are at work, and each under its time limit
+            try:
+                async with asyncio.timeout(seconds):
+                    await worker.run(os.getpid, ())
+                return True
+            except (TimeoutError, BrokenProcessPool, OSError) as error:
+                log.warning("a worker does not answer: %s", error or type(error).__name__)
+                worker = self._replace(worker)
+            except asyncio.CancelledError:
+                worker = self._replace(worker)
+                raise
+            finally:
+                self._free.put_nowait(worker)
+        return False
 
     def _replace(self, worker: Worker) -> Worker:
         """End a worker and return the one that takes its place."""

@@ -6,6 +6,7 @@ import ipaddress
 import logging
 import signal
 import socket
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,11 @@ def command(
             await super().shutdown(sockets)
 
     config = uvicorn.Config(
-        application, server_header=False, log_config=None, access_log=False, timeout_graceful_shutdown=30
+        application,
+        server_header=False,
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=ceil(settings.stop_limit_s),
     )
     server = Server(config)
     # The server takes SIGTERM itself, and sends it again when it has stopped: a stop in good order is no failure (0).

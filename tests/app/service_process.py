@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from threading import Thread
+from threading import Condition, Thread
 from typing import Any
 
 import httpx
+import psutil
 from command_line import JOINTPLAY
 
 
@@ -24,10 +25,39 @@ class ServiceProcess:
     process: subprocess.Popen[str]
     address: str = ""
     written: list[str] = field(default_factory=list)
+    heard: Condition = field(default_factory=Condition)
 
     def entries(self) -> list[dict[str, Any]]:
         """Lines of a log in JSON."""
         return [json.loads(line) for line in self.written]
+
+    def listen(self) -> None:
+        """Hear the process to its end."""
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            with self.heard:
+                self.written.append(line)
+                self.heard.notify_all()
+
+    def wait_for(self, pattern: str) -> re.Match[str]:
+        """Wait until a line that fits was written."""
+
+        def found() -> re.Match[str] | None:
+            return next((match for line in self.written if (match := re.search(pattern, line))), None)
+
+        with self.heard:
+            match = self.heard.wait_for(found, 90)
+        assert match is not None, "".join(self.written)
+        return match
+
+    def worker(self) -> int:
+        """Process of the one worker that it has; builds are none of its."""
+        (found,) = [
+            child.pid
+            for child in psutil.Process(self.process.pid).children()
+            if "spawn_main" in " ".join(child.cmdline())
+        ]
+        return int(found)
 
 
 @contextmanager
@@ -37,25 +67,16 @@ def service_process(folder: Path, *options: str, **environment: str) -> Iterator
     command += ["--catalogues", str(folder / "catalogues"), "--data", str(folder / "data"), *options]
     given = {f"JOINTPLAY_{name.upper()}": value for name, value in environment.items()}
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, **given}) as process:
-        assert process.stderr is not None
         running = ServiceProcess(process)
+        listener = Thread(target=running.listen)
+        listener.start()
         try:
-            for line in iter(process.stderr.readline, ""):
-                running.written.append(line)
-                if found := re.search(r"serving (http://127\.0\.0\.1:\d+)", line):
-                    running.address = found[1]
-                if "startup complete" in line:
-                    break
-            assert running.address, "".join(running.written)
-            rest = Thread(target=running.written.extend, args=(process.stderr,))
-            rest.start()
-            try:
-                yield running
-            finally:
-                process.kill()  # what has ended by itself is not concerned
-                rest.join()
+            running.address = running.wait_for(r"serving (http://127\.0\.0\.1:\d+)")[1]
+            running.wait_for("startup complete")
+            yield running
         finally:
-            process.kill()
+            process.kill()  # what has ended by itself is not concerned
+            listener.join()
 
 
 def client_of(running: ServiceProcess) -> httpx.Client:

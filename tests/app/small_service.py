@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import uvicorn
+from fastapi import FastAPI
 
 from app.main import create_app
 from app.settings import Settings
@@ -24,7 +25,14 @@ PLAN = {
 @contextmanager
 def serving(settings: Settings, *, warm: bool = False) -> Iterator[str]:
     """Run a real server in a thread; gives its address."""
-    server = uvicorn.Server(uvicorn.Config(create_app(settings, warm=warm), port=0, log_level="warning"))
+    with running(create_app(settings, warm=warm)) as address:
+        yield address
+
+
+@contextmanager
+def running(application: FastAPI) -> Iterator[str]:
+    """Run an application by a real server in a thread; gives its address."""
+    server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning"))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     deadline = time.monotonic() + 30

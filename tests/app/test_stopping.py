@@ -1,0 +1,100 @@
+"""SIGTERM: what runs may end, what may not is told so, nothing new is begun, and the exit status says that all is well."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import psutil
+import pytest
+from service_process import ServiceProcess, client_of, service_process
+from small_service import PLAN
+
+API = "/api/v1"
+BUILD = {"machine": "slider-crank", "plan": PLAN, "catalogue": "made"}
+
+
+@contextmanager
+def held(running: ServiceProcess, worn: bytes) -> Iterator[tuple[psutil.Process, Future[httpx.Response]]]:
+    """A diagnosis that is with a worker, which is held: gives the worker, and the answer to come."""
+
+    def busy() -> float:
+        with client_of(running) as client:
+            lines = client.get("/metrics").text.splitlines()
+        return float(next(line for line in lines if line.startswith("jointplay_workers_busy ")).split()[1])
+
+    def ask() -> httpx.Response:
+        question = {"catalogue": "slider-crank", "effort": "fast"}
+        with client_of(running) as client:
+            return client.post(f"{API}/diagnoses", files={"file": ("w.csv", worn)}, data=question)
+
+    while busy():  # it loads what it needs
+        pass
+    worker = psutil.Process(running.worker())
+    worker.suspend()
+    try:
+        with ThreadPoolExecutor(1) as thread:
+            answer = thread.submit(ask)
+            while not busy():
+                pass
+            yield worker, answer
+    finally:
+        if worker.is_running():
+            worker.resume()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, shelf: Path) -> Path:
+    (tmp_path / "catalogues").mkdir()
+    (tmp_path / "catalogues" / "slider-crank").symlink_to(shelf / "slider-crank")
+    return tmp_path
+
+
+def test_what_runs_is_answered_and_streams_end(folder: Path, worn: bytes) -> None:
+    with service_process(folder, builds="0") as running, client_of(running) as client:
+        place = client.post(f"{API}/builds", json=BUILD).headers["location"]
+        with held(running, worn) as (worker, answer), client.stream("GET", f"{place}/events") as stream:
+            lines = stream.iter_lines()
+            assert next(lines) == "event: state"
+            running.process.send_signal(signal.SIGTERM)
+            rest = list(lines)  # it ends, though the build has not
+            running.wait_for("Waiting for (connections to close|background tasks)")
+            with pytest.raises(httpx.ConnectError):
+                httpx.get(f"{running.address}/healthz")
+            assert not answer.done()
+            worker.resume()
+            response = answer.result(60)
+        assert (response.status_code, rest[-1]) == (201, "")
+        assert running.process.wait(60) == 0
+    assert not psutil.pid_exists(worker.pid)
+
+
+def test_what_takes_longer_than_the_limit_is_told(folder: Path, worn: bytes) -> None:
+    with service_process(folder, builds="0", stop_limit_s="1") as running, held(running, worn) as (worker, answer):
+        running.process.send_signal(signal.SIGTERM)
+        response = answer.result(60)
+        assert running.process.wait(60) == 0
+    assert response.status_code == 503, response.text
+    assert response.headers["retry-after"] == "5"
+    assert response.json()["type"] == "urn:jointplay:problem:not-ready"
+    assert "stopping" in response.json()["detail"]
+    assert not psutil.pid_exists(worker.pid)
+
+
+def test_a_build_is_given_back(folder: Path) -> None:
+    with service_process(folder) as running, client_of(running) as client:
+        place = client.post(f"{API}/builds", json=BUILD).headers["location"]
+        with client.stream("GET", f"{place}/events") as stream:
+            next(line for line in stream.iter_lines() if '"running"' in line)
+            children = psutil.Process(running.process.pid).children(recursive=True)
+            os.kill(running.process.pid, signal.SIGTERM)
+            assert running.process.wait(60) == 0
+        assert psutil.wait_procs(children, 30)[1] == []
+    with service_process(folder, builds="0") as running, client_of(running) as client:
+        found = client.get(place).json()
+    assert (found["state"], found["attempts"]) == ("queued", 0)
