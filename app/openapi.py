@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "1.19.0"
+API_VERSION = "1.20.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {

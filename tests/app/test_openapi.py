@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.19.0", "bfe4b7c5f697d2b2")
+OF_VERSION = ("1.20.0", "9953ab9d211546c8")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 

@@ -1,4 +1,4 @@
-"""SIGTERM: what runs may end, what may not is told so, nothing new is begun, and the exit status says that all is well."""
+"""SIGTERM: what runs may end, what may not is told so, nothing new begins, and the exit status says all is well."""
 
 from __future__ import annotations
 
