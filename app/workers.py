@@ -7,7 +7,6 @@ worker, which is replaced, and never the service.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import multiprocessing
 import os
@@ -119,10 +118,9 @@ class Worker:
         return outcome
 
     def end(self) -> None:
-        """Stop the process now, even in the middle of a task."""
-        if self.pid is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGKILL)
+        """Stop the process now, even in the middle of a task, or of its start."""
+        for process in list((self._executor._processes or {}).values()):  # kill_workers() from Python 3.14 on
+            process.kill()
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 

@@ -33,8 +33,7 @@ def held(running: ServiceProcess, worn: bytes) -> Iterator[tuple[psutil.Process,
         with client_of(running) as client:
             return client.post(f"{API}/diagnoses", files={"file": ("w.csv", worn)}, data=question)
 
-    while busy():  # it loads what it needs
-        pass
+    running.wait_for("task warm has ended")
     worker = psutil.Process(running.worker())
     worker.suspend()
     try:
@@ -56,7 +55,7 @@ def folder(tmp_path: Path, shelf: Path) -> Path:
 
 
 def test_what_runs_is_answered_and_streams_end(folder: Path, worn: bytes) -> None:
-    with service_process(folder, builds="0") as running, client_of(running) as client:
+    with service_process(folder, builds="0", log_level="debug") as running, client_of(running) as client:
         place = client.post(f"{API}/builds", json=BUILD).headers["location"]
         with held(running, worn) as (worker, answer), client.stream("GET", f"{place}/events") as stream:
             lines = stream.iter_lines()
@@ -75,7 +74,10 @@ def test_what_runs_is_answered_and_streams_end(folder: Path, worn: bytes) -> Non
 
 
 def test_what_takes_longer_than_the_limit_is_told(folder: Path, worn: bytes) -> None:
-    with service_process(folder, builds="0", stop_limit_s="1") as running, held(running, worn) as (worker, answer):
+    with (
+        service_process(folder, builds="0", log_level="debug", stop_limit_s="1") as running,
+        held(running, worn) as (worker, answer),
+    ):
         running.process.send_signal(signal.SIGTERM)
         response = answer.result(60)
         assert running.process.wait(60) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import multiprocessing
 import os
 import signal
 import time
@@ -80,6 +81,25 @@ def test_a_worker_that_dies_is_replaced() -> None:
         try:
             with pytest.raises(WorkerDiedError):
                 await pool.run(die)
+            assert await pool.run(double, 1) == 2
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_a_process_that_does_not_even_start_is_ended() -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 60.0)
+        try:
+            starting = asyncio.create_task(pool.run(pid))
+            while not (started := [each for each in multiprocessing.active_children() if "Spawn" in each.name]):
+                await asyncio.sleep(0)
+            (process,) = (each.pid for each in started if each.pid is not None)
+            os.kill(process, signal.SIGSTOP)
+            starting.cancel()
+            await asyncio.wait([starting])
+            assert await gone(process)
             assert await pool.run(double, 1) == 2
         finally:
             pool.close()
