@@ -67,7 +67,8 @@ def read_csv(
         Naming file, line and column: no table, no header, a cell that is not a finite number, rows of different length.
     """
     text, encoding = _decode(data, source)
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     head = list(itertools.islice(io.StringIO(text), HEAD_LINES))
     layout = find_layout(head, dialects_of(delimiter, decimal), skipped)
     if layout is None:

@@ -113,7 +113,7 @@ def plain_table(text: str, delimiter: str, columns: int) -> npt.NDArray[np.float
     """
     if not text.isascii():
         return None
-    content = text if text.endswith("\n") else text + "\n"
-    table = np.empty((content.count("\n"), columns))
-    rows = _filled(np.frombuffer(content.encode("ascii"), np.uint8), ord(delimiter), POWERS, table)
+    content = np.frombuffer((text if text.endswith("\n") else text + "\n").encode("ascii"), np.uint8)
+    table = np.empty((np.count_nonzero(content == NEWLINE), columns))
+    rows = _filled(content, ord(delimiter), POWERS, table)
     return table if rows == len(table) else None

@@ -45,6 +45,16 @@ class Dialect:
             fields.pop()
         return fields
 
+    def rules_out(self, line: str) -> bool:
+        """Whether a line is surely no row of numbers, at a glance: most lines are none in most dialects.
+
+        A field that may stand in a table holds one decimal sign at most, and a comma only where that is it.
+        """
+        if self.decimal == ".":
+            return self.delimiter != "," and "," in line
+        fields = len(line.split()) if self.delimiter == " " else line.count(self.delimiter) + 1
+        return line.count(".") + line.count(",") > fields
+
     def number(self, field: str) -> float | None:
         """Value of a field, or None when it is not a finite number."""
         plain = field.replace(",", ".") if self.decimal == "," else field
@@ -102,8 +112,13 @@ def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, sk
         line above (the header), then the one with most columns. None when no dialect does.
     """
     best: tuple[tuple[bool, int, int], Layout] | None = None
+    candidates = [
+        (index, line)
+        for index, line in enumerate(lines[skipped:], start=skipped)
+        if line.strip() and not is_comment(line)
+    ]
     for preference, dialect in enumerate(dialects):
-        layout = _table_of(lines, dialect, skipped)
+        layout = _table_of(candidates, dialect)
         if layout is None:
             continue
         header = header_line(lines, layout)
@@ -138,10 +153,12 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "%", "//"))
 
 
-def _table_of(lines: Sequence[str], dialect: Dialect, skipped: int) -> Layout | None:
+def _table_of(lines: Sequence[tuple[int, str]], dialect: Dialect) -> Layout | None:
+    """Return the first table in numbered lines that are neither blank nor a comment."""
     first, columns, found = 0, 0, 0
-    for index, line in enumerate(lines):
-        if index < skipped or not line.strip() or is_comment(line):
+    for index, line in lines:
+        if dialect.rules_out(line):
+            found = 0
             continue
         fields = dialect.split(line)
         if all(map(dialect.is_cell, fields)):
