@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import threading
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from app.errors import UnknownCatalogueError
 from app.schemas import CatalogueDetail, SensorItem
@@ -41,6 +43,12 @@ class Offer:
     stamp: str
     machine: Machine
     description: CatalogueDetail
+
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """The machine as JSON values."""
+        document: dict[str, Any] = json.loads(self.machine.canonical_json())
+        return document
 
 
 class CatalogueShelf:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -124,6 +125,7 @@ class Database:
             event.listen(self.engine, "connect", configure)
             event.listen(self.engine, "begin", begin)
         self.session = sessionmaker(self.engine, expire_on_commit=False)
+        self._writer = threading.Lock()
         try:
             self._update(metadata)
         except BaseException:
@@ -138,10 +140,19 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[Session]:
-        """A transaction that writes, all or nothing; SQLite lets one in at a time, from its beginning on."""
-        with self.session.begin() as session:
-            session.connection(execution_options={"writes": True})
-            yield session
+        """A transaction that writes, all or nothing; SQLite lets one in at a time, from its beginning on.
+
+        Threads of this process wait for each other here: SQLite's own way to wait is to sleep up to 100 ms and to look
+        again. What lasts too long is left to SQLite, which knows what to say.
+        """
+        held = self.is_sqlite and self._writer.acquire(timeout=WAIT_S)
+        try:
+            with self.session.begin() as session:
+                session.connection(execution_options={"writes": True})
+                yield session
+        finally:
+            if held:
+                self._writer.release()
 
     def find(self, table: type[Row], key: str) -> Row | None:
         """Return the row of a table whose ``id`` is `key`; None where there is none.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -24,9 +23,9 @@ from app.machine_store import MachineStore
 from app.metrics import Metrics
 from app.schemas import DiagnosisRequest
 from app.settings import Settings
-from app.storage import DiagnosisRow, MeasurementRow, Store, Upload
+from app.storage import DiagnosisRow, MeasurementRow, NewDiagnosis, Store, Upload
 from app.told import Told
-from app.workers import WorkerPool
+from app.workers import TaskFailedError, WorkerPool
 from solver.errors import UnitError
 from solver.machines.units import ANGULAR_SPEED, to_si
 
@@ -101,7 +100,8 @@ class Service:
         row, asked = await run_in_threadpool(self.about_stored, request)
         recording = (str(self.store.path_of(row.sha256)), row.name, row.told)
         result = await self.pool.run(tasks.diagnose, *recording, asked.question)
-        return await run_in_threadpool(self.keep, request, asked, result)
+        self.metrics.diagnosed(result)
+        return await run_in_threadpool(self.store.add_diagnosis, self.new_diagnosis(request, asked, result))
 
     async def diagnose_upload(self, upload: Upload, name: str, told: Told, request: DiagnosisRequest) -> DiagnosisRow:
         """Store an uploaded recording and diagnose it: the same as both calls by themselves, but it is read once.
@@ -127,8 +127,12 @@ class Service:
             # Perhaps it was the diagnosis that took too long, or too much memory.
             await self.add_measurement(upload, name, told)
             raise
-        await run_in_threadpool(self.store.add_measurement, upload, name, told, summary)
-        return await run_in_threadpool(self.keep, request, asked, outcome.result())
+        if outcome.problem is not None:
+            await run_in_threadpool(self.store.add_measurement, upload, name, told, summary)
+            raise TaskFailedError(outcome.problem)
+        self.metrics.diagnosed(outcome.value)
+        diagnosis = self.new_diagnosis(request, asked, outcome.value)
+        return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
 
     def about_stored(self, request: DiagnosisRequest) -> tuple[MeasurementRow, Asked]:
         """Return the measurement that a request names, and what else it names.
@@ -157,13 +161,12 @@ class Service:
         place = (str(offer.path), offer.stamp)
         return Asked(offer, asset, tasks.Question(*place, speed, request.effort, request.mode, mapping, baseline))
 
-    def keep(self, request: DiagnosisRequest, asked: Asked, result: Mapping[str, Any]) -> DiagnosisRow:
-        """Store a diagnosis, with what is told of it."""
-        self.metrics.diagnosed(result)
-        return self.store.add_diagnosis(
+    def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Mapping[str, Any]) -> NewDiagnosis:
+        """Return a diagnosis as it is stored, with what is told of it."""
+        return NewDiagnosis(
             request.measurement,
             asked.offer.description.id,
-            json.loads(asked.offer.machine.canonical_json()),
+            asked.offer.document,
             request.model_dump(mode="json"),
             result,
             lambda session, key: self.announce(session, key, request.measurement, asked.asset, result),

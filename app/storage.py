@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO, ClassVar, TypeVar
 
 from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select, text
 from sqlalchemy.engine import URL
@@ -80,6 +80,9 @@ class DiagnosisRow(Base):
     result: Mapped[dict[str, Any]]
 
 
+Row = TypeVar("Row", MeasurementRow, DiagnosisRow)
+
+
 @dataclass(frozen=True)
 class Upload:
     """A file on its way in.
@@ -97,6 +100,41 @@ class Upload:
     path: Path
     sha256: str
     size: int
+
+
+@dataclass(frozen=True)
+class NewDiagnosis:
+    """A diagnosis that is to be stored.
+
+    Parameters
+    ----------
+    measurement, catalogue, machine, request, result
+        As in :class:`DiagnosisRow`. Where the request names an asset, the diagnosis is of that asset alone.
+    also : callable, optional
+        Called with the id in the same transaction, if the diagnosis is new.
+    """
+
+    measurement: str
+    catalogue: str
+    machine: Mapping[str, Any]
+    request: Mapping[str, Any]
+    result: Mapping[str, Any]
+    also: Callable[[Session, str], None] | None = None
+
+    def row(self) -> dict[str, Any]:
+        """Return the members of the row."""
+        said = f"{self.measurement} {self.catalogue} {self.result['hash']}"
+        if self.request.get("asset"):
+            said += f" {self.request['asset']}"
+        return {
+            "id": hashlib.sha256(said.encode()).hexdigest()[:32],
+            "measurement": self.measurement,
+            "catalogue": self.catalogue,
+            "machine": dict(self.machine),
+            "created_at": now(),
+            "request": dict(self.request),
+            "result": dict(self.result),
+        }
 
 
 class Store:
@@ -130,6 +168,7 @@ class Store:
         self._opened = self._identity()
         self._lock = threading.Lock()
         self._in_use: Counter[str] = Counter()
+        self._stored: set[str] = set()
 
     def close(self) -> None:
         """Let go of the database."""
@@ -214,13 +253,18 @@ class Store:
 
     def settle(self, upload: Upload) -> None:
         """Delete an upload that became no measurement, unless somebody else is sending the same bytes just now."""
-        with self._lock, self._session() as session:
+        with self._lock:
             self._in_use[upload.sha256] -= 1
             if self._in_use[upload.sha256]:
                 return
             del self._in_use[upload.sha256]
-            if session.scalar(select(MeasurementRow.id).where(MeasurementRow.sha256 == upload.sha256).limit(1)) is None:
-                upload.path.unlink(missing_ok=True)
+            if upload.sha256 in self._stored:
+                self._stored.remove(upload.sha256)
+                return
+            query = select(MeasurementRow.id).where(MeasurementRow.sha256 == upload.sha256).limit(1)
+            with self._session() as session:
+                if session.scalar(query) is None:
+                    upload.path.unlink(missing_ok=True)
 
     def add_measurement(
         self,
@@ -239,10 +283,28 @@ class Store:
         also : callable, optional
             Called with the id in the same transaction.
         """
-        told = told or Told()
-        key = measurement_key(upload.sha256, name, told)
+        with self.database.writing() as session:
+            kept = self._put_measurement(session, upload, name, told or Told(), summary)
+            if also is not None:
+                also(session, kept.id)
+        self._note_stored(upload)
+        return kept
+
+    def add_both(
+        self, upload: Upload, name: str, told: Told, summary: Mapping[str, Any], diagnosis: NewDiagnosis
+    ) -> DiagnosisRow:
+        """Store a measurement and a diagnosis of it in one transaction, as one call after the other would."""
+        with self.database.writing() as session:
+            self._put_measurement(session, upload, name, told, summary)
+            kept = self._put_diagnosis(session, diagnosis)
+        self._note_stored(upload)
+        return kept
+
+    def _put_measurement(
+        self, session: Session, upload: Upload, name: str, told: Told, summary: Mapping[str, Any]
+    ) -> MeasurementRow:
         row = {
-            "id": key,
+            "id": measurement_key(upload.sha256, name, told),
             "sha256": upload.sha256,
             "name": name,
             "size_bytes": upload.size,
@@ -251,13 +313,21 @@ class Store:
             "created_at": now(),
             "summary": dict(summary),
         }
-        with self.database.writing() as session:
-            session.execute(
-                self.database.insert(MeasurementRow).values(row).on_conflict_do_nothing(index_elements=["id"])
-            )
-            if also is not None:
-                also(session, key)
-        return self.measurement(key)
+        return self._put(session, MeasurementRow, row)[0]
+
+    def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:
+        """Insert a row, or find the one of the same id; return it, and whether it is new."""
+        statement = self.database.insert(table).values(row).on_conflict_do_nothing(index_elements=["id"])
+        number = session.scalar(statement.returning(table.number))
+        if number is not None:
+            return table(number=number, **row), True
+        return session.scalars(select(table).filter_by(id=row["id"])).one(), False
+
+    def _note_stored(self, upload: Upload) -> None:
+        """Note that an upload became a measurement, so that :meth:`settle` need not ask the database."""
+        with self._lock:
+            if upload.sha256 in self._in_use:
+                self._stored.add(upload.sha256)
 
     def measurement(self, key: str) -> MeasurementRow:
         """Return a measurement.
@@ -272,47 +342,16 @@ class Store:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
         return row
 
-    def add_diagnosis(
-        self,
-        measurement: str,
-        catalogue: str,
-        machine: Mapping[str, Any],
-        request: Mapping[str, Any],
-        result: Mapping[str, Any],
-        also: Callable[[Session, str], None] | None = None,
-    ) -> DiagnosisRow:
-        """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement.
-
-        Parameters
-        ----------
-        measurement, catalogue, machine, request, result
-            As in :class:`DiagnosisRow`. Where the request names an asset, the diagnosis is of that asset alone.
-        also : callable, optional
-            Called with the id in the same transaction, if the diagnosis is new.
-        """
-        said = f"{measurement} {catalogue} {result['hash']}"
-        if request.get("asset"):
-            said += f" {request['asset']}"
-        key = hashlib.sha256(said.encode()).hexdigest()[:32]
-        row = {
-            "id": key,
-            "measurement": measurement,
-            "catalogue": catalogue,
-            "machine": dict(machine),
-            "created_at": now(),
-            "request": dict(request),
-            "result": dict(result),
-        }
+    def add_diagnosis(self, diagnosis: NewDiagnosis) -> DiagnosisRow:
+        """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
         with self.database.writing() as session:
-            new = session.scalar(
-                self.database.insert(DiagnosisRow)
-                .values(row)
-                .on_conflict_do_nothing(index_elements=["id"])
-                .returning(DiagnosisRow.id)
-            )
-            if new is not None and also is not None:
-                also(session, key)
-        return self.diagnosis(key)
+            return self._put_diagnosis(session, diagnosis)
+
+    def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
+        kept, new = self._put(session, DiagnosisRow, diagnosis.row())
+        if new and diagnosis.also is not None:
+            diagnosis.also(session, kept.id)
+        return kept
 
     def diagnosis(self, key: str) -> DiagnosisRow:
         """Return a diagnosis.

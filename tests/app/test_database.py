@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import sqlite3
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import text
+from sqlalchemy import event, text
 
 from app.build_queue import BuildQueue
 from app.database import REVISION, VERSION_TABLE, database_url, revision_of
 from app.errors import AppError, BadFieldError, UnknownMeasurementError
-from app.storage import Base, Store, Upload, aware
+from app.storage import Base, NewDiagnosis, Store, Upload, aware, measurement_key
 from app.told import Told
 
 UPLOAD = Upload(Path("nowhere"), "a" * 64, 5_000_000_000)
@@ -33,8 +35,9 @@ def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> No
     first = store.add_measurement(UPLOAD, "a.csv", None, {"samples": 3})
     again = store.add_measurement(UPLOAD, "a.csv", None, {"samples": 4})
     assert (again.number, again.summary) == (first.number, {"samples": 3})
-    asked = store.add_diagnosis(first.id, "c" * 64, {"name": "m"}, {}, {"hash": "h"})
-    assert store.add_diagnosis(first.id, "c" * 64, {"name": "m"}, {}, {"hash": "h"}).number == asked.number
+    new = NewDiagnosis(first.id, "c" * 64, {"name": "m"}, {}, {"hash": "h"})
+    asked = store.add_diagnosis(new)
+    assert store.add_diagnosis(new).number == asked.number
     other = Store(tmp_path, url)
     row = other.measurement(first.id)
     other.close()
@@ -158,3 +161,49 @@ def test_settings_that_name_no_database(given: str, rule: str) -> None:
         database_url(given)
     assert str(caught.value).startswith("JOINTPLAY_DATABASE: ")
     assert "secret" not in str(caught.value)
+
+
+def test_a_measurement_and_its_diagnosis_in_one_transaction(store: Store) -> None:
+    commits: list[object] = []
+    event.listen(store.database.engine, "commit", commits.append)
+    told = Told(sample_rate_hz=1000.0)
+    key = measurement_key(UPLOAD.sha256, "a.csv", told)
+    noted: list[str] = []
+    new = NewDiagnosis(key, "c" * 64, {"name": "m"}, {}, {"hash": "h"}, lambda _session, made: noted.append(made))
+    row = store.add_both(UPLOAD, "a.csv", told, {"samples": 3}, new)
+    assert len(commits) == 1
+    assert (store.measurement(key).told, row.measurement, noted) == (told, key, [row.id])
+    found = store.diagnosis(row.id)
+    for name in ("number", "id", "measurement", "catalogue", "machine", "created_at", "request", "result"):
+        assert getattr(found, name) == getattr(row, name)
+    assert store.add_both(UPLOAD, "a.csv", told, {"samples": 4}, new).number == row.number
+    assert store.measurement(key).summary == {"samples": 3}
+    assert noted == [row.id]
+
+
+def test_an_upload_whose_measurement_was_not_stored_goes(store: Store) -> None:
+    def fail(_session: object, _key: str) -> None:
+        raise RuntimeError("the transaction fails")
+
+    upload = store.receive(io.BytesIO(b"bytes"))
+    with pytest.raises(RuntimeError, match="transaction fails"):
+        store.add_measurement(upload, "a.csv", None, {}, fail)
+    store.settle(upload)
+    assert not upload.path.exists()
+
+
+def test_writing_threads_wait_for_each_other_without_sleeping(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+
+    @event.listens_for(store.database.engine, "checkout")
+    def without_patience(connection: Any, *_: object) -> None:
+        connection.execute("PRAGMA busy_timeout = 0")
+
+    def write(number: int) -> None:
+        for turn in range(20):
+            store.add_measurement(UPLOAD, f"{number}-{turn}.csv", None, {})
+
+    with ThreadPoolExecutor(8) as threads:
+        assert list(threads.map(write, range(8))) == [None] * 8
+    assert len(store.measurements(None, 1000)) == 160
+    store.close()

@@ -20,6 +20,7 @@ from app.schemas import DiagnosisRequest
 from app.service import Service
 from app.settings import Settings
 from app.storage import DiagnosisRow, Store, measurement_key
+from app.told import Told
 from app.workers import TaskFailedError, WorkerPool, attempt
 from catalogue.measurement import Measurement
 
@@ -49,11 +50,11 @@ def service_of(shelf: Path, data: Path, pool: Here) -> Service:
 
 def ask(service: Service, content: bytes, **members: Any) -> DiagnosisRow:
     upload = service.store.receive(io.BytesIO(content))
-    key = measurement_key(upload.sha256, "worn.csv", None)
+    key = measurement_key(upload.sha256, "worn.csv", Told())
     question = {"catalogue": "slider-crank", "effort": "fast", "measurement": key, **members}
     try:
         request = DiagnosisRequest.model_validate(question)
-        return asyncio.run(service.diagnose_upload(upload, "worn.csv", None, request))
+        return asyncio.run(service.diagnose_upload(upload, "worn.csv", Told(), request))
     finally:
         service.store.settle(upload)
 
@@ -76,7 +77,7 @@ def test_the_recording_is_read_once(shelf: Path, tmp_path: Path, worn: bytes, mo
     assert pool.asked == ["summarise_and_diagnose"]
     assert len(times) == 1
     stored = service.store.measurement(row.measurement)
-    assert stored.summary == tasks.summarise(str(service.store.path_of(stored.sha256)), "worn.csv", None)
+    assert stored.summary == tasks.summarise(str(service.store.path_of(stored.sha256)), "worn.csv", Told())
     again = asyncio.run(service.diagnose(DiagnosisRequest.model_validate(row.request)))
     assert (again.id, again.result) == (row.id, row.result)
 
