@@ -16,6 +16,7 @@ from app.build_runner import BuildRunner
 from app.catalogues import CatalogueShelf
 from app.errors import AppError, BadFieldError, TimeLimitError, UnknownCatalogueError, WorkerDiedError
 from app.machine_store import MachineStore
+from app.metrics import Metrics
 from app.schemas import DiagnosisRequest
 from app.service import Service
 from app.settings import Settings
@@ -45,7 +46,7 @@ def service_of(shelf: Path, data: Path, pool: Here) -> Service:
     queue = BuildQueue(store.database)
     runner = BuildRunner(queue, shelf, 0, 30.0)
     parts = (CatalogueShelf(shelf), cast(WorkerPool, pool), MachineStore(data / "machines"), queue, runner)
-    return Service(settings, store, *parts)
+    return Service(settings, store, *parts, Metrics())
 
 
 def ask(service: Service, content: bytes, **members: Any) -> DiagnosisRow:
