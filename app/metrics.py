@@ -35,7 +35,6 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        ProcessCollector(registry=self.registry)  # of the server itself, where the system tells
 
         def counter(name: str, says: str, *labels: str) -> Counter:
             return Counter(f"jointplay_{name}", says, labels, registry=self.registry)
@@ -52,6 +51,7 @@ class Metrics:
         self._deliveries = counter("webhook_attempts", "Attempts to tell a webhook something.", "outcome")
         self._queue_seconds = histogram("task_queue_seconds", "Time that tasks waited for a worker.", "task")
         self._worker_seconds = histogram("task_worker_seconds", "Time of tasks in a worker.", "task", "outcome")
+        ProcessCollector(registry=self.registry)  # of the server itself, where the system tells
 
     def answered(self, method: str, route: str | None, status: int, seconds: float) -> None:
         """Count an answer."""

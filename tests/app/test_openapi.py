@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.20.0", "e355784d91d55ebf")
+OF_VERSION = ("1.20.0", "eacfda6faf8becbf")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
