@@ -76,10 +76,6 @@ class _Chosen:
             "clearance": table.clearance,
             "worn": table.worn,
             "parameters": parameters,
-            **{
-                name: getattr(table, name)
-                for name in ("draw", "speed", "drive_speed", "segments", "transient", "guard_db")
-            },
         }
 
     def attributes(self) -> dict[str, str]:
