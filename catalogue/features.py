@@ -23,7 +23,7 @@ from catalogue.resampling import WANDER, at_mean_speed
 from catalogue.sensors import SensorMap, map_sensors, without_columns
 from catalogue.spectrum_features import prepare_spectrum
 from catalogue.steadiness import LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
-from catalogue.tacho import track_of
+from catalogue.tacho import track_of, usual_speed
 from solver.machines.machine import Machine
 from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS, band_matrix
 from solver.spectra.bands import BandScheme
@@ -91,16 +91,18 @@ def prepare(
     rate = measurement.sample_rate
     if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):
         raise MeasurementError(measurement.name, value=speed, rule="drive speed must be finite and not zero")
-    _refuse_short(measurement.name, measurement.duration, speed or nominal, allowance=0.1 if speed is None else 0.0)
+    by_pulses = measurement.turns if speed is None else None
+    expected = speed or (nominal if by_pulses is None else usual_speed(by_pulses, rate))
+    _refuse_short(measurement.name, measurement.duration, expected, allowance=0.1 if speed is None else 0.0)
 
     sensing, sensor_step = _sensors(measurement, machine, mapping)
     warnings = [*measurement.warnings, *sensing.warnings]
-    first, last, part_step, doubt = _steady_part(measurement, sensing, speed or nominal)
+    first, last, part_step, doubt = _steady_part(measurement, sensing, expected)
     signal = measurement.signal[first:last, list(sensing.columns)]
     warnings += doubt
 
-    if measurement.turns is not None and speed is None:
-        track, doubt = track_of(measurement.turns, rate, first, last, measurement.name), []
+    if by_pulses is not None:
+        track, doubt = track_of(by_pulses, rate, first, last, measurement.name), []
     else:
         track, doubt = _track(signal, rate, nominal, speed, measurement.name)
     estimate = track.estimate
@@ -208,9 +210,7 @@ def _sensors(
     )
 
 
-def _steady_part(
-    measurement: Measurement, sensing: SensorMap, nominal: float
-) -> tuple[int, int, RecipeStep, list[str]]:
+def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> tuple[int, int, RecipeStep, list[str]]:
     """Samples to be used: the longest part without a dropout, of that the steady part; and what there is to say."""
     used = {measurement.channel_names[column] for column in sensing.columns}
     dropouts = sorted(
@@ -222,11 +222,11 @@ def _steady_part(
         ends, starts = [0, *(end for _, end in dropouts)], [*(start for start, _ in dropouts), last]
         gaps = list(zip(ends, starts, strict=True))
         start, end = max(gaps, key=lambda gap: gap[1] - gap[0])
-        if (end - start) / measurement.sample_rate * abs(nominal) / (2.0 * math.pi) >= 1.1 * MIN_REVOLUTIONS:
+        if (end - start) / measurement.sample_rate * abs(speed) / (2.0 * math.pi) >= 1.1 * MIN_REVOLUTIONS:
             first, last = start, end
             rate = measurement.sample_rate
             findings.append(f"only {first / rate:.3g} to {last / rate:.3g} s are used: the rest holds dropouts")
-    stretch = steady_stretch(measurement.signal[first:last, list(sensing.columns)], measurement.sample_rate, nominal)
+    stretch = steady_stretch(measurement.signal[first:last, list(sensing.columns)], measurement.sample_rate, speed)
     findings += stretch.findings
     first, last = first + stretch.first, first + stretch.last
     rate = measurement.sample_rate

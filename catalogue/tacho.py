@@ -66,6 +66,11 @@ def turns_of(
     return turns
 
 
+def usual_speed(turns: FloatArray, sample_rate: float) -> float:
+    """Drive speed of most of the revolutions between `turns` (k,) in samples, rad/s."""
+    return 2.0 * math.pi * sample_rate / float(np.median(np.diff(turns)))
+
+
 def track_of(turns: FloatArray, sample_rate: float, first: int, last: int, source: str) -> SpeedTrack:
     """Course of the speed between two samples.
 

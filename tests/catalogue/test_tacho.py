@@ -12,6 +12,7 @@ from catalogue.errors import MeasurementError
 from catalogue.features import prepare
 from catalogue.import_profile import ImportProfile, Tacho
 from catalogue.measurement import Measurement, read_measurement
+from catalogue.parameters import nominal_drive_speed
 from catalogue.tacho import pulses, track_of, turns_of
 from solver.machines.machine import shipped_machine
 
@@ -77,3 +78,15 @@ def test_a_recording_with_a_tacho_is_compared_at_its_speed() -> None:
     assert prepare(with_tacho(1.01 * plain.drive_speed), machine).drive_speed > 1.009 * plain.drive_speed
     with pytest.raises(MeasurementError, match="is to be the tacho; columns are"):
         read_measurement(RECORDINGS / "slider-crank-04.csv.gz", profile=ImportProfile(tacho=Tacho(column="pulse")))
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.4])
+def test_the_steady_part_is_looked_for_at_the_speed_of_the_pulses(factor: float) -> None:
+    machine = shipped_machine("slider-crank")
+    assert machine.drive is not None
+    drive = machine.drive.model_copy(update={"speed": factor * nominal_drive_speed(machine)})
+    found = with_tacho(63.05)
+    as_filed, otherwise = (prepare(found, each) for each in (machine, machine.model_copy(update={"drive": drive})))
+    assert as_filed.steps[1].found == otherwise.steps[1].found == "0 to 2.5 s of 2.5 s"
+    assert otherwise.drive_speed == as_filed.drive_speed
+    assert any("is far from the nominal" in line for line in otherwise.warnings)
