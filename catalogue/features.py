@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping
 
@@ -219,7 +220,9 @@ def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> 
     first, last = 0, len(measurement.signal)
     findings = []
     if dropouts:
-        ends, starts = [0, *(end for _, end in dropouts)], [*(start for start, _ in dropouts), last]
+        # One channel's may lie within another's.
+        ends = [0, *itertools.accumulate((end for _, end in dropouts), max)]
+        starts = [*(start for start, _ in dropouts), last]
         gaps = list(zip(ends, starts, strict=True))
         start, end = max(gaps, key=lambda gap: gap[1] - gap[0])
         if (end - start) / measurement.sample_rate * abs(speed) / (2.0 * math.pi) >= 1.1 * MIN_REVOLUTIONS:

@@ -356,6 +356,10 @@ def test_dropouts_are_passed_by(machine: Machine) -> None:
     assert any(warning == "only 1 to 4 s are used: the rest holds dropouts" for warning in cut.warnings)
     whole = prepare(as_read(signal), machine)
     assert np.abs(cut.features - whole.features)[:60].max() < 0.1
+    within = signal.copy()
+    within[9000:20_000, :3] = within[9000, :3]
+    within[10_000:11_000, 3] = within[10_000, 3]
+    assert "only 2 to 4 s are used: the rest holds dropouts" in prepare(as_read(within), machine).warnings
 
 
 def test_the_recipe_is_kept_in_order(machine: Machine) -> None:
