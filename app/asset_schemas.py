@@ -16,6 +16,12 @@ TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f]*$"  # a database takes no NUL, and nobod
 AssetId = Annotated[str, Field(pattern=EXTERNAL_ID, description="Its name in your own records.")]
 
 
+class AssetName(Shape):
+    """How an asset is called."""
+
+    external_id: AssetId
+
+
 class AssetIn(Shape):
     """What is known of one machine that stands somewhere."""
 

@@ -77,10 +77,15 @@ class Assets:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def put(self, external_id: str, wanted: AssetIn) -> tuple[AssetRow, bool]:
+    def put(self, external_id: str, wanted: AssetIn, *, only_new: bool = False) -> tuple[AssetRow, bool]:
         """Store what is known of an asset; return it, and whether it is new.
 
         The baseline has to be a stored measurement; the caller has looked.
+
+        Raises
+        ------
+        BadFieldError
+            With `only_new`, when there is one of this id.
         """
         moment, asked = now(), wanted.model_dump()
         first = {"external_id": external_id, "created_at": moment, "updated_at": moment, **asked}
@@ -90,6 +95,9 @@ class Assets:
                 self._database.insert(AssetRow).values(first).on_conflict_do_nothing(index_elements=["external_id"])
             )
             new = session.scalar(insert.returning(AssetRow.number)) is not None
+            if only_new and not new:
+                said = f"external_id: {external_id}: there is an asset of this id already"
+                raise BadFieldError(said, field="external_id")
             row = session.scalars(select(AssetRow).filter_by(external_id=external_id).with_for_update()).one()
             if any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():

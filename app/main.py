@@ -25,6 +25,7 @@ from app.machine_store import MachineStore
 from app.metrics import Metrics
 from app.request_log import RequestLog
 from app.routes import (
+    asset_pages,
     assets,
     browser_pages,
     build_pages,
@@ -109,7 +110,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
             True,
         ),
         ((health,), "", True),
-        ((pages, browser_pages, build_pages, signin), "", False),
+        ((pages, browser_pages, build_pages, asset_pages, signin), "", False),
     ):
         for module in modules:
             application.include_router(module.router, prefix=prefix, include_in_schema=shown)

@@ -19,8 +19,8 @@ from catalogue.sensors import matched_by_name
 from solver.machines.machine import Machine
 
 SAID = tuple(sorted(TOLD))
-UPLOAD = ("catalogue", "file", *SAID)
-CONFIRM = ("measurement", "catalogue", "speed", "effort", "mode", "mapping")
+UPLOAD = ("catalogue", "file", "asset", *SAID)
+CONFIRM = ("measurement", "catalogue", "asset", "speed", "effort", "mode", "mapping")
 NOT_USED = "-"
 URLENCODED = "application/x-www-form-urlencoded"
 MAX_FIELDS = 200
@@ -67,7 +67,7 @@ def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -
         For a field that breaks a rule of the HTTP interface.
     """
     members: dict[str, Any] = {
-        name: given[name] for name in ("measurement", "catalogue", "effort", "mode") if name in given
+        name: given[name] for name in ("measurement", "catalogue", "asset", "effort", "mode") if name in given
     }
     speed = given.get("speed", "")
     if speed and speed != given.get("estimated"):

@@ -155,7 +155,7 @@ class Service:
         """
         speed = speed_of(request.speed)
         offer = self.shelf.find(request.catalogue)
-        asset = self.asset_of(request, offer.machine.name)
+        asset = self.asset_of(request.asset, offer.machine.name)
         baseline = None if asset is None else self.baseline_of(asset, request.measurement)
         mapping = dict(request.mapping)
         place = (str(offer.path), offer.stamp)
@@ -172,8 +172,8 @@ class Service:
             lambda session, key: self.announce(session, key, request.measurement, asked.asset, result),
         )
 
-    def asset_of(self, request: DiagnosisRequest, machine: str) -> AssetRow | None:
-        """Return the asset that a request names.
+    def asset_of(self, name: str | None, machine: str) -> AssetRow | None:
+        """Return the asset of a name, where one is given.
 
         Raises
         ------
@@ -182,11 +182,11 @@ class Service:
         BadFieldError
             When the asset is another machine than the catalogue's.
         """
-        if request.asset is None:
+        if name is None:
             return None
-        found = Assets(self.store.database).asset(request.asset)
+        found = Assets(self.store.database).asset(name)
         if found.machine != machine:
-            said = f"asset: {request.asset}: is a {found.machine}; the catalogue is of {machine}"
+            said = f"asset: {name}: is a {found.machine}; the catalogue is of {machine}"
             raise BadFieldError(said, field="asset")
         return found
 

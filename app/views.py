@@ -35,6 +35,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "machine": result["machine"],
         "speed": f"{result['drive_speed_rpm']:.5g} rpm",
         "recording": measurement.name,
+        "asset": row.request.get("asset"),
         "created": f"{aware(row.created_at):%Y-%m-%d %H:%M} UTC",
         "warnings": result["warnings"],
         "ranking": ranking(result),

@@ -15,7 +15,7 @@ from app.errors import BadFieldError, UnknownMeasurementError
 from app.etags import respond
 from app.openapi import problems
 from app.routes.machines import Cursor, Limit
-from app.service import of_request
+from app.service import Service, of_request
 from app.storage import aware
 from app.uploads import JSON_TYPE, json_body
 
@@ -29,14 +29,7 @@ CREATED: dict[int | str, dict[str, Any]] = {201: {"model": AssetOut, "descriptio
 def put(request: Request, response: Response, external_id: ExternalId, wanted: AssetIn) -> AssetOut:
     """Say which machine an asset is, what to note of it, and its baseline; what is left out is emptied."""
     service = of_request(request)
-    if wanted.baseline is not None:
-        try:
-            measured = service.store.measurement(wanted.baseline)
-        except UnknownMeasurementError as error:
-            raise BadFieldError(f"baseline: {error}", field="baseline") from None
-        if measured.summary.get("kind") == "spectrum":
-            rule = "is a spectrum; a baseline has to be a recording over time"
-            raise BadFieldError(f"baseline: {measured.id}: {rule}", field="baseline")
+    check_baseline(service, wanted)
     row, new = Assets(service.store.database).put(external_id, wanted)
     if new:
         response.status_code = 201
@@ -68,6 +61,19 @@ def own(request: Request, external_id: ExternalId, measurement: str) -> None:
     service = of_request(request)
     found = Assets(service.store.database)
     found.own(found.asset(external_id).external_id, service.store.measurement(measurement).id)
+
+
+def check_baseline(service: Service, wanted: AssetIn) -> None:
+    """Refuse a baseline that is no stored recording over time."""
+    if wanted.baseline is None:
+        return
+    try:
+        measured = service.store.measurement(wanted.baseline)
+    except UnknownMeasurementError as error:
+        raise BadFieldError(f"baseline: {error}", field="baseline") from None
+    if measured.summary.get("kind") == "spectrum":
+        rule = "is a spectrum; a baseline has to be a recording over time"
+        raise BadFieldError(f"baseline: {measured.id}: {rule}", field="baseline")
 
 
 def asset_out(row: AssetRow) -> AssetOut:

@@ -16,7 +16,7 @@ from app.build_queue import BuildRow
 from app.build_schemas import BuildRequest
 from app.build_view import PLANS, build_view, failures_view
 from app.errors import BadFieldError, UnknownCatalogueError
-from app.handlers import problem_from
+from app.handlers import note, problem_from
 from app.page_forms import messages_of, plain_form
 from app.page_templates import is_fragment, templates
 from app.problems import Problem
@@ -129,6 +129,7 @@ async def listed(
     }
     if problem is None:
         return templates.TemplateResponse(request, "builds.html", await context(request, **members))
+    note(request, problem)
     members["messages"] = messages = refusals(problem)
     members["summary"] = None if messages else {"title": problem.title, "detail": problem.detail}
     whole = await context(request, **members)
@@ -163,6 +164,7 @@ async def shown(request: Request, row: BuildRow, problem: Problem | None = None)
     members["title"] = f"Build of {row.catalogue}: jointplay"
     if problem is None:
         return templates.TemplateResponse(request, "build.html", await context(request, **members))
+    note(request, problem)
     members["summary"] = {"title": problem.title, "detail": problem.detail}
     whole = await context(request, **members)
     return templates.TemplateResponse(request, "build.html", whole, problem.status, dict(problem.headers))

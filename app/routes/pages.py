@@ -17,6 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
 
 from app import understanding
+from app.assets import Assets
 from app.errors import AppError, BadFieldError
 from app.etags import respond
 from app.handlers import note, problem_from
@@ -35,6 +36,7 @@ from solver.errors import SolverError
 
 router = APIRouter()
 
+KNOWN_ASSETS = 500  # that a field offers; others can be typed
 REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValidationError, HTTPException)
 
 
@@ -42,7 +44,8 @@ REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValid
 async def form(request: Request) -> Response:
     """Show the form that takes a recording."""
     chosen = {name: value for name, value in request.query_params.items() if name in UPLOAD}
-    return templates.TemplateResponse(request, "index.html", await context(request, chosen=chosen))
+    members = await context(request, chosen=chosen, told_open=any(name in chosen for name in SAID))
+    return templates.TemplateResponse(request, "index.html", members)
 
 
 @router.post("/recordings")
@@ -57,11 +60,13 @@ async def upload(request: Request) -> Response:
                 raise BadFieldError("choose a catalogue", field="catalogue")
             if form.file is None:
                 raise BadFieldError("choose a recording", field="file")
-            await run_in_threadpool(service.shelf.find, given["catalogue"])
+            offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
+            await run_in_threadpool(service.asset_of, given.get("asset"), offer.machine.name)
             measurement = await service.add_measurement(form.file, form.file_name, told_of(given))
     except REFUSALS as error:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
-    place = f"/confirm?{urlencode({'measurement': measurement.id, 'catalogue': given['catalogue']})}"
+    asked = {"measurement": measurement.id} | {name: given[name] for name in ("catalogue", "asset") if name in given}
+    place = f"/confirm?{urlencode(asked)}"
     if is_fragment(request):  # the script goes there by itself: it has shown how far the upload is
         return Response(status_code=201, headers={"Location": place})
     return RedirectResponse(place, status_code=303)
@@ -106,6 +111,8 @@ async def diagnosis(request: Request, key: str) -> Response:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", {})
     shown = await run_in_threadpool(result_of, service, row)
     asked = {"measurement": row.measurement, "catalogue": row.request["catalogue"]}
+    if row.request.get("asset"):
+        asked["asset"] = row.request["asset"]
     members = await context(request, result=shown, title=f"{shown['short']}: jointplay", again=urlencode(asked))
     return templates.TemplateResponse(request, "result.html", members)
 
@@ -183,10 +190,12 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
     """Return what every page needs."""
     service = of_request(request)
     offers = await run_in_threadpool(service.shelf.offers)
+    known = await run_in_threadpool(Assets(service.store.database).page, None, KNOWN_ASSETS)
     settings = service.settings
     page: dict[str, Any] = {
         "title": "jointplay",
         "catalogues": [offer.description for offer in offers],
+        "known_assets": [(asset.external_id, asset.machine) for asset in known],
         "chosen": {},
         "messages": {},
         "told_open": False,

@@ -69,6 +69,12 @@ def worn() -> bytes:
     return gzip.decompress((RECORDINGS / "slider-crank-02.csv.gz").read_bytes())
 
 
+@pytest.fixture(scope="session")
+def in_order() -> bytes:
+    """A recording, as CSV, of a slider-crank in order."""
+    return gzip.decompress((RECORDINGS / "slider-crank-01.csv.gz").read_bytes())
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """Chromium; closed with the module, because its loop would be in the way of others."""

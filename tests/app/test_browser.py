@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
-from real_browser import SCREENS, SECONDS, Visit, is_within_screen, serious, visiting
+from real_browser import SCREENS, SECONDS, Visit, has_drawn, is_within_screen, serious, visiting
 from small_service import serving, spoiled
 
 from app.keys import Keys
@@ -65,8 +65,7 @@ def test_from_upload_to_verdict(visit: Visit, recording: Path) -> None:
     expect(coloured).to_have_count(1)
     charts = page.locator(".chart canvas")
     expect(charts).to_have_count(3)
-    drawn = "canvas => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(v => v > 0)"
-    assert all(canvas.evaluate(drawn) for canvas in charts.all())
+    assert all(has_drawn(canvas) for canvas in charts.all())
     assert page.evaluate("document.activeElement.id") == "result"
     expect(page.get_by_role("button", name="Diagnose")).to_be_enabled()
     verdict = page.locator(".verdict h2").inner_text()

@@ -106,7 +106,7 @@ def test_every_field_has_a_label_and_a_place_for_its_error(client: httpx.Client,
     page = Page(client.get(place if step == "confirm" else step).text)
     assert len(page.ids) == len(set(page.ids))
     shown = [field for field in page.fields if field.get("type") != "hidden" and field["id"] != "other-catalogue"]
-    assert len(shown) == (7 if step == "confirm" else 2 + len(TOLD))
+    assert len(shown) == (8 if step == "confirm" else 3 + len(TOLD))
     for field in shown:
         assert field["id"] in page.labels
         described = str(field["aria-describedby"]).split()

@@ -1,0 +1,205 @@
+"""The pages of assets: machines that stand somewhere, and the past of each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from sqlalchemy import select
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import RedirectResponse, Response
+
+from app import paging
+from app.asset_schemas import AssetIn, AssetName
+from app.assets import AssetRow, Assets, diagnoses_of, measurements_of
+from app.errors import BadFieldError
+from app.handlers import note, problem_from
+from app.history import history, moment
+from app.page_forms import messages_of, plain_form
+from app.page_templates import templates
+from app.problems import Problem
+from app.routes.assets import check_baseline
+from app.routes.pages import REFUSALS, context
+from app.scopes import Scope
+from app.service import Service, of_request
+from app.storage import MeasurementRow
+
+router = APIRouter(prefix="/assets")
+
+FIELDS = ("external_id", "machine", "notes", "baseline")
+SHOWN = 200
+
+
+@router.get("")
+async def assets(request: Request) -> Response:
+    """Show the assets, and the form that notes a new one."""
+    try:
+        return await listed(request, request.query_params.get("cursor"), {})
+    except REFUSALS as error:
+        return await listed(request, None, {}, problem_from(error))
+
+
+@router.post("")
+async def add(request: Request) -> Response:
+    """Note a new asset, and go to its page."""
+    service = of_request(request)
+    given: dict[str, str] = {}
+    try:
+        given.update(await plain_form(request))
+        for name, rule in (("external_id", "give it a name"), ("machine", "choose a machine")):
+            if name not in given:
+                raise BadFieldError(rule, field=name)
+        name, wanted = checked(given)
+        await run_in_threadpool(Assets(service.store.database).put, name, wanted, only_new=True)
+    except REFUSALS as error:
+        return await listed(request, None, given, problem_from(error))
+    return RedirectResponse(f"/assets/{name}", status_code=303)
+
+
+@router.get("/{external_id}")
+async def asset(request: Request, external_id: str) -> Response:
+    """Show an asset and its past."""
+    try:
+        return await shown(request, external_id, request.query_params.get("cursor"))
+    except REFUSALS as error:
+        return await listed(request, None, {}, problem_from(error))
+
+
+@router.post("/{external_id}")
+async def change(request: Request, external_id: str) -> Response:
+    """Change the notes and the baseline of an asset; its machine stays."""
+    service = of_request(request)
+    found = Assets(service.store.database)
+    given: dict[str, str] = {}
+    try:
+        row = await run_in_threadpool(found.asset, external_id)
+        given.update(await plain_form(request))
+        _, wanted = checked({**given, "external_id": external_id, "machine": row.machine})
+        await run_in_threadpool(check_baseline, service, wanted)
+        await run_in_threadpool(found.put, external_id, wanted)
+    except REFUSALS as error:
+        problem = problem_from(error)
+        try:
+            return await shown(request, external_id, None, given, problem)
+        except REFUSALS:
+            return await listed(request, None, {}, problem)
+    return RedirectResponse(f"/assets/{external_id}", status_code=303)
+
+
+def checked(given: dict[str, str]) -> tuple[str, AssetIn]:
+    """Return the name of an asset and what a form says of it, by the rules of the HTTP interface."""
+    try:
+        name = AssetName.model_validate({"external_id": given["external_id"]}).external_id
+        members = {field: value for field, value in given.items() if field != "external_id"}
+        return name, AssetIn.model_validate(members)
+    except ValidationError as error:
+        raise RequestValidationError(error.errors()) from None
+
+
+async def listed(
+    request: Request, cursor: str | None, given: dict[str, str], problem: Problem | None = None
+) -> Response:
+    """Return the page with the list and the form, and with what was wrong."""
+    service = of_request(request)
+    size = service.settings.page_size
+    rows = await run_in_threadpool(Assets(service.store.database).page, paging.decode_number(cursor), size + 1)
+    cut, following = paging.cut(rows, size)
+    members: dict[str, Any] = {
+        "assets": [asset_item(row) for row in cut],
+        "following": following,
+        "first": cursor is None,
+        "machines": await run_in_threadpool(machine_names, service),
+        "chosen": given,
+        "may_match": may_match(request),
+        "title": "Assets: jointplay",
+    }
+    return await answered(request, "assets.html", members, problem)
+
+
+async def shown(
+    request: Request,
+    external_id: str,
+    cursor: str | None,
+    given: dict[str, str] | None = None,
+    problem: Problem | None = None,
+) -> Response:
+    """Return the page of an asset, and what was wrong with a change of it."""
+    service = of_request(request)
+    members = await run_in_threadpool(past, service, external_id, cursor)
+    members["chosen"] = {"notes": members["asset"]["notes"], "baseline": members["asset"]["baseline"]} | (given or {})
+    members |= {"may_match": may_match(request), "title": f"{external_id}: jointplay"}
+    return await answered(request, "asset.html", members, problem)
+
+
+async def answered(request: Request, page: str, members: dict[str, Any], problem: Problem | None) -> Response:
+    """Return a page, with a problem beside the field that it is about, or above all."""
+    if problem is None:
+        return templates.TemplateResponse(request, page, await context(request, **members))
+    note(request, problem)
+    messages = messages_of(problem, FIELDS)
+    members |= {"messages": messages}
+    members["summary"] = None if messages else {"title": problem.title, "detail": problem.detail}
+    whole = await context(request, **members)
+    return templates.TemplateResponse(request, page, whole, problem.status, dict(problem.headers))
+
+
+def past(service: Service, external_id: str, cursor: str | None) -> dict[str, Any]:
+    """Return what the page of an asset shows.
+
+    Raises
+    ------
+    UnknownAssetError
+        When there is none of this id.
+    BadCursorError
+        For a cursor that is none.
+    """
+    store = service.store
+    found = Assets(store.database)
+    row = found.asset(external_id)
+    rows = store.diagnoses(paging.decode_number(cursor), SHOWN + 1, among=diagnoses_of(external_id))
+    diagnoses, following = paging.cut(rows, SHOWN)
+    used = {each.measurement for each in diagnoses}
+    among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
+    measurements = {each.id: each for each in store.measurements(None, len(used), among)}
+    own = store.measurements(None, SHOWN, measurements_of(external_id))
+    recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
+    baseline = None if row.baseline is None else store.measurement(row.baseline)
+    if baseline is not None and baseline.id not in {each.id for each in recordings}:
+        recordings.append(baseline)
+    findings = found.findings(None, SHOWN, only={"asset": external_id})
+    return {
+        "asset": asset_item(row),
+        "baseline": None if baseline is None else baseline.name,
+        "recordings": [(each.id, f"{each.name}, {moment(each.created_at)}") for each in recordings],
+        "history": history(diagnoses, measurements, findings),
+        "catalogue": next(
+            (each.description.name for each in service.shelf.offers() if each.machine.name == row.machine), None
+        ),
+        "following": following,
+        "first": cursor is None,
+    }
+
+
+def asset_item(row: AssetRow) -> dict[str, Any]:
+    """Return what the pages say of an asset."""
+    return {
+        "id": row.external_id,
+        "machine": row.machine,
+        "notes": row.notes,
+        "baseline": row.baseline or "",
+        "created": moment(row.created_at),
+    }
+
+
+def machine_names(service: Service) -> list[str]:
+    """Return the names of the machines that an asset can be one of: those of the service, and those of catalogues."""
+    known = {service.machines.find(name).name for name in service.machines.names()}
+    return sorted(known | {offer.machine.name for offer in service.shelf.offers()})
+
+
+def may_match(request: Request) -> bool:
+    """Return whether the session may note assets; without keys everybody may."""
+    scopes = getattr(request.state, "scopes", None)
+    return scopes is None or Scope.MATCH in scopes

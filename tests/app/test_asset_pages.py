@@ -1,0 +1,184 @@
+"""The pages of assets without a browser: noted, changed, refused, and what they tell of the past."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from datetime import UTC, datetime
+from typing import Any
+
+import httpx
+import pytest
+
+from app.assets import FindingRow
+from app.history import chart, history
+from app.storage import DiagnosisRow, MeasurementRow
+
+API = "/api/v1"
+
+
+def error_of(text: str, field: str) -> str:
+    found = re.search(rf'<p class="error" id="error-{field}"[^>]*>([^<]*)</p>', text)
+    assert found is not None
+    return found[1]
+
+
+@pytest.fixture(scope="module")
+def recording(client: httpx.Client, worn: bytes) -> str:
+    return str(client.post(f"{API}/measurements", files={"file": ("worn.csv", worn)}).json()["id"])
+
+
+def noted(client: httpx.Client, name: str, machine: str = "slider-crank", notes: str = "") -> httpx.Response:
+    return client.post("/assets", data={"external_id": name, "machine": machine, "notes": notes})
+
+
+def test_an_asset_is_noted_and_changed(client: httpx.Client, recording: str) -> None:
+    answer = noted(client, "page-1", notes="hall <B>")
+    assert (answer.status_code, answer.headers["location"]) == (303, "/assets/page-1")
+    page = client.get("/assets/page-1").text
+    assert "hall &lt;B&gt;" in page and "None yet." in page and "data-history" not in page
+    assert 'href="/assets/page-1"' in client.get("/assets").text
+    client.put(f"{API}/assets/page-1/measurements/{recording}")
+    assert f'<option value="{recording}" >worn.csv, ' in client.get("/assets/page-1").text
+    changed = client.post("/assets/page-1", data={"baseline": recording, "notes": "line 3"})
+    assert changed.status_code == 303
+    stored = client.get(f"{API}/assets/page-1").json()
+    assert (stored["machine"], stored["notes"], stored["baseline"]) == ("slider-crank", "line 3", recording)
+    assert "<dd>worn.csv</dd>" in client.get("/assets/page-1").text
+    client.post("/assets/page-1", data={"baseline": "", "notes": ""})
+    stored = client.get(f"{API}/assets/page-1").json()
+    assert (stored["notes"], stored["baseline"]) == ("", None)
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "text"),
+    [
+        ({"external_id": ""}, "external_id", "give it a name"),
+        ({"external_id": "hall B"}, "external_id", "external_id: "),
+        ({"external_id": "page-taken"}, "external_id", "page-taken: there is an asset of this id already"),
+        ({"machine": ""}, "machine", "choose a machine"),
+        ({"notes": "a\u0001b"}, "notes", "notes: "),
+    ],
+)
+def test_a_refusal_is_told_beside_its_field(
+    client: httpx.Client, change: dict[str, str], field: str, text: str
+) -> None:
+    noted(client, "page-taken", notes="first")
+    form = {"external_id": "page-new", "machine": "slider-crank", "notes": "second", **change}
+    answer = client.post("/assets", data=form)
+    assert answer.status_code == 422
+    assert text in error_of(answer.text, field)
+    assert not any(error_of(answer.text, other) for other in {"external_id", "machine", "notes"} - {field})
+    assert f'value="{form["external_id"]}"' in answer.text, "what was typed stays"
+    assert client.get(f"{API}/assets/page-taken").json()["notes"] == "first"
+    assert client.get(f"{API}/assets/page-new").status_code == 404
+
+
+def test_a_baseline_that_is_none_is_told_beside_it(client: httpx.Client) -> None:
+    noted(client, "page-2")
+    answer = client.post("/assets/page-2", data={"baseline": "none", "notes": "typed"})
+    assert answer.status_code == 422
+    assert error_of(answer.text, "baseline") == "baseline: measurement none: there is none of this id"
+    assert ">typed</textarea>" in answer.text
+    assert client.get(f"{API}/assets/page-2").json()["notes"] == ""
+
+
+def test_what_is_not_there_is_a_page(client: httpx.Client) -> None:
+    for answer in (client.get("/assets/nobody"), client.post("/assets/nobody", data={"notes": ""})):
+        assert answer.status_code == 404 and "No such asset" in answer.text
+    for place in ("/assets?cursor=x!", "/assets/page-1?cursor=x!"):
+        noted(client, "page-1")
+        assert client.get(place).status_code == 400
+
+
+def test_a_diagnosis_of_the_form_is_of_its_asset(client: httpx.Client, worn: bytes) -> None:
+    noted(client, "page-3")
+    noted(client, "page-bar", "four-bar")
+    files = {"file": ("worn.csv", worn)}
+    for asset, text in (("nobody", "asset nobody: there is none"), ("page-bar", "asset: page-bar: is a four-bar")):
+        refused = client.post("/recordings", data={"catalogue": "slider-crank", "asset": asset}, files=files)
+        assert text in error_of(refused.text, "asset")
+    place = client.post("/recordings", data={"catalogue": "slider-crank", "asset": "page-3"}, files=files).headers[
+        "location"
+    ]
+    page = client.get(place).text
+    assert re.search(r'name="asset" [^>]*value="page-3"', page)
+    form = {"measurement": httpx.URL(place).params["measurement"], "catalogue": "slider-crank", "effort": "fast"}
+    refused = client.post("/diagnose", data={**form, "asset": "page-bar"})
+    assert "is a four-bar" in error_of(refused.text, "asset")
+    result = client.post("/diagnose", data={**form, "asset": "page-3"}).headers["location"]
+    text = client.get(result).text
+    assert 'href="/assets/page-3"' in text and "asset=page-3" in text
+    page = client.get("/assets/page-3").text
+    assert f'href="{result}">B worn</a>' in page
+    drawn = json.loads(html.unescape(re.findall(r'data-history="([^"]+)"', page)[0]))
+    stored = client.get(f"{API}{result}").json()["hypotheses"][0]["joints"]["B"]
+    (joint,) = drawn["joints"]
+    (point,) = joint["points"]
+    assert joint["name"] == "B"
+    assert (point["um"], [point["low"], point["high"]]) == (stored["clearance_um"], stored["interval_um"])
+    finding = {"joints": {"B": {"clearance_um": 140}}, "text": "feeler <gauge>", "at": "2026-03-01T08:00:00Z"}
+    client.post(f"{API}{result}/finding", json=finding)
+    page = client.get("/assets/page-3").text
+    assert "feeler &lt;gauge&gt;" in page and "B 140 µm" in page
+    drawn = json.loads(html.unescape(re.findall(r'data-history="([^"]+)"', page)[0]))
+    assert drawn["events"] == [{"at": 1772352000.0, "kind": "finding", "um": 140.0}]
+
+
+# --- what is drawn of a longer past
+
+
+def day(number: int) -> datetime:
+    return datetime(2026, 3, number, 12, tzinfo=UTC)
+
+
+def measured(number: int) -> MeasurementRow:
+    return MeasurementRow(id=f"m{number}", name=f"{number}.csv", created_at=day(number))
+
+
+def diagnosed(number: int, verdict: str, made: int = 0, effort: str = "fast", **worn: float) -> DiagnosisRow:
+    joints = {name: {"clearance_um": um, "interval_um": [0.8 * um, 1.2 * um]} for name, um in worn.items()}
+    hypotheses: list[dict[str, Any]] = [
+        {"joints": joints, "probability": 0.9, "label": "+".join(worn)},
+        {"joints": {}, "probability": 0.1, "label": "healthy"},
+    ]
+    result = {"verdict": verdict, "hypotheses": hypotheses if worn else hypotheses[1:], "effort": effort}
+    machine = {"joints": {"O": {}, "A": {}, "B": {}}}
+    return DiagnosisRow(
+        id=f"d{number}{made}", measurement=f"m{number}", created_at=day(number + made), machine=machine, result=result
+    )
+
+
+def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> None:
+    past = [
+        diagnosed(1, "fault", made=9, effort="thorough", B=105.0),
+        diagnosed(4, "unknown", A=300.0),
+        diagnosed(3, "fault", A=80.0, B=150.0),
+        diagnosed(2, "healthy"),
+        diagnosed(1, "fault", B=100.0),
+    ]
+    text_only = FindingRow(at=day(5), joints={}, text="noise", diagnosis="d30")
+    shown = history(past, {f"m{number}": measured(number) for number in range(1, 5)}, [text_only])
+    assert [row["short"] for row in shown["rows"]] == ["B worn", "no verdict", "A+B worn", "no wear", "B worn"]
+    assert [row["percent"] for row in shown["rows"]] == ["90 %", "–", "90 %", "10 %", "90 %"]
+    assert shown["rows"][2]["clearances"] == [("A", "80 µm", "64 to 96"), ("B", "150 µm", "120 to 180")]
+    drawn = shown["chart"]["data"]
+    points = {joint["name"]: [(point["at"], point["um"]) for point in joint["points"]] for joint in drawn["joints"]}
+    third = day(3).timestamp()
+    assert points == {"A": [(third, 80.0)], "B": [(day(1).timestamp(), 105.0), (third, 150.0)]}
+    assert [(joint["name"], joint["look"]) for joint in drawn["joints"]] == [("A", 1), ("B", 2)]
+    assert [(event["kind"], event.get("um")) for event in drawn["events"]] == [
+        ("healthy", None),
+        ("unknown", None),
+        ("finding", None),
+    ]
+    assert shown["chart"]["summary"] == (
+        "Radial clearance over time, of 4 recordings and 1 finding. Found worn: A once, 80 µm; B from 105 to 150 µm."
+        " The tables below have the values."
+    )
+
+
+def test_a_past_without_wear_is_drawn() -> None:
+    drawn = chart([diagnosed(2, "healthy")], {"m2": measured(2)}, [])
+    assert drawn["joints"] == [] and "No joint was found worn." in drawn["summary"]
