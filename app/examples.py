@@ -71,12 +71,20 @@ PUT_NAME = "press-7"
 #: Handed out by the service: an example of it would be one of nothing.
 WITHOUT = frozenset({"cursor"})
 
+#: A recording of 0.1 s; the shortest that is taken has 256 samples.
+RECORDING = {
+    "name": "press-7",
+    "sample_rate_hz": 2560,
+    "channels": [{"name": "s1-y", "unit": "g", "values": [(7 * k) % 13 - 6 for k in range(256)]}],
+    "profile": {"sensors": {"s1-y": "s1-y"}},
+}
 DIAGNOSE = {"catalogue": "slider-crank", "speed": "606.8 rpm", "effort": "fast", "asset": "press-7"}
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
     ("put", "/api/v1/machines/{name}"): {"application/json": MACHINE_FILE, "application/yaml": MACHINE_YAML},
     ("post", "/api/v1/builds"): {
         "application/json": {"machine": "slider-crank", "plan": "quick", "catalogue": "press-7"}
     },
+    ("post", "/api/v1/measurements"): {"application/json": RECORDING},
     ("post", "/api/v1/diagnoses"): {
         "application/json": {**DIAGNOSE, "measurement": MEASUREMENT},
         "multipart/form-data": {**DIAGNOSE, "measurement": MEASUREMENT},

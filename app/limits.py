@@ -10,6 +10,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app.errors import BadRequestError, SlowRequestError, UploadTooLargeError
 
 JSON_BYTES = 1_000_000
+RECORDINGS = "/api/v1/measurements"
+RECORDING_BYTES = 16_000_000
+"""Largest recording as JSON, which is held in memory; a file is not."""
 
 
 class BodyLimit:
@@ -20,7 +23,7 @@ class BodyLimit:
     app : ASGIApp
         The application behind.
     upload_bytes : int
-        Largest multipart body; any other body may have at most `JSON_BYTES`.
+        Largest multipart body; any other body may have at most `JSON_BYTES`, a recording `RECORDING_BYTES`.
     receive_timeout : float
         Longest pause between two parts of a body [s].
     """
@@ -37,7 +40,8 @@ class BodyLimit:
             return
         headers = Request(scope).headers
         multipart = headers.get("content-type", "").startswith("multipart/")
-        limit = self._upload_bytes if multipart else min(JSON_BYTES, self._upload_bytes)
+        usual = RECORDING_BYTES if scope["path"] == RECORDINGS else JSON_BYTES
+        limit = self._upload_bytes if multipart else min(usual, self._upload_bytes)
         declared = headers.get("content-length", "0")
         received = 0
         whole = False

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "1.20.0"
+API_VERSION = "1.21.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
@@ -90,12 +90,34 @@ def with_problems(document: dict[str, Any]) -> dict[str, Any]:
                 del responses["422"]
             responses["default"] = {"description": "Any other error.", "content": {MEDIA_TYPE: {"schema": REFERENCE}}}
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
+    for path in document["paths"].values():
+        for operation in path.values():
+            if "requestBody" in operation:
+                operation["requestBody"] = hoisted(operation["requestBody"], schemas)
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
     problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas.update(problem.pop("$defs", {}))
     schemas["ProblemDocument"] = problem
     return document
+
+
+def hoisted(body: dict[str, Any], schemas: dict[str, Any]) -> dict[str, Any]:
+    """Return the description of a body with its schemas' own definitions among those of the document.
+
+    Parameters
+    ----------
+    body : dict
+        Belongs to a route, which may be described again: it stays as it is.
+    schemas : dict
+        Of the document; what is found is added.
+    """
+    content = {}
+    for kind, media in body["content"].items():
+        schema = dict(media.get("schema", {}))
+        schemas.update(schema.pop("$defs", {}))
+        content[kind] = {**media, "schema": schema}
+    return {**body, "content": content}
 
 
 def with_security(document: dict[str, Any]) -> dict[str, Any]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from app import paging
 from app.assets import measurements_of
-from app.errors import BadFieldError
 from app.etags import respond
 from app.file_fields import ASSET, FILE, SAID
 from app.idempotency import IdempotencyKey, once
@@ -15,15 +16,20 @@ from app.openapi import COMPUTING, problems
 from app.routes.findings import Only
 from app.routes.machines import Cursor, Limit
 from app.schemas import MeasurementOut, MeasurementPage
+from app.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
 from app.service import of_request
 from app.storage import MeasurementRow, aware
-from app.told import TOLD, told_of
-from app.uploads import MULTIPART, received_form
+from app.uploads import MULTIPART
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 
 FORM = {"type": "object", "required": ["file"], "properties": {"file": FILE, **SAID, "asset": ASSET}}
-BODY = {"required": True, "content": {MULTIPART: {"schema": FORM}}}
+
+
+def body() -> dict[str, Any]:
+    """Return the description of the two bodies that a measurement may be sent as."""
+    schema = MeasurementIn.model_json_schema(ref_template="#/components/schemas/{model}")
+    return {"required": True, "content": {MULTIPART: {"schema": FORM}, JSON_TYPE: {"schema": schema}}}
 
 
 @router.post(
@@ -31,23 +37,19 @@ BODY = {"required": True, "content": {MULTIPART: {"schema": FORM}}}
     status_code=201,
     response_model=MeasurementOut,
     responses=problems(*COMPUTING),
-    openapi_extra={"requestBody": BODY},
+    openapi_extra={"requestBody": body()},
 )
 async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
     """Store a recording or a spectrum; the same bytes, of which the same is said, are the same measurement again."""
     service = of_request(request)
-    async with received_form(request, service.store, TOLD | {"asset"}) as form:
-        if form.file is None:
-            raise BadFieldError("file: is missing", field="file")
-        file, name, told, asset = form.file, form.file_name, told_of(form.fields), form.fields.get("asset")
+    async with sent_measurement(request, service.store) as sent:
 
         async def answered() -> Response:
-            row = await service.add_measurement(file, name, told, asset)
+            row = await service.add_measurement(sent.file, sent.name, sent.told, sent.asset)
             headers = {"Location": f"/api/v1/measurements/{row.id}"}
             return Response(measurement_out(row).model_dump_json(), 201, headers, "application/json")
 
-        content = [file.sha256, name, form.fields]
-        return await once(request, idempotency_key, service.store.database, content, answered)
+        return await once(request, idempotency_key, service.store.database, sent.content, answered)
 
 
 @router.get("", responses=problems(400, 422))

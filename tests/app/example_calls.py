@@ -159,6 +159,8 @@ class ExampleService:
     def learn(self, answered: Answered) -> None:
         """Note the id of what was created."""
         place = answered.call.path if answered.call.method == "post" else ""
+        if place == "/api/v1/measurements" and CREATED[place] in self.real:
+            return  # the first of them is long enough to be diagnosed
         if place in CREATED and answered.response.status_code < 300:
             self.know(CREATED[place], answered.response.json()["id"])
 

@@ -235,8 +235,8 @@ def refusal_of(server: str, header: str, body: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [
-        ({"json": {"file": "x"}}, 415, "must be multipart/form-data"),
-        ({"content": b"1,2,3", "headers": {"Content-Type": "text/csv"}}, 415, "text/csv"),
+        ({"json": {"file": "x"}}, 422, "channels: Field required"),
+        ({"content": b"1,2,3", "headers": {"Content-Type": "text/csv"}}, 415, "must be application/json or multipart"),
         ({"content": b"x"}, 415, "none"),
         ({"files": {"other": ("a.csv", b"1")}}, 422, "other: is not a field"),
         ({"files": {"file": ("a.csv", b"1")}, "data": {"colour": "red"}}, 422, "colour: is not a field"),

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.20.0", "eacfda6faf8becbf")
+OF_VERSION = ("1.21.0", "1bda54e2cf6c5318")
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
