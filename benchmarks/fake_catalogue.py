@@ -26,9 +26,10 @@ from catalogue.plan import Plan, preset
 from catalogue.sealing import seal
 from catalogue.shard import OK, Outcome, Shard
 from catalogue.store import Catalogue
+from catalogue.variants import Variant
 from solver.machines.machine import Machine, shipped_machine
 
-CHUNK = 64
+CHUNK = 128
 
 
 def hypotheses(machine: Machine) -> tuple[Hypothesis, ...]:
@@ -39,7 +40,10 @@ def hypotheses(machine: Machine) -> tuple[Hypothesis, ...]:
 
 
 def shards(machine: Machine, manifest: Manifest, plan: Plan, entries: int, seed: int = 0) -> Iterator[Shard]:
-    """Yield shards of `entries` made-up cases in all, the same number of each hypothesis."""
+    """Yield shards of `entries` made-up cases in all, the same number of each hypothesis.
+
+    As in a real catalogue draws of two contact laws take turns, and each law has shards of its own.
+    """
     known, header = hypotheses(machine), manifest.header(plan)
     generator = np.random.default_rng(seed)
     bands = manifest.recipe.scheme.count
@@ -71,6 +75,7 @@ def shards(machine: Machine, manifest: Manifest, plan: Plan, entries: int, seed:
                     clearances=tuple(clearance[i].tolist()),
                     parameters={"drive.speed": float(drawn[i]), "contact.friction": float(friction[i])},
                     draw=draw,
+                    variant=Variant("hertz" if joints and draw % 2 else "own"),
                 )
                 for i, draw in enumerate(draws)
             ]
@@ -79,7 +84,9 @@ def shards(machine: Machine, manifest: Manifest, plan: Plan, entries: int, seed:
                 Outcome(OK, "", case.parameters["drive.speed"], 1.0, 3, 0.0, power[i], spread)
                 for i, case in enumerate(cases)
             ]
-            yield Shard.of(header, cases, outcomes)
+            for law in dict.fromkeys(case.variant.law for case in cases):
+                alike = [i for i, case in enumerate(cases) if case.variant.law == law]
+                yield Shard.of(header, [cases[i] for i in alike], [outcomes[i] for i in alike])
 
 
 def _smooth(generator: np.random.Generator, shape: tuple[int, int, int]) -> NDArray[np.float64]:
