@@ -9,13 +9,15 @@ WORKERS ?= 2
 BENCH ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format unit fuzz fuzz-readers schemathesis serve bench pins clean
+.PHONY: help install demo test lint format unit fuzz fuzz-readers schemathesis serve bench pins clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
 demo: $(STAMP) ## simulate a worn machine, build a small catalogue, find the worn joint again
 	$(BIN)/python -m app.demo
+
+install: $(STAMP) ## everything the command needs, into .venv
 
 serve: $(STAMP) ## the web form and the HTTP API on http://127.0.0.1:8000
 	$(BIN)/jointplay serve --no-keys
