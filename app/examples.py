@@ -93,7 +93,7 @@ BODIES: dict[tuple[str, str], dict[str, Any]] = {
         "application/json": {"machine": "slider-crank", "notes": "hall 2, line 3"}
     },
     ("post", "/api/v1/webhooks"): {
-        "application/json": {"url": "https://example.org/jointplay", "events": ["diagnosis.created"]}
+        "application/json": {"url": "https://maintenance.example/jointplay", "events": ["diagnosis.created"]}
     },
     ("post", "/api/v1/diagnoses/{key}/finding"): {
         "application/json": {

@@ -11,11 +11,12 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from app.examples import with_examples
+from app.links import with_links
 from app.problems import MEDIA_TYPE
 from app.schemas import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "1.21.0"
+API_VERSION = "1.22.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
@@ -73,7 +74,7 @@ def documented(application: FastAPI, *, keyed: bool) -> Callable[[], dict[str, A
                     routes=application.routes,
                 )
             )
-            document = with_examples(document)
+            document = with_links(with_examples(document))
             application.openapi_schema = with_security(document) if keyed else document
         return application.openapi_schema
 

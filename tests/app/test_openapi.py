@@ -15,7 +15,8 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.21.0", "1bda54e2cf6c5318")
+OF_VERSION = ("1.22.0", "f808bf0d32811498")
+ASSET_MEASUREMENT = "/api/v1/assets/{external_id}/measurements/{measurement}"
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 
@@ -70,3 +71,23 @@ def test_every_operation_says_what_it_does(document: dict[str, Any]) -> None:
         for operation in operations.values():
             assert operation["summary"]
             assert operation["description"]
+
+
+def test_every_link_leads_to_an_operation_that_takes_it(document: dict[str, Any]) -> None:
+    operations = {
+        operation["operationId"]: (path, operation)
+        for path, each in document["paths"].items()
+        for operation in each.values()
+    }
+    reached = set()
+    for path, operation in operations.values():
+        for response in operation["responses"].values():
+            for name, link in response.get("links", {}).items():
+                _, taken = operations[link["operationId"]]
+                wanted = {each["name"] for each in taken["parameters"] if each["in"] == "path"}
+                assert set(link["parameters"]) == wanted, (path, name)
+                reached.add(link["operationId"])
+    by_name = {key for key, (path, _) in operations.items() if "{" in path}
+    known = {operations[key][0] for key in by_name - reached}
+    # What is put has a name that its sender gives.
+    assert known == {"/api/v1/machines/{name}", "/api/v1/assets/{external_id}", ASSET_MEASUREMENT}

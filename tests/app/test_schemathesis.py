@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from small_service import serving
@@ -21,7 +22,9 @@ def test_every_operation_answers_as_documented(shelf: Path, tmp_path: Path) -> N
 
 
 def test_a_run_that_reached_nothing_is_no_success() -> None:
-    assert Found(calls=90, operations=9, tested=9, failures=0, exit_status=0, output="").whole
+    members = {"calls": 90, "operations": 9, "tested": 9, "failures": 0, "exit_status": 0}
+    succeeded = Counter({f"GET /{number}": 1 for number in range(9)})
+    assert Found(output="", succeeded=succeeded, **members).whole
     for broken in ({"tested": 8}, {"failures": 1}, {"exit_status": 1}, {"operations": 0, "tested": 0}):
-        members = {"calls": 90, "operations": 9, "tested": 9, "failures": 0, "exit_status": 0, **broken}
-        assert not Found(output="", **members).whole
+        assert not Found(output="", succeeded=succeeded, **{**members, **broken}).whole
+    assert not Found(output="", succeeded=succeeded - Counter({"GET /3": 1}), **members).whole
