@@ -6,6 +6,7 @@ returns is compared with what they declare.
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,10 @@ _QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}
 #: Record 6: kind of function. General and time response are recordings; the others are spectra of one kind each.
 _TIME, _SPECTRA = (0, 1), {2: "power", 9: "psd", 12: "amplitude"}
 _ABSCISSA_TIME, _ABSCISSA_FREQUENCY = 17, 18
+#: "channel 3 of 4", in a record's lines of text.
+_OF = re.compile(r"\b(\d{1,4})\s+of\s+(\d{1,4})\b", re.IGNORECASE)
+#: Function numbers up to here are taken for numbers of records.
+_HIGHEST = 256
 _UNKNOWN = frozenset({"", "none", "unknown"})
 
 
@@ -54,6 +59,10 @@ def read_uff(data: bytes, source: str, limits: Limits) -> RawRecording:
         if len(found) != len(blocks):
             raise MeasurementError(source, rule=f"{len(blocks)} data sets are in it, {len(found)} can be read")
         records = [_record(opened, index, source, blocks[index].line) for index in wanted]
+    facts.append(f"records by name: {', '.join(str(record['id1']).strip() for record in records)[:400]}")
+    missing = missing_records(records)
+    if not missing:
+        facts.append("the file does not say how many records there should be: one that ends between two looks whole")
     first = records[0]
     for place, record in enumerate(records[1:], start=2):
         for field, what in (("num_pts", "samples"), ("abscissa_inc", "step"), ("func_type", "kind of function")):
@@ -90,9 +99,34 @@ def read_uff(data: bytes, source: str, limits: Limits) -> RawRecording:
         np.column_stack(values),
         rate,
         (f"universal file, {len(records)} records 58", *facts),
+        warnings=missing,
         declared=int(first["num_pts"]),
         form=form,
     )
+
+
+def missing_records(records: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """Warnings of records that the ones that are there speak of, or number; somebody may have left them out on purpose.
+
+    Parameters
+    ----------
+    records : sequence of dict
+        As the library gives them: ``id1`` to ``id5`` are lines of text, ``func_id`` is a number.
+    """
+    texts = [" ".join(str(record.get(f"id{line}", "")) for line in range(1, 6)) for record in records]
+    counted = [_OF.search(text) for text in texts]
+    totals = {int(found[2]) for found in counted if found}
+    if all(counted) and len(totals) == 1 and len(records) < (total := totals.pop()):
+        cut = "the file was perhaps cut between two of them"
+        return (f"the records say that they are {total}, {len(records)} are there: {cut}",)
+    numbers = [int(record.get("func_id") or 0) for record in records]
+    if min(numbers) < 1 or len(set(numbers)) < len(numbers) or max(numbers) > _HIGHEST:
+        return ()  # not numbered
+    gaps = sorted(set(range(1, max(numbers))) - set(numbers))
+    if not gaps:
+        return ()
+    shown = ", ".join(map(str, gaps[:8])) + (" ..." if len(gaps) > 8 else "")
+    return (f"{len(records)} records, but by their function numbers {shown} of {max(numbers)} are not in the file",)
 
 
 def blocks_of(data: bytes, source: str) -> list[Block]:
@@ -119,6 +153,8 @@ def blocks_of(data: bytes, source: str) -> list[Block]:
     while (text := next_line()) is not None:
         if not text.strip():
             continue
+        if text.strip() == b"-" and place >= len(data):
+            raise MeasurementError(source, line, rule="is truncated: it ends where a data set begins")
         if text.strip() != b"-1":
             raise MeasurementError(
                 source, line, value=text[:40].decode("latin-1"), rule="a data set must begin with -1"

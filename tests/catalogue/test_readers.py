@@ -148,6 +148,39 @@ def test_universal_files(tmp_path: Path, binary: bool) -> None:
     assert held(read_measurement(uneven, name="u.uff"), exact=1e-5)
 
 
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_universal_file_cut_between_two_records(tmp_path: Path, binary: bool) -> None:
+    def without_last(data: bytes) -> bytes:
+        """The same, cut exactly behind the end of the last record but one."""
+        start = data.rindex(b"    -1", 0, data.rindex(b"    58"))
+        assert data[:start].rstrip().endswith(b"-1")
+        return data[:start]
+
+    silent = uff(tmp_path / "s.uff", binary)
+    found = read_measurement(without_last(silent), name="s.uff")
+    assert found.channel_names == ("a",)
+    assert "universal file, 1 records 58" in found.import_report
+    assert any("does not say how many records there should be" in line for line in found.import_report)
+    assert "records by name: a, b" in read_measurement(silent, name="s.uff").import_report
+    counted = uff(tmp_path / "c.uff", binary, id3="channel 1 of 2")
+    assert read_measurement(counted, name="c.uff").channel_names == ("a", "b")
+    (warning,) = read_measurement(without_last(counted), name="c.uff").warnings
+    assert warning.startswith("the records say that they are 2, 1 are there: ")
+    assert not read_measurement(counted, name="c.uff").warnings
+    numbered = uff(tmp_path / "n.uff", binary).replace(b"\n    1         0", b"\n    1         1", 1)
+    whole = numbered.replace(b"\n    1         0", b"\n    1         2", 1)
+    assert not read_measurement(whole, name="n.uff").warnings
+    gap = numbered.replace(b"\n    1         0", b"\n    1         4", 1)
+    (warning,) = read_measurement(gap, name="n.uff").warnings
+    assert warning == "2 records, but by their function numbers 2, 3 of 4 are not in the file"
+
+
+def test_a_universal_file_cut_where_a_record_begins(tmp_path: Path) -> None:
+    data = uff(tmp_path / "s.uff", False)
+    start = data.rindex(b"    -1", 0, data.rindex(b"    58"))
+    assert "is truncated" in refusal(data[: start + 5], "s.uff")
+
+
 def test_floating_wav_has_units_of_its_own_and_pcm_has_a_full_scale() -> None:
     found = read_measurement(wav("DOUBLE", 1.0), name="s.wav", units={"ch1": "m/s2", "ch2": "m/s2"})
     assert held(found)
