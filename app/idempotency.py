@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from fastapi import Header
 from sqlalchemy import LargeBinary, String, delete, select, update
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy.orm import Mapped, Session, mapped_column
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
@@ -132,6 +132,18 @@ def reserve(database: Database, place: str, fingerprint: str, moment: datetime) 
     answer = Response(found.body, found.status)
     answer.raw_headers = [(name.encode(), value.encode()) for name, value in found.headers.items()]
     return answer
+
+
+def forget(session: Session, place: str) -> None:
+    """Free the keys, in a transaction, whose answer names what is there no longer.
+
+    Parameters
+    ----------
+    session : Session
+    place : str
+        The ``Location`` of the answer.
+    """
+    session.execute(delete(IdempotencyRow).where(IdempotencyRow.headers["location"].as_string() == place))
 
 
 def settle(database: Database, place: str, moment: datetime, answer: Response | None) -> None:

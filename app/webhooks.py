@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args
 from sqlalchemy import JSON, ForeignKey, String, Text, delete, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
+from app import idempotency
 from app.database import Database, is_id
 from app.errors import UnknownWebhookError
 from app.storage import Base, newest, now
@@ -136,6 +137,8 @@ class Webhooks:
             session.execute(delete(DeliveryRow).where(DeliveryRow.webhook == key))
             if session.execute(delete(WebhookRow).where(WebhookRow.id == key).returning(WebhookRow.id)).first() is None:
                 raise unknown(key)
+            # An answer that is kept has the secret, and says of a webhook that it is there.
+            idempotency.forget(session, place_of(key))
 
     def deliveries(self, key: str, before: int | None, limit: int) -> list[DeliveryRow]:
         """Return what a webhook was told and is to be told, the newest first."""
@@ -226,6 +229,11 @@ def signature(secret: str, timestamp: int, body: bytes) -> str:
     """
     signed = f"{timestamp}.".encode() + body
     return f"t={timestamp},v1={hmac.new(secret.encode(), signed, hashlib.sha256).hexdigest()}"
+
+
+def place_of(key: str) -> str:
+    """Return where a webhook can be asked for."""
+    return f"/api/v1/webhooks/{key}"
 
 
 def unknown(key: str) -> UnknownWebhookError:

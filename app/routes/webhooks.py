@@ -14,7 +14,7 @@ from app.storage import aware
 from app.uploads import JSON_TYPE, json_body
 from app.webhook_schemas import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
 from app.webhook_sender import checked_url
-from app.webhooks import WebhookRow, Webhooks
+from app.webhooks import WebhookRow, Webhooks, place_of
 
 router = APIRouter(prefix="/webhooks", tags=["webhooks"])
 
@@ -35,7 +35,7 @@ async def add(request: Request, wanted: WebhookIn, idempotency_key: IdempotencyK
     async def answered() -> Response:
         row = await run_in_threadpool(Webhooks(database).add, wanted.url, events)
         made = WebhookMade(**webhook_out(row).model_dump(), secret=row.secret)
-        headers = {"Location": f"/api/v1/webhooks/{row.id}"}
+        headers = {"Location": place_of(row.id)}
         return Response(made.model_dump_json(), 201, headers, JSON_TYPE)
 
     return await once(request, idempotency_key, database, [wanted.url, events], answered)

@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 import app.idempotency
 from app.errors import KeyInUseError, KeyReusedError
-from app.idempotency import KEPT, LEASE, once, reserve, settle
+from app.idempotency import KEPT, LEASE, forget, once, reserve, settle
 from app.storage import Store, now
 
 API = "/api/v1"
@@ -140,6 +140,27 @@ def test_over_http(client: httpx.Client, worn: bytes) -> None:
     assert (one.status_code, two.content, two.headers["location"]) == (201, one.content, one.headers["location"])
     assert client.get(one.headers["location"]).content == one.content
     assert diagnose(effort="standard").status_code == 422
+
+
+def test_an_answer_is_kept_until_what_it_names_is_forgotten(store: Store) -> None:
+    work = Work()
+    first, other = ask(store, work), ask(store, work, key="other")
+    with store.database.writing() as session:
+        forget(session, first.headers["location"])
+    assert ask(store, work, key="other").body == other.body
+    assert ask(store, work).body == b"number 3"
+
+
+def test_a_webhook_that_was_forgotten_is_not_answered_again(client: httpx.Client) -> None:
+    def send() -> httpx.Response:
+        body = {"url": "https://example.org/short", "events": ["finding.created"]}
+        return client.post(f"{API}/webhooks", json=body, headers={"Idempotency-Key": "w-1"})
+
+    first = send()
+    assert client.delete(first.headers["location"]).status_code == 204
+    second = send()
+    assert second.json()["id"] != first.json()["id"]
+    assert client.get(second.headers["location"]).status_code == 200
 
 
 def test_findings_and_webhooks_over_http(client: httpx.Client, worn: bytes) -> None:
