@@ -6,9 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
-import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -166,9 +164,6 @@ class Store:
         self.database = Database(database_url(url) if url else file, Base.metadata)
         self._session = self.database.session
         self._opened = self._identity()
-        self._lock = threading.Lock()
-        self._in_use: Counter[str] = Counter()
-        self._stored: set[str] = set()
 
     def close(self) -> None:
         """Let go of the database."""
@@ -213,9 +208,9 @@ class Store:
         return found.st_dev, found.st_ino
 
     def receive(self, source: BinaryIO) -> Upload:
-        """Copy an upload below the directory, named by its content, and return where it is.
+        """Copy an upload below the directory, to the disk, and return where it is.
 
-        The copy appears under its name only when it is whole and on disk. Each is to be settled once.
+        The copy is this upload's own until it becomes a measurement. Each is to be settled once.
         """
         digest = hashlib.sha256()
         size = 0
@@ -227,18 +222,26 @@ class Store:
                     partial.write(block)
                 partial.flush()
                 os.fsync(partial.fileno())
-                target = self.path_of(digest.hexdigest())
-                target.parent.mkdir(exist_ok=True)
-                # Names have to outlive a loss of power, too, before anybody is told of them.
-                sync_folder(self._files)
-                with self._lock:
-                    os.replace(partial.name, target)
-                    self._in_use[digest.hexdigest()] += 1
-                sync_folder(target.parent)
             except BaseException:
                 Path(partial.name).unlink(missing_ok=True)
                 raise
-        return Upload(target, digest.hexdigest(), size)
+        return Upload(Path(partial.name), digest.hexdigest(), size)
+
+    def _name(self, upload: Upload) -> None:
+        """Give an upload the name of its content, to the disk, before a row says that it is there.
+
+        A file that has this name is never deleted: another server may be about to store the same bytes. So bytes whose
+        row cannot be committed stay, too; they lie there for whoever sends them again.
+        """
+        target = self.path_of(upload.sha256)
+        target.parent.mkdir(exist_ok=True)
+        sync_folder(self._files)
+        try:
+            os.replace(upload.path, target)
+        except FileNotFoundError:
+            if not target.is_file():  # else it has the name already
+                raise
+        sync_folder(target.parent)
 
     def _tidy(self) -> None:
         """Delete what killed servers left of uploads; young ones may be on their way to another server."""
@@ -252,19 +255,8 @@ class Store:
         return self._files / sha256[:2] / sha256
 
     def settle(self, upload: Upload) -> None:
-        """Delete an upload that became no measurement, unless somebody else is sending the same bytes just now."""
-        with self._lock:
-            self._in_use[upload.sha256] -= 1
-            if self._in_use[upload.sha256]:
-                return
-            del self._in_use[upload.sha256]
-            if upload.sha256 in self._stored:
-                self._stored.remove(upload.sha256)
-                return
-            query = select(MeasurementRow.id).where(MeasurementRow.sha256 == upload.sha256).limit(1)
-            with self._session() as session:
-                if session.scalar(query) is None:
-                    upload.path.unlink(missing_ok=True)
+        """Delete an upload, unless it became a measurement."""
+        upload.path.unlink(missing_ok=True)
 
     def add_measurement(
         self,
@@ -283,21 +275,21 @@ class Store:
         also : callable, optional
             Called with the id in the same transaction.
         """
+        self._name(upload)
         with self.database.writing() as session:
             kept = self._put_measurement(session, upload, name, told or Told(), summary)
             if also is not None:
                 also(session, kept.id)
-        self._note_stored(upload)
         return kept
 
     def add_both(
         self, upload: Upload, name: str, told: Told, summary: Mapping[str, Any], diagnosis: NewDiagnosis
     ) -> DiagnosisRow:
         """Store a measurement and a diagnosis of it in one transaction, as one call after the other would."""
+        self._name(upload)
         with self.database.writing() as session:
             self._put_measurement(session, upload, name, told, summary)
             kept = self._put_diagnosis(session, diagnosis)
-        self._note_stored(upload)
         return kept
 
     def _put_measurement(
@@ -322,12 +314,6 @@ class Store:
         if number is not None:
             return table(number=number, **row), True
         return session.scalars(select(table).filter_by(id=row["id"])).one(), False
-
-    def _note_stored(self, upload: Upload) -> None:
-        """Note that an upload became a measurement, so that :meth:`settle` need not ask the database."""
-        with self._lock:
-            if upload.sha256 in self._in_use:
-                self._stored.add(upload.sha256)
 
     def measurement(self, key: str) -> MeasurementRow:
         """Return a measurement.

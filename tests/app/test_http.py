@@ -173,18 +173,27 @@ def test_a_refused_form_leaves_no_file(
     assert not list((settings.data / "measurements").rglob(name))
 
 
-def test_refusing_an_upload_spares_the_same_bytes_on_their_way(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    refused, kept = store.receive(io.BytesIO(b"bytes")), store.receive(io.BytesIO(b"bytes"))
-    store.settle(refused)
-    assert kept.path.read_bytes() == b"bytes"
-    store.add_measurement(kept, "kept.csv", None, {})
-    store.settle(kept)
-    assert kept.path.read_bytes() == b"bytes"
-    lone = store.receive(io.BytesIO(b"others"))
-    store.settle(lone)
-    assert not lone.path.exists()
-    store.close()
+@pytest.mark.parametrize("stored_first", [False, True])
+def test_one_server_refuses_what_another_keeps(tmp_path: Path, url: str, stored_first: bool) -> None:
+    one, other = Store(tmp_path, url), Store(tmp_path, url)
+    refused, kept = one.receive(io.BytesIO(b"bytes")), other.receive(io.BytesIO(b"bytes"))
+    place = one.path_of(kept.sha256)
+    if stored_first:
+        other.add_measurement(kept, "kept.csv", None, {})
+        one.settle(refused)
+    else:
+        one.settle(refused)
+        assert kept.path.read_bytes() == b"bytes"
+        other.add_measurement(kept, "kept.csv", None, {})
+    other.settle(kept)
+    assert place.read_bytes() == b"bytes"
+    assert [path.name for path in (tmp_path / "measurements").rglob("*") if path.is_file()] == [place.name]
+    again = one.receive(io.BytesIO(b"bytes"))
+    assert one.add_measurement(again, "kept.csv", None, {}).id == one.measurements(None, 2)[0].id
+    one.settle(again)
+    assert place.read_bytes() == b"bytes"
+    for store in (one, other):
+        store.close()
 
 
 @pytest.mark.parametrize("name", ["recording", "recording.pdf", "../../etc/passwd", "x" * 300 + ".docx", "\u202e.exe"])
