@@ -55,9 +55,14 @@ def summary_of(measurement: Measurement | MeasuredSpectrum) -> dict[str, Any]:
     }
 
 
+def kind_of(summary: Mapping[str, Any]) -> str:
+    """Return ``recording`` or ``spectrum``; of what was stored before there were spectra, nothing is said."""
+    return str(summary.get("kind", "recording"))
+
+
 def extent(summary: Mapping[str, Any]) -> str:
     """Return how long a recording is, or how far a spectrum reaches, in words."""
-    if summary.get("kind") == "spectrum":
+    if kind_of(summary) == "spectrum":
         held = summary["spectrum"]
         return f"spectrum, {held['lines']} lines, {held['resolution_hz']:.4g} Hz apart, to {held['highest_hz']:.6g} Hz"
     return f"{summary['duration_s']:.4g} s at {summary['sample_rate_hz']:.6g} Hz"
@@ -70,3 +75,24 @@ def channel_words(channel: Mapping[str, Any]) -> str:
         return said
     scaling = {"psd": "density", "power": "power", "amplitude": "amplitude"}[channel["scaling"]]
     return f"{said}, {scaling}, {channel['detector']}{', dB' if channel['decibel'] else ''}"
+
+
+def said(told: Mapping[str, Any]) -> str:
+    """Return what a sender said of a file, in one line."""
+    parts = []
+    for name, value in told.items():
+        if name == "sample_rate_hz":
+            parts.append(f"sample rate {value:g} Hz")
+        else:
+            members = value if name == "profile" else {name: value}
+            parts += [f"{member.replace('_', ' ')} {plainly(each)}" for member, each in members.items()]
+    return "; ".join(parts)
+
+
+def plainly(value: Any) -> str:
+    """Return a JSON value as a reader writes it."""
+    if isinstance(value, Mapping):
+        return ", ".join(plainly(each) if name == "*" else f"{name}: {plainly(each)}" for name, each in value.items())
+    if isinstance(value, list):
+        return ", ".join(plainly(each) for each in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -8,7 +8,7 @@ from typing import Any
 from app.catalogues import Offer
 from app.page_forms import NOT_USED
 from app.storage import MeasurementRow
-from app.summaries import channel_words
+from app.summaries import channel_words, kind_of, said
 from catalogue.sensors import matched_by_name
 
 
@@ -54,7 +54,7 @@ def confirmation(
         "not_used": NOT_USED,
         "estimated": estimated,
         "speed": given.get("speed", estimated),
-        "speed_hint": speed_hint(found, offer),
+        "speed_hint": speed_hint(found, offer, kind_of(summary)),
         "warnings": list(dict.fromkeys([*summary["warnings"], *found["warnings"]])),
         "report": summary["import_report"],
     }
@@ -62,7 +62,7 @@ def confirmation(
 
 def extents(summary: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """Return how long a recording is, or how far and how finely a spectrum reaches."""
-    if summary.get("kind") == "spectrum":
+    if kind_of(summary) == "spectrum":
         held = summary["spectrum"]
         return (
             ("Spectrum", f"{held['lowest_hz']:.6g} to {held['highest_hz']:.6g} Hz"),
@@ -74,33 +74,13 @@ def extents(summary: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     )
 
 
-def said(told: Mapping[str, Any]) -> str:
-    """Return what a sender said of a file, in one line."""
-    flat: dict[str, Any] = {}
-    for name, value in told.items():
-        if name == "sample_rate_hz":
-            flat["sample_rate"] = f"{value:g} Hz"
-        else:
-            flat.update(value if name == "profile" else {name: value})
-    return "; ".join(f"{name.replace('_', ' ')} {plainly(value)}" for name, value in flat.items())
-
-
-def plainly(value: Any) -> str:
-    """Return a JSON value as a reader writes it."""
-    if isinstance(value, Mapping):
-        return ", ".join(plainly(each) if name == "*" else f"{name}: {plainly(each)}" for name, each in value.items())
-    if isinstance(value, list):
-        return ", ".join(plainly(each) for each in value)
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def speed_hint(found: Mapping[str, Any], offer: Offer) -> str:
+def speed_hint(found: Mapping[str, Any], offer: Offer, kind: str) -> str:
     """Return where the drive speed comes from, in a sentence."""
     nominal = offer.description.nominal_speed_rpm
     usual = f" The machine's own is {nominal:.4g} rpm." if nominal is not None else ""
     if found["speed_rpm"] is None:
-        return f"It was not found in the recording: write it here.{usual}"
-    source = "By the pulses of the tacho" if found["tacho"] else "Found in the recording"
+        return f"It was not found in the {kind}: write it here.{usual}"
+    source = "By the pulses of the tacho" if found["tacho"] else f"Found in the {kind}"
     return (
         f"{source}: {found['speed_rpm']:.6g} ± {found['uncertainty_rpm']:.2g} rpm (standard uncertainty)."
         f" Write another one if you know better.{usual}"

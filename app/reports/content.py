@@ -8,7 +8,7 @@ from typing import Any
 
 from app import words
 from app.storage import DiagnosisRow, MeasurementRow, aware
-from app.summaries import extent
+from app.summaries import extent, kind_of, said
 
 SHOWN_HYPOTHESES = 5
 SHOWN_SUGGESTIONS = 3
@@ -113,8 +113,9 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
     return (
         *((Named("Asset", cut(asset)),) if asset else ()),
         Named("Machine", cut(row.result["machine"])),
-        Named("Recording", f"{cut(measurement.name)}, received {moment(measurement)}"),
-        Named("Extent" if summary.get("kind") == "spectrum" else "Length", extent(summary)),
+        Named(kind_of(summary).capitalize(), f"{cut(measurement.name)}, received {moment(measurement)}"),
+        Named("Extent" if kind_of(summary) == "spectrum" else "Length", extent(summary)),
+        *((Named("Said of it", cut(said(measurement.told.shown))),) if measurement.told.shown else ()),
         Named("Channels", cut(channels)),
         Named("Drive speed", f"{row.result['drive_speed_rpm']:.5g} rpm"),
         Named("Diagnosed", moment(row)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from typing import Any
 
 import httpx
@@ -139,6 +140,8 @@ def test_a_spectrum_is_stored_and_diagnosed(client: httpx.Client, spectrum: byte
     assert {each["channel"] for each in document["evidence"]["orders"]} == set(recording.channel_names)
     report = client.get(f"{API}/diagnoses/{document['id']}/report").text
     assert "4097 lines, 1.221 Hz apart" in report
+    assert re.search(r"Spectrum\s*</\w+>\s*<\w+>\s*s\.csv, received", report)
+    assert "Said of it" not in report
     page = client.get("/confirm", params={"measurement": stored["id"], "catalogue": "slider-crank"}).text
     assert "1.221 Hz, 4097 lines" in page and "density, rms" in page
     assert client.get(f"/diagnoses/{document['id']}").status_code == 200
@@ -229,3 +232,5 @@ def test_what_is_said_of_a_file_is_kept_with_it(client: httpx.Client, bare: byte
     answer = client.post(f"{API}/diagnoses", json={**asked, "effort": "fast"})
     assert answer.status_code == 201, answer.text
     assert answer.json()["provenance"]["measurement_sha256"] == found["sha256"]
+    report = client.get(f"{API}/diagnoses/{answer.json()['id']}/report").text
+    assert "sample rate 10000 Hz; units g" in report
