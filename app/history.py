@@ -107,8 +107,10 @@ def chart(
             low, high = found["interval_um"]
             points.setdefault(joint, []).append({"at": at, "um": found["clearance_um"], "low": low, "high": high})
     for finding in findings:
-        found_um = [found["clearance_um"] for found in finding.joints.values()]
-        events += [{"at": seconds(finding.at), "kind": "finding", "um": um} for um in found_um or [None]]
+        event = {"at": seconds(finding.at), "kind": "finding"}
+        events += [
+            {**event, "joint": joint, "um": found["clearance_um"]} for joint, found in finding.joints.items()
+        ] or [event]
     joints = sorted(points, key=order.index)
     return {
         "joints": [{"name": name, "look": order.index(name) % 6} for name in joints],

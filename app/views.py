@@ -71,8 +71,8 @@ def ranking(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 def decision(comparison: Comparison, band: Band) -> dict[str, str]:
     """Return the row of a band that decided."""
     return {
-        "channel": comparison.title,
-        "order": f"{band.order:.3g}",
+        "channel": comparison.title.removesuffix(" of the frame"),
+        "order": words.order(band.order),
         "measured": f"{band.measured_db:.1f}",
         "matched": f"{band.predicted_db:.1f}",
         "rival": "–" if band.rival_db is None else f"{band.rival_db:.1f}",
@@ -85,7 +85,8 @@ def chart(comparison: Comparison, decided: Sequence[Band] = ()) -> dict[str, Any
     return {
         "title": comparison.title,
         "summary": (
-            f"Level by order of {comparison.title}, measured and matched; they differ most at order {worst.order:.3g}: "
+            f"Level by order of {comparison.title}, measured and matched; they differ most at order "
+            f"{words.order(worst.order)}: "
             f"{worst.measured_db:.1f} dB measured, {worst.predicted_db:.1f} dB matched."
         ),
         "data": {

@@ -58,6 +58,11 @@ def micrometres(value: float) -> str:
     return f"{value:.1f}" if value < 10 else f"{value:.0f}"
 
 
+def order(value: float) -> str:
+    """Return an order of the drive with the digits that mean something."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+
+
 def percent(probability: float) -> str:
     """Return a probability in per cent; what is not certain never reads as certain."""
     if probability >= 0.995:

@@ -18,7 +18,7 @@ from app.pictures import machine_picture
 from app.routes.pages import REFUSALS, context
 from app.service import Service, of_request
 from app.spectra import NAMES, UNITS
-from app.words import micrometres
+from app.words import micrometres, order
 from solver.errors import UnitError
 from solver.machines.units import LENGTH, to_si
 
@@ -127,9 +127,9 @@ def chart(found: dict[str, Any], channel: str) -> dict[str, Any]:
         "title": NAMES[channel],
         "summary": (
             f"Level by order of {NAMES[channel]}, of this entry and of the healthy machine; they differ most at order"
-            f" {found['orders'][strongest]:.3g}, by {differences[strongest]:+.1f} dB."
+            f" {order(found['orders'][strongest])}, by {differences[strongest]:+.1f} dB."
         ),
-        "most": f"{differences[strongest]:+.1f} dB at order {found['orders'][strongest]:.3g}",
+        "most": f"{differences[strongest]:+.1f} dB at order {order(found['orders'][strongest])}",
         "data": {
             "label": f"dB re 1 {UNITS.get(channel, 'm/s²')}",
             "orders": found["orders"],

@@ -56,7 +56,9 @@
     for (const event of data.events) {
       const y = chart.valToPos(event.um ?? 0, "y", true) - (event.um == null ? 9 * scale : 0);
       ctx.fillStyle = colour(`--mark-${event.kind}`);
-      ctx.fillText(SYMBOLS[event.kind], chart.valToPos(event.at, "x", true), y);
+      const x = chart.valToPos(event.at, "x", true);
+      ctx.fillText(SYMBOLS[event.kind], x, y);
+      if (event.joint) ctx.fillText(event.joint, x + 15 * scale, y);
     }
     ctx.restore();
   };
@@ -68,7 +70,7 @@
   // Hours where a step is less than a day, with the date where it begins or changes.
   const dates = (self, ticks, axis, space, step) => ticks.map((tick, index) => {
     const date = day(utc(tick));
-    if (step >= 86400) return date;
+    if (step >= 86400) return `${date.slice(5)}\n${date.slice(0, 4)}`;
     return index && date === day(utc(ticks[index - 1])) ? clock(utc(tick)) : `${clock(utc(tick))}\n${date}`;
   });
 
@@ -85,7 +87,7 @@
       height: Math.max(240, Math.min(340, width * 0.4)),
       tzDate: utc,
       scales: { x: { range: range(values[0]) }, y: { range: [0, 1.1 * largest(data)] } },
-      axes: [{ ...axis, label: "time (UTC)", values: dates, space: 80 }, { ...axis, label: data.label, size: 55 }],
+      axes: [{ ...axis, label: "time (UTC)", values: dates, space: width > 480 ? 70 : 50 }, { ...axis, label: data.label, size: 55 }],
       series: [
         { label: "time (UTC)", value: "{YYYY}-{MM}-{DD} {HH}:{mm}" },
         ...data.joints.map((joint) => ({

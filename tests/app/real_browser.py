@@ -69,6 +69,7 @@ def visiting(browser: Browser, server: str, screen: tuple[int, int, Any], **more
 
 def serious(page: Page) -> list[str]:
     """What axe finds that is serious or worse; it is evaluated, as the policy lets no page load it."""
+    page.wait_for_load_state()
     page.evaluate(AXE.read_text(encoding="utf-8"))
     found = page.evaluate("axe.run()")
     assert len(found["passes"]) > 10
@@ -87,5 +88,6 @@ def has_drawn(canvas: Locator) -> bool:
 
 
 def is_within_screen(page: Page) -> bool:
+    page.wait_for_load_state()  # a page that just came has no content yet
     wide: bool = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     return wide

@@ -123,7 +123,7 @@ def test_a_diagnosis_of_the_form_is_of_its_asset(client: httpx.Client, worn: byt
     page = client.get("/assets/page-3").text
     assert "feeler &lt;gauge&gt;" in page and "B 140 µm" in page
     drawn = json.loads(html.unescape(re.findall(r'data-history="([^"]+)"', page)[0]))
-    assert drawn["events"] == [{"at": 1772352000.0, "kind": "finding", "um": 140.0}]
+    assert drawn["events"] == [{"at": 1772352000.0, "kind": "finding", "joint": "B", "um": 140.0}]
 
 
 # --- what is drawn of a longer past

@@ -36,7 +36,8 @@ def diagnose(page: Page, name: str, content: bytes, folder: Path, verdict: str) 
 def test_an_asset_from_its_name_to_its_past(visit: Visit, worn: bytes, in_order: bytes, tmp_path: Path) -> None:
     page = visit.page
     name = f"press-{page.viewport_size['width']}" if page.viewport_size else ""
-    page.get_by_role("link", name="Assets").click()
+    page.get_by_role("link", name="Assets", exact=True).click()
+    expect(page.get_by_role("heading", name="New asset")).to_be_visible()
     assert is_within_screen(page) and serious(page) == []
     page.get_by_label("Name in your records").fill("hall B")
     page.get_by_label("Machine").select_option("slider-crank")
@@ -62,5 +63,5 @@ def test_an_asset_from_its_name_to_its_past(visit: Visit, worn: bytes, in_order:
     assert is_within_screen(page) and serious(page) == []
     page.get_by_role("link", name="B worn").click()
     expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn")
-    page.get_by_role("link", name="Assets").click()
+    page.get_by_role("link", name="Assets", exact=True).click()
     expect(page.get_by_role("row", name=name)).to_contain_text("yes")

@@ -222,6 +222,7 @@ def tabbed(page: Page) -> list[str]:
 def test_a_catalogue_is_browsed(visit: Visit) -> None:
     page = visit.page
     page.get_by_role("link", name="Catalogues").click()
+    expect(page.get_by_role("heading", name="Catalogues")).to_be_visible()
     assert serious(page) == []
     assert is_within_screen(page)
     page.get_by_role("link", name="slider-crank").click()

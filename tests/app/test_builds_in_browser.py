@@ -48,6 +48,7 @@ def ask(page: Page, name: str) -> None:
 def test_from_the_form_to_the_catalogue(visit: Visit, queue: BuildQueue, settings: Settings, shelf: Path) -> None:
     page = visit.page
     page.get_by_role("link", name="Builds").click()
+    expect(page.get_by_role("heading", name="Build a catalogue")).to_be_visible()
     assert is_within_screen(page) and serious(page) == []
     ask(page, "not/a/name")
     expect(page.locator("#error-catalogue")).to_contain_text("catalogue: ")

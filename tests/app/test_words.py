@@ -69,3 +69,8 @@ def test_nothing_known() -> None:
 )
 def test_nothing_is_certain(probability: float, text: str) -> None:
     assert words.percent(probability) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(2.0, "2"), (14.52, "14.5"), (1428.6, "1429"), (100.4, "100")])
+def test_orders(value: float, text: str) -> None:
+    assert words.order(value) == text
