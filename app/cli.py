@@ -23,6 +23,8 @@ COMMANDS = {
     "diagnose": "rank the fault hypotheses of a catalogue for a measurement",
     "evaluate": "measure the diagnoses of a catalogue on recordings it has not seen",
     "keys": "make, list and take back keys to the HTTP interface",
+    "backup": "copy everything a service keeps, while it works",
+    "restore": "bring such a copy to where a service is to find it",
     "serve": "serve the HTTP interface and the web page",
 }
 

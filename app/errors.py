@@ -184,6 +184,10 @@ class OutputError(AppError):
     """A result that cannot be written to the named file in the named format."""
 
 
+class BackupError(AppError):
+    """A backup that cannot be made or brought back; nothing that was there before has been changed."""
+
+
 class AddressError(AppError):
     """An address that the service cannot listen at."""
 

@@ -109,6 +109,7 @@ TABLE: dict[type[Exception], Kind] = {
     errors.SlowRequestError: Kind(408, "slow-request", "The request did not arrive"),
     errors.NotReadyError: Kind(503, "not-ready", "The service is not ready"),
     errors.OutputError: Kind(422, "output", "The result cannot be written"),
+    errors.BackupError: Kind(422, "backup", "The backup cannot be made or brought back"),
     errors.AddressError: Kind(500, "address", "The address cannot be used"),
     errors.UnassembledError: Kind(422, "unassembled", "The machine cannot be assembled"),
     errors.SimulationFailedError: Kind(500, "simulation-failed", "The simulation did not succeed"),

@@ -26,6 +26,9 @@ from catalogue.directory import sync_folder
 PARTIAL = "partial-"
 """Beginning of the name of an upload that is on its way."""
 
+RECORDINGS = "measurements"
+"""Folder of uploads."""
+
 ABANDONED_S = 86_400.0
 """Age from which on nobody is sending it any more."""
 
@@ -157,7 +160,8 @@ class Store:
     """
 
     def __init__(self, directory: Path, url: str = "") -> None:
-        self._files = directory / "measurements"
+        self._directory = directory
+        self._files = directory / RECORDINGS
         self._files.mkdir(parents=True, exist_ok=True)
         self._tidy()
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
@@ -252,7 +256,7 @@ class Store:
 
     def path_of(self, sha256: str) -> Path:
         """Return where the bytes with this checksum lie."""
-        return self._files / sha256[:2] / sha256
+        return recording_path(self._directory, sha256)
 
     def settle(self, upload: Upload) -> None:
         """Delete an upload, unless it became a measurement."""
@@ -383,6 +387,11 @@ def newest(session: Session, table: Any, before: int | None, limit: int, among: 
     if among is not None:
         query = query.where(table.id.in_(among))
     return query if before is None else query.where(table.number < before)
+
+
+def recording_path(directory: Path, sha256: str) -> Path:
+    """Return where the bytes with a checksum lie below a folder of data."""
+    return directory / RECORDINGS / sha256[:2] / sha256
 
 
 def measurement_key(sha256: str, name: str, told: Told) -> str:

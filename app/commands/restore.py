@@ -1,0 +1,26 @@
+"""``jointplay restore``: bring a backup to where a service is to find it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from app.commands.backup import catalogues_option, place_of, tell
+from app.commands.keys import data_option
+from app.commands.parameters import json_option
+
+
+@click.command("restore")
+@click.argument("folder", type=click.Path(path_type=Path))
+@catalogues_option
+@data_option
+@json_option
+def command(folder: Path, catalogues: Path | None, data: Path | None, as_json: bool) -> None:
+    """Bring what `jointplay backup` copied to FOLDER to a new place, before a service is started there.
+
+    JOINTPLAY_DATABASE names the database, which may be of another kind than the copied one; it has to be empty.
+    """
+    from app.backup import restore
+
+    tell(restore(folder, place_of(catalogues, data)), "restored", as_json=as_json)
