@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln
 
 from catalogue.calibration import largest
+from catalogue.log_sums import log_sum_exp
 from catalogue.matching import BoolArray, FloatArray, IntArray
 from catalogue.tube import ClearanceGrid, Tube
 
@@ -82,5 +83,5 @@ class CurveModel:
 
 def averaged(likelihood: FloatArray) -> FloatArray:
     """Average a log likelihood (m, f) over a log-uniform clearance: (m,)."""
-    evidence: FloatArray = logsumexp(likelihood, axis=1) - np.log(likelihood.shape[1])
+    evidence: FloatArray = log_sum_exp(likelihood) - np.log(likelihood.shape[1])
     return evidence

@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import logsumexp
 
 from catalogue.calibration import combined, folds, kept_apart, probabilities
 from catalogue.curve_calibration import Calibration, calibrated
 from catalogue.curves import Curve, CurveModel, averaged
 from catalogue.discriminant import discriminant
 from catalogue.errors import MatchingError
+from catalogue.log_sums import log_sum_exp
 from catalogue.matching import (
     ClearanceEstimate,
     FloatArray,
@@ -235,7 +235,7 @@ class FittedGaussian:
         if not axes:
             return ()
         scaled = likelihood / self.calibration.clearance_temperatures[len(axes) - 1]
-        density = np.exp(scaled - logsumexp(scaled)).reshape([len(axis) for axis in axes])
+        density = np.exp(scaled - log_sum_exp(scaled)).reshape([len(axis) for axis in axes])
         estimates = []
         for j, axis in enumerate(axes):
             others = tuple(k for k in range(len(axes)) if k != j)

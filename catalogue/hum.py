@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -142,6 +143,8 @@ class _Stretch:
         self.angle = np.concatenate([[0.0], np.cumsum(speed[:-1])]) / sample_rate
         self.turn = float(speed.mean()) / (2.0 * math.pi)
         self.duration = self.samples / sample_rate
+        self.hop = round(sample_rate / self.turn / WINDOWS_PER_REVOLUTION)
+        self._frames: FloatArray | None = None
 
     def clean(self) -> list[SteadyLine]:
         """Take out mains lines of the stronger family, then others."""
@@ -166,6 +169,7 @@ class _Stretch:
 
     def _take_out(self, fit: _Fit | None) -> None:
         if fit is not None:
+            self._frames = None
             wave = self._phases(fit.line.frequency)
             for channel, amplitude in zip(self.values, 2.0 * fit.half_amplitude, strict=True):
                 channel -= amplitude.real * wave.real - amplitude.imag * wave.imag
@@ -208,21 +212,31 @@ class _Stretch:
                 return None
         return _Fit(SteadyLine(frequency + offset, 2.0 * np.abs(weights[0]), mains), weights[0], gain)
 
+    @cached_property
+    def _window(self) -> tuple[FloatArray, FloatArray]:
+        """Samples of a window, counted from its middle, and their weights, of sum 1."""
+        revolution = self.rate / self.turn
+        count = WINDOWS_PER_REVOLUTION * self.hop
+        sample: FloatArray = np.arange(count, dtype=np.float64) + 0.5 - 0.5 * count
+        place = sample / revolution
+        window = np.where(np.abs(place) < 0.5, np.cos(math.pi * place) ** 2, 0.0)
+        weight: FloatArray = window / window.sum()
+        return sample, weight
+
     def _baseband(self, frequency: float) -> tuple[ComplexArray, FloatArray]:
         """Complex amplitude at a frequency in every window, (windows, c), and the windows' middles [s]."""
         # Windows overlap by three quarters: weigh every quarter once for each place in a window, then add up.
         # The window is exactly one revolution wide, or loud low orders would not fall on its zeros. What leaks of them
         # folds onto the order next to the line, as windows follow each other by a quarter of a revolution.
-        revolution = self.rate / self.turn
-        hop = round(revolution / WINDOWS_PER_REVOLUTION)
-        sample = np.arange(WINDOWS_PER_REVOLUTION * hop) + 0.5 - 0.5 * WINDOWS_PER_REVOLUTION * hop
-        place = sample / revolution
-        window = np.where(np.abs(place) < 0.5, np.cos(math.pi * place) ** 2, 0.0)
-        kernel = (window / window.sum() * np.exp(-2j * math.pi * frequency / self.rate * sample)).reshape(-1, hop)
+        hop = self.hop
+        sample, window = self._window
+        kernel = (window * np.exp(-2j * math.pi * frequency / self.rate * sample)).reshape(-1, hop)
         count = self.samples // hop
         windows = count - WINDOWS_PER_REVOLUTION + 1
-        frames = (self.values[:, : count * hop] - self.values.mean(axis=1, keepdims=True)).reshape(-1, hop)
-        weighed = frames @ np.concatenate([kernel.real, kernel.imag]).T
+        if self._frames is None:
+            mean = self.values.mean(axis=1, keepdims=True)
+            self._frames = (self.values[:, : count * hop] - mean).reshape(-1, hop)
+        weighed = self._frames @ np.concatenate([kernel.real, kernel.imag]).T
         parts = weighed.reshape(-1, count, 2, WINDOWS_PER_REVOLUTION)
         total = (
             sum(parts[:, q : q + windows, :, q] for q in range(1, WINDOWS_PER_REVOLUTION)) + parts[:, :windows, :, 0]

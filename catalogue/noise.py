@@ -201,7 +201,8 @@ def _quiet(values: FloatArray, length: int, first: int, cuts: tuple[int, ...]) -
     usable = power[:, first : int(FLOOR_TO * length) + 1]
     together = min(LINES_TOGETHER, usable.shape[1])
     groups = usable.shape[1] // together
-    level = usable[:, : groups * together].reshape(len(usable), groups, together).mean(axis=2)
+    # Line by line of all groups at once: numpy's mean over the last axis goes through short rows, and takes longer.
+    level = sum(usable[:, place : groups * together : together] for place in range(together)) / together
     white = float(np.quantile(np.quantile(level, TIME_QUANTILE, axis=0), FREQUENCY_QUANTILE))
     bands = np.add.reduceat(power[:, : cuts[-1]], cuts[:-1], axis=1) / np.diff(cuts)
     low, high = np.quantile(bands, [TIME_QUANTILE, UPPER_QUANTILE], axis=0)

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+import scipy.ndimage
 
 from catalogue.drivespeed import SpeedEstimate, SpeedTrack, track_speed
 from catalogue.feature_bands import feature_vector, usable_cuts
-from catalogue.resampling import at_mean_speed
+from catalogue.resampling import at_mean_speed, splined
 from solver.spectra.band_power import band_matrix
 from solver.spectra.bands import BandScheme
 
@@ -82,3 +83,12 @@ def test_high_frequencies_keep_their_power() -> None:
     for f in (100.0, 2000.0, 4000.0):
         moved = at_mean_speed(np.sin(2 * np.pi * f * t)[:, None], FS, track)[1000:-1000]
         assert 10 * math.log10(2 * float(np.mean(moved**2))) == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("count", [7, 64, 1000])
+def test_splines_are_those_of_scipy_to_the_last_bit(count: int) -> None:
+    generator = np.random.default_rng(count)
+    row, place = generator.normal(size=count), np.sort(generator.uniform(0.0, count - 1.0, 3 * count))
+    place[0], place[-1] = 0.0, count - 1.0
+    expected = scipy.ndimage.map_coordinates(row, [place], order=3, mode="nearest")
+    assert np.array_equal(splined(row, place), expected)
