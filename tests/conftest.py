@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from pathlib import Path
 
+import databases
+import pytest
 from hypothesis import settings
 
 # What tests ask a service is not who may ask; those that ask just that make keys of their own.
@@ -12,3 +16,10 @@ os.environ.setdefault("JOINTPLAY_KEYS", "off")
 # Examples are drawn the same way in every run, and a slow first call (an import, a compilation) is no failure.
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(params=databases.KINDS)
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """A new database of each kind there is."""
+    with databases.database(request.param, tmp_path) as found:
+        yield found

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
-import databases
 import httpx
 import pytest
 from filelock import FileLock
 from playwright.sync_api import Browser
 from real_browser import running
+from recordings import unpacked
 from small_service import PLAN, serving
 from webhook_listener import Listener, listening
 
 from app.settings import Settings
+from app.storage import Store
 from catalogue.build import build
 from catalogue.plan import parse_plan
 from solver.machines.machine import shipped_machine
 
-RECORDINGS = Path(__file__).parent.parent / "data" / "recordings"
 
-
-@pytest.fixture(params=databases.KINDS)
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """A new database of each kind there is."""
-    with databases.database(request.param, tmp_path) as found:
-        yield found
+@pytest.fixture
+def store(url: str, tmp_path: Path) -> Iterator[Store]:
+    """A new store over a database of each kind there is."""
+    with closing(Store(tmp_path, url)) as opened:
+        yield opened
 
 
 @pytest.fixture(scope="session")
@@ -66,13 +65,13 @@ def client(server: str) -> Iterator[httpx.Client]:
 @pytest.fixture(scope="session")
 def worn() -> bytes:
     """A recording, as CSV, of a slider-crank whose joint B has 150 um of radial clearance."""
-    return gzip.decompress((RECORDINGS / "slider-crank-02.csv.gz").read_bytes())
+    return unpacked("slider-crank-02.csv")
 
 
 @pytest.fixture(scope="session")
 def in_order() -> bytes:
     """A recording, as CSV, of a slider-crank in order."""
-    return gzip.decompress((RECORDINGS / "slider-crank-01.csv.gz").read_bytes())
+    return unpacked("slider-crank-01.csv")
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+import httpx
 import uvicorn
 from fastapi import FastAPI
 
@@ -45,6 +46,15 @@ def running(application: FastAPI) -> Iterator[str]:
     finally:
         server.should_exit = True
         thread.join(30)
+
+
+@contextmanager
+def asking(
+    settings: Settings, *, timeout: float = 90.0, headers: Mapping[str, str] | None = None
+) -> Iterator[httpx.Client]:
+    """Run a real server in a thread; gives a client of it."""
+    with serving(settings) as address, httpx.Client(base_url=address, timeout=timeout, headers=headers) as client:
+        yield client
 
 
 def spoiled(recording: bytes, kind: str) -> bytes:

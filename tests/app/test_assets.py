@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import gzip
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from recordings import unpacked
 
 API = "/api/v1"
-RECORDINGS = Path(__file__).parent.parent / "data" / "recordings"
 PLACE = f"{API}/assets/press-7"
 
 
 def sent(client: httpx.Client, name: str) -> str:
-    content = gzip.decompress((RECORDINGS / f"{name}.csv.gz").read_bytes())
+    content = unpacked(f"{name}.csv")
     answer = client.post(f"{API}/measurements", files={"file": (f"{name}.csv", content)})
     assert answer.status_code == 201, answer.text
     return str(answer.json()["id"])

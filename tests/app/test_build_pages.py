@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 import troubled_catalogue
-from small_service import serving
+from small_service import asking, serving
 
 from app.build_queue import BuildQueue, BuildRow
 from app.build_view import PLANS, build_view, duration_text
@@ -48,7 +48,7 @@ class Site:
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[Site]:
     settings = Settings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", builds=0, workers=1, page_size=2)
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=60, headers=HTML) as client:
+    with asking(settings, headers=HTML) as client:
         store = Store(settings.data)
         yield Site(client, BuildQueue(store.database), settings.catalogues)
         store.close()

@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx
 import pytest
-from small_service import PLAN, serving
+from small_service import PLAN, asking
 
 from app.settings import Settings
 from catalogue.build import build
@@ -38,7 +38,7 @@ def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     Manifest.of(shipped_machine("four-bar"), parse_plan(PLAN).resolved(shipped_machine("four-bar"))).write(
         made(CatalogueDirectory(folder / "catalogues" / "other"))
     )
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
+    with asking(settings) as client:
         yield client
 
 
@@ -167,7 +167,7 @@ def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path, worn: 
     assert all(state["state"] in ("running", "queued") for state in rest)
 
     settings = Settings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", workers=1)
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
+    with asking(settings) as client:
         with client.stream("GET", f"{place}/events") as stream:
             seen = list(states(stream))
         assert client.get(kept.headers["location"]).json() == kept.json()

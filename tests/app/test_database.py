@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import sqlite3
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
@@ -22,13 +21,6 @@ from app.storage import Base, NewDiagnosis, Store, Upload, aware, measurement_ke
 from app.told import Told
 
 UPLOAD = Upload(Path("nowhere"), "a" * 64, 5_000_000_000)
-
-
-@pytest.fixture
-def store(url: str, tmp_path: Path) -> Iterator[Store]:
-    opened = Store(tmp_path, url)
-    yield opened
-    opened.close()
 
 
 def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from small_service import serving
+from small_service import asking
 from starlette.requests import Request
 
 import catalogue.store
@@ -180,11 +180,11 @@ def test_entity_tags_need_no_shard(
     def refused(*_: object) -> None:
         raise AssertionError("a shard was read")
 
-    with serving(settings) as address, httpx.Client(base_url=address) as other:  # it has nothing in memory
+    with asking(settings) as other:  # it has nothing in memory
         again = {kind: other.get(f"{ENTRIES}/{key}", headers={"Accept": kind}) for kind in forms}
         assert [answer.content for answer in again.values()] == [answer.content for answer in forms.values()]
         assert {answer.headers["etag"] for answer in again.values()} == tags
-    with serving(settings) as address, httpx.Client(base_url=address) as other:
+    with asking(settings) as other:
         monkeypatch.setattr(catalogue.store, "decode_shard", refused)
         for kind, answer in forms.items():
             headers = {"Accept": kind, "If-None-Match": answer.headers["etag"]}

@@ -17,7 +17,7 @@ from typing import Any
 import databases
 import httpx
 import pytest
-from small_service import PLAN, serving
+from small_service import PLAN, asking
 from sqlalchemy import event, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
@@ -184,7 +184,7 @@ def test_a_database_that_is_gone_is_told_and_comes_back(tmp_path: Path, kind: st
     with remote(tmp_path) as (line, url):
         # Its builder looks for builds all the time, and has to outlive this as well.
         settings = Settings(catalogues=tmp_path / "none", data=tmp_path / "data", database=url, workers=1)
-        with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
+        with asking(settings) as client:
             assert client.get("/readyz").status_code == 200
             line.cut()
             for method, place in (("GET", f"{API}/diagnoses"), ("POST", f"{API}/builds"), ("GET", "/readyz")):

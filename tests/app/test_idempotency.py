@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -18,13 +17,6 @@ from app.idempotency import KEPT, LEASE, forget, once, reserve, settle
 from app.storage import Store, now
 
 API = "/api/v1"
-
-
-@pytest.fixture
-def store(url: str, tmp_path: Path) -> Any:
-    opened = Store(tmp_path, url)
-    yield opened
-    opened.close()
 
 
 class Work:

@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
-from small_service import serving
+from small_service import asking
 
 from app.etags import Conditions
 from app.machine_store import MachineStore
@@ -25,7 +25,7 @@ YAML = {"Content-Type": "application/yaml"}
 @pytest.fixture(scope="module")
 def own(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     settings = Settings(catalogues=shelf, data=tmp_path_factory.mktemp("machines"), workers=1, keys="off")
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=90) as client:
+    with asking(settings) as client:
         yield client
 
 

@@ -10,7 +10,7 @@ import psutil
 import pytest
 from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
-from small_service import running, serving, spoiled
+from small_service import asking, running, spoiled
 from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 from webhook_listener import listening, tell
@@ -37,9 +37,9 @@ def families(text: str) -> dict[str, Metric]:
 
 
 def value(found: dict[str, Metric], name: str, suffix: str = "", **labels: str) -> float:
-    """One sample; 0 where there is none yet."""
+    """The sum of all samples that have these labels."""
     samples = [each for each in found[f"jointplay_{name}"].samples if each.name == f"jointplay_{name}{suffix}"]
-    return next((each.value for each in samples if labels.items() <= each.labels.items()), 0.0)
+    return sum(each.value for each in samples if labels.items() <= each.labels.items())
 
 
 def asked(client: httpx.Client) -> dict[str, Metric]:
@@ -112,7 +112,7 @@ def test_builds_are_counted_by_state(url: str, tmp_path: Path) -> None:
         row = queue.claim(name, 60)
         assert row is not None
         queue.beat(row.id, name, 60, {"cases_done": 3, "cases_total": 12, "rate_per_s": 0.5})
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
+    with asking(settings) as client:
         found = asked(client)
     store.close()
     counts = {sample.labels["state"]: sample.value for sample in found["jointplay_builds"].samples}
@@ -167,7 +167,7 @@ def test_counts_need_a_key_that_may_read(tmp_path: Path) -> None:
     keys = Keys(store.database)
     tokens = [keys.create("k", frozenset({scope}), timedelta(hours=1))[1] for scope in (Scope.READ, Scope.MATCH)]
     store.close()
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
+    with asking(settings) as client:
         statuses = [
             client.get("/metrics", headers={} if token is None else {"Authorization": f"Bearer {token}"}).status_code
             for token in (None, *tokens)

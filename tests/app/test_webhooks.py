@@ -7,7 +7,6 @@ import hmac
 import json
 import socket
 import threading
-from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 
@@ -27,10 +26,8 @@ API = "/api/v1"
 
 
 @pytest.fixture
-def webhooks(url: str, tmp_path: Path) -> Iterator[Webhooks]:
-    store = Store(tmp_path, url)
-    yield Webhooks(store.database)
-    store.close()
+def webhooks(store: Store) -> Webhooks:
+    return Webhooks(store.database)
 
 
 # --- deliveries

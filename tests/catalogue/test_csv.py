@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recordings import RECORDINGS, unpacked
 
 from catalogue.channel_units import parse_unit, split_label
 from catalogue.errors import MeasurementError
@@ -19,7 +20,6 @@ from catalogue.measurement import Measurement, measurement_of, read_measurement
 from catalogue.readers import Limits, RawColumn, RawRecording
 from catalogue.readers.kinds import known_ending
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 HEADER = "time [s],s1-x [m/s2],s1-y [g]"
 
 
@@ -114,7 +114,7 @@ def test_no_recording_of_the_collection_raises_a_false_alarm() -> None:
 
 
 def test_fifty_thousand_rows_of_four_columns() -> None:
-    data = gzip.decompress((RECORDINGS / "quick-return-01.csv.gz").read_bytes())
+    data = unpacked("quick-return-01.csv")
     assert read(data).signal.shape == (50_000, 4)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from catalogue.answer import Diagnosis
 from catalogue.baseline import Baseline, Estimate
@@ -27,9 +28,6 @@ from catalogue.plan import parse_plan
 from catalogue.store import Catalogue
 from catalogue.verdict import judged
 from solver.machines.machine import shipped_machine
-
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
-TRUTH = json.loads((RECORDINGS / "truth.json").read_text())
 
 
 def recording(number: int) -> Measurement:

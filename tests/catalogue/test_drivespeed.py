@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from catalogue.drivespeed import SpeedEstimate, estimate_speed, track_speed
 from catalogue.errors import MeasurementError
 from catalogue.measurement import read_measurement
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
-TRUTH = json.loads((RECORDINGS / "truth.json").read_text())
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
 
 

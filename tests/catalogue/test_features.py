@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from catalogue.errors import MeasurementError
 from catalogue.feature_bands import feature_axes, feature_vector, joined, usable_cuts
@@ -24,8 +23,6 @@ from solver.spectra.band_power import band_matrix
 from solver.spectra.bands import BandScheme
 from solver.spectra.sensor import sensor_transform
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
-TRUTH = json.loads((RECORDINGS / "truth.json").read_text())
 FS = 10_000.0
 NAMES = ("s1-x", "s1-y", "s2-x", "s2-y")
 

@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier
 
-import databases
 import pytest
 from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN, compute
@@ -28,12 +27,6 @@ from catalogue.verify import verify
 
 CHUNKS = [ChunkRow(f"chunk-{number:03d}", "A", 4) for number in range(40)]
 IDS = [chunk.id for chunk in CHUNKS]
-
-
-@pytest.fixture(params=databases.KINDS)
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    with databases.database(request.param, tmp_path) as found:
-        yield found
 
 
 @pytest.fixture

@@ -32,7 +32,11 @@ from catalogue.store import Catalogue
 MODEL = SpectraModel(300, wide=200)
 SMALL = NetworkTraining(rows=6000, blocks=10, layers=(32,), epochs=(4, 2))
 TRUSTED = Learning.of("trusted")
-NETWORK = SMALL.train(MODEL, sensing(), TRUSTED)
+
+
+@pytest.fixture(scope="module")
+def trained() -> Network:
+    return SMALL.train(MODEL, sensing(), TRUSTED)
 
 
 def held_rows(noise: float = 1e-5) -> TrainingSet:
@@ -41,40 +45,40 @@ def held_rows(noise: float = 1e-5) -> TrainingSet:
 
 
 @pytest.mark.parametrize("noise", [1e-8, 1e-6, 1e-5])
-def test_tells_hypotheses_apart_at_every_noise_it_was_trained_for(noise: float) -> None:
+def test_tells_hypotheses_apart_at_every_noise_it_was_trained_for(trained: Network, noise: float) -> None:
     held = held_rows(noise)
     features, index = held.stacked()
-    opinion = NETWORK.opinion(sensing(noise).noise, band_widths(MODEL))
+    opinion = trained.opinion(sensing(noise).noise, band_widths(MODEL))
     assert opinion is not None
     found = opinion.log_evidences(features, held.labels).argmax(axis=1)
     assert np.mean(found == index) > 0.9  # measured: 0.97 to 1.00; chance is 0.25
 
 
-def test_noise_below_the_trained_is_raised_and_above_it_is_refused() -> None:
+def test_noise_below_the_trained_is_raised_and_above_it_is_refused(trained: Network) -> None:
     width = band_widths(MODEL)
     quiet, loud = sensing(1e-12), sensing(1.0)
-    opinion = NETWORK.opinion(quiet.noise, width)
+    opinion = trained.opinion(quiet.noise, width)
     assert opinion is not None
-    assert np.mean(opinion.noise_db) == pytest.approx(NETWORK.quietest)
+    assert np.mean(opinion.noise_db) == pytest.approx(trained.quietest)
     assert (opinion.missing > 0.0).all()
-    least = NETWORK.opinion(quiet.noise + opinion.missing.reshape(quiet.noise.shape), width)
+    least = trained.opinion(quiet.noise + opinion.missing.reshape(quiet.noise.shape), width)
     features = held_rows(1e-12).stacked()[0]
     raised = 10.0 * np.log10(10.0 ** (0.1 * features) + opinion.missing)
     assert least is not None
     np.testing.assert_allclose(
-        opinion.log_evidences(features, NETWORK.labels), least.log_evidences(raised, NETWORK.labels), atol=1e-9
+        opinion.log_evidences(features, trained.labels), least.log_evidences(raised, trained.labels), atol=1e-9
     )
-    assert NETWORK.opinion(loud.noise, width) is None
+    assert trained.opinion(loud.noise, width) is None
 
 
-def test_the_same_training_gives_the_same_network_and_files_give_it_back(tmp_path: Path) -> None:
+def test_the_same_training_gives_the_same_network_and_files_give_it_back(trained: Network, tmp_path: Path) -> None:
     again = SMALL.train(MODEL, sensing(), TRUSTED)
-    assert again.digest == NETWORK.digest
-    assert replace(NETWORK, loudest=0.0).digest != NETWORK.digest
-    write_network(tmp_path, "key", NETWORK)
+    assert again.digest == trained.digest
+    assert replace(trained, loudest=0.0).digest != trained.digest
+    write_network(tmp_path, "key", trained)
     kept = read_network(tmp_path, "key")
     assert isinstance(kept, Network)
-    assert kept.digest == NETWORK.digest
+    assert kept.digest == trained.digest
     (tmp_path / "key.npz").write_bytes(b"PK")
     assert read_network(tmp_path, "key") is None
 
@@ -308,9 +312,9 @@ def test_the_order_of_columns_does_not_matter_where_motions_are_compared() -> No
     assert arrangement(replace(alone, transform=transform[[1, 0]])) != arrangement(alone)
 
 
-def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods() -> None:
+def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods(trained: Network) -> None:
     feature = held_rows().hypotheses[1].features[0]
-    wrong = replace(NETWORK, biases=(*NETWORK.biases[:-1], NETWORK.biases[-1] + np.array([0.0, 0.0, 500.0, 0.0])))
+    wrong = replace(trained, biases=(*trained.biases[:-1], trained.biases[-1] + np.array([0.0, 0.0, 500.0, 0.0])))
 
     class Shelf(NetworkShelf):
         def get(self, *_: object) -> Network | None:  # type: ignore[override]
@@ -321,7 +325,7 @@ def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods() -> None:
     networks = Shelf(MODEL, sensing(), None, SMALL)
     for effort in ("fast", "standard"):
         answers = []
-        for network in (None, NETWORK, wrong):
+        for network in (None, trained, wrong):
             networks.network = network
             library = ModelLibrary(MODEL, networks=networks)
             answers.append(library.answer(sensing(), feature, WATCHED, effort, "trusted"))  # type: ignore[arg-type]
@@ -337,10 +341,10 @@ def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods() -> None:
     assert [h.probability for h in by_nearest.hypotheses] == [h.probability for h in plain.hypotheses]
 
 
-def test_an_opinion_is_of_the_hypotheses_it_is_asked_of() -> None:
+def test_an_opinion_is_of_the_hypotheses_it_is_asked_of(trained: Network) -> None:
     features, _ = observe(MODEL.packed(np.arange(3)), sensing(), Discrepancy(), np.ones(3, np.int64))
-    opinion = NETWORK.opinion(sensing().noise, band_widths(MODEL))
+    opinion = trained.opinion(sensing().noise, band_widths(MODEL))
     assert isinstance(opinion, Opinion)
     both = opinion.log_evidences(features, ("C", "A"))
-    every = opinion.log_evidences(features, NETWORK.labels)
+    every = opinion.log_evidences(features, trained.labels)
     np.testing.assert_array_equal(both, every[:, [3, 1]])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from catalogue.drivespeed import SpeedEstimate, SpeedTrack, track_speed
 from catalogue.errors import MeasurementError
@@ -15,8 +14,6 @@ from catalogue.hum import remove_hum
 from catalogue.measurement import read_measurement
 from catalogue.noise import NoiseFloor, noise_floor
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
-TRUTH = json.loads((RECORDINGS / "truth.json").read_text())
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
 FS = 10_000.0
 

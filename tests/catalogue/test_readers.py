@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import json
 import os
@@ -19,6 +18,7 @@ import pytest
 import pyuff
 import scipy.io
 import soundfile
+from recordings import RECORDINGS, unpacked
 
 from catalogue.errors import MeasurementError
 from catalogue.hdf5 import write_arrays
@@ -26,14 +26,13 @@ from catalogue.import_profile import ImportProfile
 from catalogue.measurement import Measurement, read_measurement
 from catalogue.readers import Limits, cell
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 RATE = 2000.0
 SIGNAL = np.random.default_rng(3).normal(size=(400, 2))
 IN_OTHER_CLOTHES = ("slider-crank-02.wav", "slider-crank-03.uff", "slider-crank-04.mat", "slider-crank-05.tdms")
 
 
 def content(name: str) -> bytes:
-    return gzip.decompress((RECORDINGS / f"{name}.gz").read_bytes())
+    return unpacked(f"{name}")
 
 
 def refusal(data: bytes, name: str, **options: Any) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS
 
 from catalogue.build import build
 from catalogue.comparison import exact_sensing
@@ -19,7 +20,6 @@ from catalogue.separation import _more_sensors, _Question, _sensing, suggest
 from catalogue.store import Catalogue
 from solver.machines.machine import shipped_machine
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 PLAN = {
     "name": "speeds",
     "hypotheses": ["healthy", "singles"],

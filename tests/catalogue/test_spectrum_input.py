@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
-from pathlib import Path
-
 import numpy as np
 import pytest
+from recordings import RECORDINGS, unpacked
 
 from catalogue.errors import MeasurementError
 from catalogue.features import prepare
@@ -17,7 +15,6 @@ from catalogue.recordings import read_recording
 from catalogue.spectrum_features import band_power
 from solver.machines.machine import shipped_machine
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 STEP = 0.5
 FREQUENCY = STEP * np.arange(800)
 LEVEL = np.random.default_rng(2).uniform(0.1, 1.0, 800).round(4)
@@ -118,14 +115,14 @@ def test_a_spectrum_without_orders_or_too_coarse_is_refused() -> None:
     noise = read(table("s1-x [(m/s2)^2/Hz]", np.ones(800)))
     with pytest.raises(MeasurementError, match="stands out of the spectrum: give the speed"):
         prepare(noise, machine)
-    plain = gzip.decompress((RECORDINGS / "four-bar-02-spectrum.csv.gz").read_bytes()).decode().splitlines()
+    plain = unpacked("four-bar-02-spectrum.csv").decode().splitlines()
     coarse = "\n".join([*plain[:2], *plain[2::3], ""]).encode()
     with pytest.raises(MeasurementError, match=r"lines 3\.66.* Hz apart"):
         prepare(read(coarse), machine)
 
 
 def test_a_spectrum_that_lacks_low_or_high_orders_is_refused() -> None:
-    plain = gzip.decompress((RECORDINGS / "four-bar-02-spectrum.csv.gz").read_bytes()).decode().splitlines()
+    plain = unpacked("four-bar-02-spectrum.csv").decode().splitlines()
 
     def beginning(low: float) -> MeasuredSpectrum:
         return read("\n".join([*plain[:2], *(row for row in plain[2:] if float(row.split(",")[0]) > low), ""]).encode())

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from catalogue.features import prepare
 from catalogue.measurement import Channel, Measurement, read_measurement
@@ -17,8 +16,6 @@ from solver.machines.machine import parse_machine, shipped_machine
 from solver.simulation.simulate import Case, Settings, simulate
 from solver.spectra.sensor import sensor_transform
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
-TRUTH = json.loads((RECORDINGS / "truth.json").read_text())
 FS = 10_000.0
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
-from pathlib import Path
-
 import numpy as np
 import pytest
+from recordings import RECORDINGS, unpacked
 
 from catalogue.errors import MeasurementError
 from catalogue.features import prepare
@@ -16,7 +14,6 @@ from catalogue.parameters import nominal_drive_speed
 from catalogue.tacho import pulses, track_of, turns_of
 from solver.machines.machine import shipped_machine
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 RATE = 10_000.0
 
 
@@ -26,7 +23,7 @@ def pulsed(speed: float, count: int, each: int = 1) -> np.ndarray:
 
 
 def with_tacho(speed: float) -> Measurement:
-    lines = gzip.decompress((RECORDINGS / "slider-crank-04.csv.gz").read_bytes()).decode().splitlines()
+    lines = unpacked("slider-crank-04.csv").decode().splitlines()
     signal = pulsed(speed, len(lines) - 1)
     rows = [f"{line},{value:g}" for line, value in zip(lines[1:], signal, strict=True)]
     data = "\n".join([lines[0] + ",key [V]", *rows, ""]).encode()
