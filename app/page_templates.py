@@ -27,6 +27,8 @@ def is_page(request: Request) -> bool:
 
 def problem_page(request: Request, problem: Problem) -> Response:
     """Return a problem as a page, or as the part of a page that a script asked for."""
-    members = {"summary": {"title": problem.title, "detail": problem.detail}, "title": f"{problem.title}: jointplay"}
+    bare = problem.detail.rstrip(".") == problem.title
+    detail = "Nothing is at this address." if bare and problem.status == 404 else problem.detail
+    members = {"summary": {"title": problem.title, "detail": detail}, "title": f"{problem.title}: jointplay"}
     template = "_refusal.html" if is_fragment(request) else "refused.html"
     return templates.TemplateResponse(request, template, members, problem.status, dict(problem.headers))

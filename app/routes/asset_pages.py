@@ -168,12 +168,13 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     baseline = None if row.baseline is None else store.measurement(row.baseline)
     if baseline is not None and baseline.id not in {each.id for each in recordings}:
         recordings.append(baseline)
-    findings = found.findings(None, SHOWN, only={"asset": external_id})
+    findings = found.findings(None, SHOWN + 1, only={"asset": external_id})
     return {
         "asset": asset_item(row),
         "baseline": None if baseline is None else baseline.name,
         "recordings": [(each.id, f"{each.name}, {moment(each.created_at)}") for each in recordings],
-        "history": history(diagnoses, measurements, findings),
+        "history": history(diagnoses, measurements, findings[:SHOWN]),
+        "more_findings": len(findings) > SHOWN,
         "catalogue": next(
             (each.description.name for each in service.shelf.offers() if each.machine.name == row.machine), None
         ),

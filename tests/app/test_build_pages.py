@@ -145,7 +145,7 @@ def test_other_refusals_are_told_above_the_form(site: Site) -> None:
     answer = site.client.get("/builds?cursor=nonsense")
     assert answer.status_code == 400 and "is not a cursor of this list" in answer.text
     answer = site.client.get("/nowhere")
-    assert answer.status_code == 404 and "<h2>Not Found</h2>" in answer.text
+    assert answer.status_code == 404 and "Nothing is at this address." in answer.text
 
 
 def test_the_list_goes_back_page_by_page(site: Site) -> None:

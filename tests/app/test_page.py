@@ -86,8 +86,17 @@ def test_only_own_files_are_loaded(client: httpx.Client) -> None:
     assert not page.inline
     for place in page.loaded:
         assert client.get(place).status_code == 200
-    for name in ("page.css", "page.js", "charts.js", "motion.js", "upload.js"):
-        assert not re.search(r"https?:|@import|url\(", (main.STATIC / name).read_text(encoding="utf-8"))
+    own = [path for path in main.STATIC.iterdir() if path.suffix in (".js", ".css")]
+    assert {f"/static/{path.name}" for path in own} <= set(page.loaded)
+    for path in own:
+        assert not re.search(r"https?:|@import|url\(", path.read_text(encoding="utf-8"))
+
+
+def test_a_page_and_its_part_are_told_apart_by_caches(client: httpx.Client) -> None:
+    place = "/catalogues/slider-crank?hypothesis=B&clearance=200"
+    whole, part = client.get(place), client.get(place, headers={"HX-Request": "true"})
+    assert ("<html" in whole.text, "<html" in part.text) == (True, False)
+    assert whole.headers["vary"] == part.headers["vary"] == "HX-Request"
 
 
 @pytest.mark.parametrize("folder", [VENDOR, Path(__file__).parent / "vendor"])
