@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 from sqlalchemy import ForeignKey, Select, String, Text, select
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
-from app.asset_schemas import AssetIn, FindingIn
+from app.asset_schemas import EXTERNAL_ID, AssetIn, FindingIn
 from app.database import Database
 from app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
 from app.storage import Base, DiagnosisRow, newest, now
@@ -116,8 +117,10 @@ class Assets:
         UnknownAssetError
             When there is none of this id.
         """
-        with self._database.reading() as session:
-            row = session.scalar(select(AssetRow).where(AssetRow.external_id == external_id))
+        row = None
+        if re.fullmatch(EXTERNAL_ID, external_id):  # what can be no id does not reach the database
+            with self._database.reading() as session:
+                row = session.scalar(select(AssetRow).where(AssetRow.external_id == external_id))
         if row is None:
             raise UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
         return row

@@ -108,7 +108,8 @@ async def sent_measurement(request: Request, store: Store) -> AsyncIterator[Sent
         async with received_form(request, store, TOLD | {"asset"}) as form:
             if form.file is None:
                 raise BadFieldError("file: is missing", field="file")
-            yield Sent(form.file, form.file_name, told_of(form.fields), form.fields.get("asset"))
+            told = await run_in_threadpool(told_of, form.fields)
+            yield Sent(form.file, form.file_name, told, form.fields.get("asset"))
     elif kind == JSON_TYPE:
         wanted = await run_in_threadpool(checked, await request.body())
         profile = wanted.profile.model_dump(mode="json", exclude_defaults=True)

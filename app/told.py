@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -105,9 +106,9 @@ def rate_of(given: str | None) -> float | None:
     try:
         value = to_si(given, FREQUENCY)
     except UnitError as error:
-        raise BadFieldError(f"sample_rate: {given}: {error}", field="sample_rate") from None
-    if value <= 0:
-        raise BadFieldError(f"sample_rate: {given}: must be greater than 0", field="sample_rate")
+        raise BadFieldError(f"sample_rate: {given[:80]}: {str(error)[:200]}", field="sample_rate") from None
+    if not 0 < value < math.inf:
+        raise BadFieldError(f"sample_rate: {given[:80]}: must be greater than 0, and finite", field="sample_rate")
     return value
 
 
@@ -118,6 +119,10 @@ def pairs_of(name: str, text: str) -> dict[str, str]:
     ------
     BadFieldError
     """
+    from catalogue.readers.validity import NO_TEXT
+
+    if NO_TEXT.search(text):
+        raise BadFieldError(f"{name}: holds a character that is no text", field=name)
     if not text.lstrip().startswith("{"):
         if len(text) > LONGEST:
             raise BadFieldError(f"{name}: {text[:80]}: must be a text of 1 to {LONGEST} characters", field=name)
@@ -127,6 +132,8 @@ def pairs_of(name: str, text: str) -> dict[str, str]:
     except (ValueError, RecursionError) as error:
         raise BadFieldError(f"{name}: is not JSON: {error}", field=name) from None
     for column, value in held.items():
+        if NO_TEXT.search(f"{column}{value}"):
+            raise BadFieldError(f"{name}: holds a character that is no text", field=name)
         if not isinstance(value, str) or not value.strip() or len(column) > LONGEST or len(value) > LONGEST:
             shown = json.dumps(value)[:80]
             raise BadFieldError(

@@ -18,7 +18,7 @@ MULTIPART = "multipart/form-data"
 JSON_TYPE = "application/json"
 MAX_FIELDS = 32
 MAX_FIELD_BYTES = 16_000
-MAX_PROFILE_BYTES = 64_000
+MAX_PROFILE_BYTES = 32_000
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ BESIDE = (".json", ".yaml", ".yml")
 #: Equivalent noise bandwidth of windows, lines (Harris 1978, table I).
 WINDOWS = {"rectangular": 1.0, "hann": 1.5, "hamming": 1.36, "blackman": 1.73, "flattop": 3.77}
 
-Text = Annotated[str, Field(min_length=1, max_length=200)]
+Text = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x08\x0b\x0c\x0e-\x1f]*$")]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 

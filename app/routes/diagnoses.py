@@ -74,7 +74,7 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
     if kind != MULTIPART:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
     async with received_form(request, service.store, FIELDS) as form:
-        wanted, told = of_form(form)
+        wanted, told = await run_in_threadpool(of_form, form)
         if form.file is None:
             return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
         diagnose = partial(service.diagnose_upload, form.file, form.file_name, told, wanted)

@@ -62,7 +62,8 @@ async def upload(request: Request) -> Response:
                 raise BadFieldError("choose a recording", field="file")
             offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
             await run_in_threadpool(service.asset_of, given.get("asset"), offer.machine.name)
-            measurement = await service.add_measurement(form.file, form.file_name, told_of(given))
+            told = await run_in_threadpool(told_of, given)
+            measurement = await service.add_measurement(form.file, form.file_name, told)
     except REFUSALS as error:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
     asked = {"measurement": measurement.id} | {name: given[name] for name in ("catalogue", "asset") if name in given}

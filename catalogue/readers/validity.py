@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from catalogue.readers.raw import Limits, RawRecording
 
 #: Nothing that is measured is larger, in whatever unit; squares of it are still numbers.
 LARGEST = 1e30
+#: Characters that no file means: they cannot be stored, or not be sent.
+NO_TEXT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff]")
 
 
 def checked(raw: RawRecording, limits: Limits) -> RawRecording:
@@ -24,7 +27,8 @@ def checked(raw: RawRecording, limits: Limits) -> RawRecording:
     Raises
     ------
     MeasurementError
-        Empty, not finite, shorter or longer than it declares, larger than is read, names that do not fit the columns.
+        Empty, not finite, shorter or longer than it declares, larger than is read, names that do not fit the columns
+        or are no text.
     """
     if raw.values.ndim != 2 or not raw.values.size or not raw.columns:
         raise MeasurementError(raw.source, rule="is empty")
@@ -50,6 +54,11 @@ def checked(raw: RawRecording, limits: Limits) -> RawRecording:
         row, column = (int(each) for each in huge[0])
         name, value = raw.columns[column].name, float(raw.values[row, column])
         raise MeasurementError(raw.source, raw.line_of(row), name, value, f"sample {row + 1} is beyond all measure")
+    for each in raw.columns:
+        if NO_TEXT.search(f"{each.label}{each.name}{each.unit or ''}"):
+            shown = each.name.encode("ascii", "backslashreplace").decode()
+            rule = f"{each.position}: its name or unit holds a character that is no text"
+            raise MeasurementError(raw.source, None, shown, rule=rule)
     names = [column.name for column in raw.columns]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

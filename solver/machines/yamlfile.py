@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 
 from ruamel.yaml import YAML
@@ -26,6 +27,9 @@ MOST_NODES = 200_000
 
 DEEPEST = 20
 """Levels of nesting; a machine file has six."""
+
+MOST_BRACKETS = 64
+"""Brackets that may be open at a time; some may stand in texts, where they nest nothing."""
 
 
 def read_tree(text: str, source: str) -> Tree:
@@ -78,7 +82,19 @@ def _unique(pairs: list[tuple[str, object]], source: str) -> dict[str, object]:
     return mapping
 
 
+def _is_deep(text: str) -> bool:
+    """Whether brackets are nested so deeply that the reader, which is slow with that, need not be asked."""
+    depth = 0
+    for bracket in re.findall(r"[][{}]", text):
+        depth = depth + 1 if bracket in "[{" else max(0, depth - 1)
+        if depth > MOST_BRACKETS:
+            return True
+    return False
+
+
 def _read_yaml(text: str, source: str) -> object:
+    if _is_deep(text):
+        raise RecursionError
     yaml = YAML(typ="safe", pure=True)  # the pure reader follows YAML 1.2: 1.0e7 is a number and y is a string
     try:
         return yaml.load(text)

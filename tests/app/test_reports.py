@@ -73,7 +73,7 @@ def test_html_says_the_verdict_and_escapes_names(client: httpx.Client, diagnosis
     answer = client.get(f"{API}/diagnoses/{diagnosis['id']}/report")
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == "text/html; charset=utf-8"
-    assert answer.headers["vary"] == "Accept"
+    assert "Accept" in answer.headers["vary"].split(", ")
     assert words.sentence(diagnosis) in unescape(answer.text)
     assert "press &lt;7&gt; &amp; &#39;co&#39;.csv" in answer.text
     assert "<7>" not in answer.text

@@ -87,7 +87,10 @@ def test_a_measurement_as_json_may_be_of_an_asset(client: httpx.Client) -> None:
     found = send(client, body(asset="sent-1")).json()
     listed = client.get(f"{API}/measurements", params={"asset": "sent-1"}).json()["items"]
     assert [each["id"] for each in listed] == [found["id"]]
-    assert send(client, body(asset="nobody")).status_code == 404
+    for unknown in ("nobody", "a\0b", "../etc"):
+        response = send(client, body(asset=unknown))
+        assert response.status_code == 404
+        assert response.json()["errors"][0]["field"] == "asset"
 
 
 @pytest.mark.parametrize(
@@ -123,6 +126,8 @@ def test_refusals_name_the_member(client: httpx.Client, sent: dict[str, Any], fi
         (b"{", 400, "is not JSON"),
         (b'{"channels": [{"name": "a", "values": [NaN]}]}', 422, "finite number"),
         (b"[]", 422, ""),
+        (json.dumps(body(channels=[channel(name="a\0")])).encode(), 422, "no text"),
+        (json.dumps(body(channels=[channel(name="\ud800")])).encode(), 400, "is not JSON"),
         (json.dumps(body(channels=[channel(), channel()])).encode(), 422, "two channels have the same name"),
         (json.dumps(body(channels=[channel(), channel(name="b", values=[1, 2])])).encode(), 422, "different length"),
         (json.dumps(body(channels=[channel(values=[1, 2])])).encode(), 422, "at least 256"),

@@ -13,7 +13,7 @@ import pytest
 import soundfile
 
 from app.errors import BadFieldError
-from app.told import Told, told_of
+from app.told import TOLD, Told, told_of
 from catalogue.measurement import Measurement, read_measurement
 
 API = "/api/v1"
@@ -86,7 +86,7 @@ def test_a_profile_is_a_text_or_a_file(client: httpx.Client, bare: bytes) -> Non
     assert as_file.json() == as_text == send(client, bare, profile=same, **told).json()
     refused(send(client, bare, profile="delimitr: x", **told), "profile", "profile: column 'delimitr'")
     refused(send(client, bare, profile="sensors: {c: s1-x}", **told), "profile", "columns are a, b")
-    for content, text in ((b"\xff\xfe", "UTF-8"), (b"#" * 70_000, "64 kB")):
+    for content, text in ((b"\xff\xfe", "UTF-8"), (b"#" * 40_000, "32 kB")):
         files = {"file": ("r.csv", bare), "profile": ("profile.yaml", content)}
         refused(client.post(f"{API}/measurements", files=files, data=told), "profile", text)
 
@@ -198,6 +198,10 @@ def test_what_is_said_of_no_file_is_refused(client: httpx.Client, worn: bytes, f
     ("fields", "field", "text"),
     [
         ({"units": "{"}, "units", "units: is not JSON"),
+        ({"units": '{"a": "\\ud800"}'}, "units", "no text"),
+        ({"units": "g\0"}, "units", "no text"),
+        ({"tacho": "a\0b"}, "tacho", "tacho: a"),
+        ({"profile": '{"sensors": {"a": "\\u0000"}}'}, "profile", "sensors.a"),
         ({"units": "x" * 201}, "units", "1 to 200 characters"),
         ({"units": '{"a": 3}'}, "units", "units: a: 3: must be a text"),
         ({"sensitivity": '{"a": ""}'}, "sensitivity", 'sensitivity: a: ""'),
@@ -213,6 +217,37 @@ def test_refusals_name_the_field(fields: dict[str, str], field: str, text: str) 
         told_of(fields)
     assert caught.value.field == field
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 30_000,
+        "{" * 30_000,
+        "- " * 15_000,
+        "a: &a [*a]",
+        "skip_lines: " + "9" * 6000,
+        "2001-01-01",
+        "x: !!python/object:os.system y",
+        "tacho: {column: a, threshold: .nan}",
+        "\0",
+        "\ud800",
+    ],
+)
+def test_profiles_that_are_meant_to_hurt_are_refused_in_one_short_line(text: str) -> None:
+    with pytest.raises(BadFieldError) as caught:
+        told_of({"profile": text})
+    assert caught.value.field == "profile"
+    assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("field", sorted(TOLD - {"profile", "units", "sensitivity", "tacho"}))
+@pytest.mark.parametrize("text", ["9" * 6000, "nan", "1e999", "{" * 2000, "\ud800"])
+def test_single_fields_are_refused_in_one_short_line(field: str, text: str) -> None:
+    with pytest.raises(BadFieldError) as caught:
+        told_of({field: text, "tacho": "key"} if field == "pulses_per_revolution" else {field: text})
+    assert caught.value.field == field
+    assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
 
 
 def test_single_fields_win_over_the_profile() -> None:

@@ -237,6 +237,15 @@ def test_samples_that_are_declared_but_not_there(tmp_path: Path) -> None:
     assert "declares 4000 numbers, but not all of them" in refusal((tmp_path / "s.h5").read_bytes(), "s.h5")
 
 
+@pytest.mark.parametrize("member", ["name", "unit"])
+@pytest.mark.parametrize("character", ["\0", "\ud800", "\x1b"])
+def test_names_that_are_no_text_are_refused(member: str, character: str) -> None:
+    held = json.loads(as_json())
+    held["channels"][0][member] = f"m{character}"
+    rule = "channel 1: its name or unit holds a character that is no text"
+    assert rule in refusal(json.dumps(held).encode(), "s.json")
+
+
 def test_links_to_other_files_are_not_followed(tmp_path: Path) -> None:
     secret = tmp_path / "secret.h5"
     with h5py.File(secret, "w") as file:

@@ -153,6 +153,7 @@ def test_a_fixed_link_has_no_velocity() -> None:
         ("name: 2020-01-01", "name: 2020-01-01: must be text, a number, a list or a mapping"),
         ("a: &a [*a]", "a.0.0: must not be nested deeper than 20 levels"),
         ("[" * 10_000, "must not be nested deeper than 20 levels"),
+        ("a: " + "{b: " * 65, "must not be nested deeper than 20 levels"),
         ("a: !!python/none x",
          "line 1: is not YAML: could not determine a constructor for the tag 'tag:yaml.org,2002:python/none'"),
     ],
