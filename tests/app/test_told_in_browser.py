@@ -55,5 +55,5 @@ def test_a_spectrum_is_confirmed_as_one(visit: Visit, tmp_path: Path) -> None:
     page.get_by_label("Window").select_option("hann")
     page.get_by_role("button", name="Read the recording").click()
     expect(page.get_by_text("0.5 Hz, 2000 lines")).to_be_visible(timeout=SECONDS)
-    expect(page.get_by_text("acceleration in m/s2, amplitude, rms")).to_be_visible()
+    expect(page.get_by_text("acceleration in m/s², amplitude, rms")).to_be_visible()
     assert serious(page) == [] and is_within_screen(page)
