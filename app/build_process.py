@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,6 +27,8 @@ class Order:
     folder: Path
     workers: int | None
     log: LogSettings = DEFAULT_LOG
+    scheduler: str = ""
+    """Address of a Dask scheduler whose workers compute; without one, processes here do."""
     request: str | None = None
     """Id of the request that asked for it."""
 
@@ -58,7 +61,7 @@ def work(order: Order, sender: Connection) -> None:
 
 def built(order: Order, sender: Connection) -> Told:
     """Build, train, and return how it ended."""
-    from app.commands.build import processors
+    from app.commands.build import cluster, processors
     from catalogue.build import Progress, build
     from catalogue.network_building import train_networks
     from catalogue.plan import parse_plan
@@ -80,8 +83,13 @@ def built(order: Order, sender: Connection) -> Told:
     def networks(done: int, total: int) -> None:
         sender.send(Told("progress", {"seconds_left": None, "message": f"{done} of {total} networks are trained"}))
 
+    def said(text: str) -> None:
+        sender.send(Told("progress", {"message": text}))
+
     machine, plan = parse_machine(order.machine), parse_plan(order.plan)
-    report = build(machine, plan, order.folder, workers=workers, progress=cases)
+    with ExitStack() as stack:
+        executor = stack.enter_context(cluster(order.scheduler, said)) if order.scheduler else None
+        report = build(machine, plan, order.folder, workers=workers, progress=cases, executor=executor)
     found = {"catalogue_id": Catalogue.open(order.folder).id}
     if report.lost:
         message = f"{len(report.lost)} cases could not be computed: {report.lost_reason}; a further build tries them"

@@ -46,6 +46,8 @@ class BuildRunner:
         What is done in a build's process.
     log : LogSettings
         How such a process writes its log.
+    scheduler : str
+        Of the Dask cluster that computes; without one, processes here do.
     """
 
     def __init__(
@@ -56,7 +58,9 @@ class BuildRunner:
         lease_s: float,
         task: Callable[[Order, Connection], None] = work,
         log: LogSettings = DEFAULT_LOG,
+        scheduler: str = "",
     ) -> None:
+        self._scheduler = scheduler
         self._log_settings = log
         self._task = task
         self._queue, self._folder, self._lease_s = queue, folder, lease_s
@@ -112,7 +116,13 @@ class BuildRunner:
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         order = Order(
-            row.machine, row.plan, self._folder / row.catalogue, row.workers, self._log_settings, row.request_id
+            row.machine,
+            row.plan,
+            self._folder / row.catalogue,
+            row.workers,
+            self._log_settings,
+            self._scheduler,
+            row.request_id,
         )
         process = context.Process(target=self._task, args=(order, sender), name=f"build-{row.id}")
         try:

@@ -73,7 +73,9 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log, metrics)
         put_there = MachineStore(chosen.data / "machines")
         queue = BuildQueue(store.database)
-        runner = BuildRunner(queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log)
+        runner = BuildRunner(
+            queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log, scheduler=chosen.scheduler
+        )
         service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner, metrics)
         metrics.watch(service)
         application.state.service = service

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    PydanticBaseSettingsSource,
+    SecretsSettingsSource,
+    SettingsConfigDict,
+)
+
+from app.errors import BadFieldError
+
+SECRETS = "JOINTPLAY_SECRETS"
+"""Names a folder whose files hold settings, such as ``jointplay_database``."""
 
 
 class Settings(BaseSettings):
     """What the service may be told from outside; every field has a working default.
 
-    A field ``time_limit_s`` is read from ``JOINTPLAY_TIME_LIMIT_S``.
+    A field ``time_limit_s`` is read from ``JOINTPLAY_TIME_LIMIT_S``, or from a file ``jointplay_time_limit_s`` in the
+    folder that ``JOINTPLAY_SECRETS`` names, which is for what nobody should see in an environment.
     """
 
     model_config = SettingsConfigDict(env_prefix="JOINTPLAY_", frozen=True, extra="ignore")
@@ -59,6 +71,10 @@ class Settings(BaseSettings):
     receive_timeout_s: float = Field(
         default=30.0, gt=0, description="Longest time that the body of a request may pause, in seconds; then 408."
     )
+    scheduler: str = Field(
+        default="",
+        description="Address of a Dask scheduler, tcp://host:8786, whose workers compute builds in place of processes.",
+    )
     builds: int = Field(
         default=1,
         ge=0,
@@ -85,6 +101,29 @@ class Settings(BaseSettings):
         default="info", description="Least level of what is logged."
     )
     page_size: int = Field(default=50, ge=1, le=500, description="Number of items in one page of a list.")
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Return where settings come from, what wins first: arguments, environment, files of secrets.
+
+        Raises
+        ------
+        BadFieldError
+            When there is no such folder of secrets.
+        """
+        folder = os.environ.get(SECRETS, "")
+        if not folder:
+            return init_settings, env_settings
+        if not Path(folder).is_dir():
+            raise BadFieldError(f"{SECRETS}: {folder}: is no folder")
+        return init_settings, env_settings, SecretsSettingsSource(settings_cls, secrets_dir=folder)
 
     @property
     def max_upload_bytes(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,7 +69,11 @@ def command(
         click.echo(shown, err=True)
     with ExitStack() as stack:
         line = stack.enter_context(ProgressLine("building", "cases"))
-        executor = stack.enter_context(cluster(scheduler)) if scheduler is not None else None
+        executor = (
+            stack.enter_context(cluster(scheduler, lambda said: click.echo(said, err=True)))
+            if scheduler is not None
+            else None
+        )
         report = build(
             found,
             wanted,
@@ -95,11 +99,11 @@ def command(
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[DaskCluster]:
-    """Connect to a Dask cluster, and leave it in the end."""
+def cluster(address: str, tell: Callable[[str], None]) -> Iterator[DaskCluster]:
+    """Connect to a Dask cluster, telling what is waited for, and leave it in the end."""
     from catalogue.cluster import DaskCluster
 
-    workers = DaskCluster(address, tell=lambda said: click.echo(said, err=True))
+    workers = DaskCluster(address, tell=tell)
     try:
         yield workers
     finally:

@@ -66,6 +66,10 @@ def command(
         raise AddressError(
             f"{host}: without keys (--no-keys) only this computer itself may ask: 127.0.0.1, ::1, localhost"
         )
+    if settings.scheduler:
+        from catalogue.cluster import check_address
+
+        check_address(settings.scheduler)
     settings = answering(settings, host)
     configure(LogSettings(settings.log_format, settings.log_level))
     if not settings.catalogues.is_dir():

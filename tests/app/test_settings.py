@@ -48,6 +48,17 @@ def test_every_setting_comes_from_the_environment(name: str, monkeypatch: pytest
     assert shown(getattr(Settings(), name)) == other != shown(field.default)
 
 
+def test_a_setting_may_stand_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "jointplay_database").write_text("postgresql://me:secret@host/x\n")
+    (tmp_path / "jointplay_workers").write_text("5")
+    monkeypatch.setenv("JOINTPLAY_SECRETS", str(tmp_path))
+    monkeypatch.setenv("JOINTPLAY_WORKERS", "7")
+    settings = Settings()
+    assert (settings.database, settings.workers) == ("postgresql://me:secret@host/x", 7)
+    monkeypatch.setenv("JOINTPLAY_SECRETS", str(tmp_path / "none"))
+    assert_refused(invoke("serve", "--port", "0"), 2, "none: is no folder")
+
+
 @pytest.mark.parametrize(
     ("name", "given", "rule"),
     [
