@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
@@ -23,6 +23,7 @@ from app.limits import BodyLimit
 from app.logs import LogSettings
 from app.machine_store import MachineStore
 from app.metrics import Metrics
+from app.query import refuse_unknown
 from app.request_log import RequestLog
 from app.routes import (
     asset_pages,
@@ -102,6 +103,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         version=openapi.API_VERSION,
         docs_url=None,
         redoc_url=None,
+        redirect_slashes=False,  # a redirect would name http, also where a proxy speaks TLS
         lifespan=lifespan,
     )
     templates = ["/openapi.json"]
@@ -115,7 +117,12 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
         ((pages, browser_pages, build_pages, asset_pages, signin), "", False),
     ):
         for module in modules:
-            application.include_router(module.router, prefix=prefix, include_in_schema=shown)
+            application.include_router(
+                module.router,
+                prefix=prefix,
+                include_in_schema=shown,
+                dependencies=[Depends(refuse_unknown)] if prefix else None,
+            )
             templates += [prefix + route.path for route in module.router.routes if isinstance(route, Route)]
     application.mount("/static", StaticFiles(directory=STATIC), name="static")
     templates.append("/static/{path:path}")

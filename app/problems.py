@@ -179,7 +179,10 @@ def of_validation(entries: list[dict[str, Any]]) -> Problem:
         With ``loc`` and ``msg``, as pydantic gives them.
     """
     listed = tuple(
-        {"field": ".".join(str(part) for part in entry["loc"] if part != "body"), "message": str(entry["msg"])}
+        {
+            "field": ".".join(str(part) for part in entry["loc"] if part != "body") or ".".join(entry["loc"]),
+            "message": str(entry["msg"]).removeprefix("Value error, "),  # of our own validators: no words of theirs
+        }
         for entry in entries
     )
     detail = "; ".join(

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from app import paging
+from app.etags import respond
 from app.idempotency import IdempotencyKey, once
 from app.openapi import problems
 from app.routes.machines import Cursor, Limit
@@ -51,10 +52,11 @@ def webhooks(request: Request, cursor: Cursor = None, limit: Limit = None) -> We
     return WebhookPage(items=[webhook_out(row) for row in shown], next_cursor=following)
 
 
-@router.get("/{key}", responses=problems(404))
-def webhook(request: Request, key: str) -> WebhookOut:
+@router.get("/{key}", response_model=WebhookOut, responses=problems(404))
+async def webhook(request: Request, key: str) -> Response:
     """Return one webhook, without its secret."""
-    return webhook_out(Webhooks(of_request(request).store.database).webhook(key))
+    row = await run_in_threadpool(Webhooks(of_request(request).store.database).webhook, key)
+    return respond(request, Response(webhook_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
 
 
 @router.delete("/{key}", status_code=204, responses=problems(404))

@@ -194,7 +194,7 @@ def test_a_finding_is_kept_once_read_again_and_listed(client: httpx.Client, diag
         ({"joints": {"B": {"clearance_um": -1.0}}, "at": "2026-03-01T08:00:00Z"}, "joints.B.clearance_um"),
         ({"at": "2026-03-01T08:00:00Z"}, "give joints with their clearance, or a text"),
         ({"text": "all well"}, "at: Field required"),
-        ({"text": "all well", "at": "2026-03-01T08:00:00"}, "at: Value error, must be a moment with a time zone"),
+        ({"text": "all well", "at": "2026-03-01T08:00:00"}, "at: must be a moment with a time zone"),
     ],
 )
 def test_a_wrong_finding_is_refused(

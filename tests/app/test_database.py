@@ -14,18 +14,18 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import event, text
 
+from app.assets import Assets
 from app.build_queue import BuildQueue
 from app.database import REVISION, VERSION_TABLE, database_url, revision_of
-from app.errors import AppError, BadFieldError, UnknownMeasurementError
-from app.storage import Base, NewDiagnosis, Store, Upload, aware, measurement_key
+from app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
+from app.keys import Keys
+from app.storage import Base, NewDiagnosis, Store, aware, measurement_key
 from app.told import Told
-
-UPLOAD = Upload(Path("nowhere"), "a" * 64, 5_000_000_000)
 
 
 def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> None:
-    first = store.add_measurement(UPLOAD, "a.csv", None, {"samples": 3})
-    again = store.add_measurement(UPLOAD, "a.csv", None, {"samples": 4})
+    first = store.add_measurement(uploaded(store), "a.csv", None, {"samples": 3})
+    again = store.add_measurement(uploaded(store), "a.csv", None, {"samples": 4})
     assert (again.number, again.summary) == (first.number, {"samples": 3})
     new = NewDiagnosis(first.id, "c" * 64, {"name": "m"}, {}, {"hash": "h"})
     asked = store.add_diagnosis(new)
@@ -33,7 +33,7 @@ def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> No
     other = Store(tmp_path, url)
     row = other.measurement(first.id)
     other.close()
-    assert row.size_bytes == UPLOAD.size
+    assert row.size_bytes == SIZE
     assert row.created_at == first.created_at
     assert row.created_at.utcoffset() == timedelta(0) == aware(row.created_at).utcoffset()
     assert [found.id for found in store.diagnoses(None, 5)] == [asked.id]
@@ -44,6 +44,10 @@ def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> No
 def test_ids_that_are_none(store: Store, key: str) -> None:
     with pytest.raises(UnknownMeasurementError):
         store.measurement(key)
+    with pytest.raises(UnknownAssetError):
+        Assets(store.database).asset(key)
+    with pytest.raises(UnauthorizedError):
+        Keys(store.database).find(f"jp_{key}_secret")
 
 
 def test_revisions_make_the_tables_that_the_program_uses(store: Store) -> None:
@@ -72,7 +76,7 @@ def test_a_transaction_that_fails_leaves_nothing(store: Store) -> None:
             session.execute(text("DELETE FROM measurements"))
             raise KeyError
 
-    kept = store.add_measurement(UPLOAD, "a.csv", None, {})
+    kept = store.add_measurement(uploaded(store), "a.csv", None, {})
     with pytest.raises(KeyError):
         spoiled()
     assert store.measurement(kept.id).id == kept.id
@@ -80,7 +84,7 @@ def test_a_transaction_that_fails_leaves_nothing(store: Store) -> None:
 
 def test_a_file_of_an_earlier_version_keeps_what_it_has(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    kept = store.add_measurement(UPLOAD, "a.csv", None, {})
+    kept = store.add_measurement(uploaded(store), "a.csv", None, {})
     store.close()
     with sqlite3.connect(tmp_path / "service.sqlite") as connection:
         connection.execute(f"DROP TABLE {VERSION_TABLE}")
@@ -108,16 +112,16 @@ def test_builds_of_an_earlier_version_stay(url: str, tmp_path: Path) -> None:
 def test_measurements_of_an_earlier_version_are_read_as_they_were(url: str, tmp_path: Path) -> None:
     store = Store(tmp_path, url)
     told = Told(10_000.0)
-    kept = store.add_measurement(UPLOAD, "a.csv", told, {})
+    kept = store.add_measurement(uploaded(store), "a.csv", told, {})
     with store.database.writing() as session:
         session.execute(text("ALTER TABLE measurements DROP COLUMN beside_rate"))
         session.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '0002'"))
     store.close()
     store = Store(tmp_path, url)
     assert store.measurement(kept.id).told == told
-    assert store.add_measurement(UPLOAD, "a.csv", told, {}).number == kept.number
+    assert store.add_measurement(uploaded(store), "a.csv", told, {}).number == kept.number
     others = [Told(10_000.0, {"*": "g"}), Told(10_000.0, {}, {"full_scale": "5 g"}), Told(10_000.0, {"a": "g"})]
-    rows = [store.add_measurement(UPLOAD, "a.csv", each, {}) for each in others]
+    rows = [store.add_measurement(uploaded(store), "a.csv", each, {}) for each in others]
     assert len({row.id for row in (kept, *rows)}) == 4
     assert [store.measurement(row.id).told for row in rows] == others
     store.close()
@@ -159,16 +163,16 @@ def test_a_measurement_and_its_diagnosis_in_one_transaction(store: Store) -> Non
     commits: list[object] = []
     event.listen(store.database.engine, "commit", commits.append)
     told = Told(sample_rate_hz=1000.0)
-    key = measurement_key(UPLOAD.sha256, "a.csv", told)
+    key = measurement_key(SHA256, "a.csv", told)
     noted: list[str] = []
     new = NewDiagnosis(key, "c" * 64, {"name": "m"}, {}, {"hash": "h"}, lambda _session, made: noted.append(made))
-    row = store.add_both(UPLOAD, "a.csv", told, {"samples": 3}, new)
+    row = store.add_both(uploaded(store), "a.csv", told, {"samples": 3}, new)
     assert len(commits) == 1
     assert (store.measurement(key).told, row.measurement, noted) == (told, key, [row.id])
     found = store.diagnosis(row.id)
     for name in ("number", "id", "measurement", "catalogue", "machine", "created_at", "request", "result"):
         assert getattr(found, name) == getattr(row, name)
-    assert store.add_both(UPLOAD, "a.csv", told, {"samples": 4}, new).number == row.number
+    assert store.add_both(uploaded(store), "a.csv", told, {"samples": 4}, new).number == row.number
     assert store.measurement(key).summary == {"samples": 3}
     assert noted == [row.id]
 
@@ -193,7 +197,7 @@ def test_writing_threads_wait_for_each_other_without_sleeping(tmp_path: Path) ->
 
     def write(number: int) -> None:
         for turn in range(20):
-            store.add_measurement(UPLOAD, f"{number}-{turn}.csv", None, {})
+            store.add_measurement(uploaded(store), f"{number}-{turn}.csv", None, {})
 
     with ThreadPoolExecutor(8) as threads:
         assert list(threads.map(write, range(8))) == [None] * 8

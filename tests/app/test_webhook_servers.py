@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from uploaded import uploaded
 from webhook_listener import Listener, state, tell
 
 import app.webhooks
 from app.asset_schemas import AssetIn, FindingIn
 from app.assets import Assets
-from app.storage import NewDiagnosis, Store, Upload, now
+from app.storage import NewDiagnosis, Store, now
 from app.webhook_sender import WebhookSender
 from app.webhooks import LEASE, Taken, Webhooks
 
@@ -122,7 +123,7 @@ def test_a_webhook_that_is_forgotten_while_something_is_told(
 
 def test_the_same_finding_sent_to_both_is_told_once(stores: list[Store]) -> None:
     hook = Webhooks(stores[0].database).add("http://127.0.0.1:9/", ["finding.created"])
-    measurement = stores[0].add_measurement(Upload(Path("nowhere"), "a" * 64, 1), "a.csv", None, {})
+    measurement = stores[0].add_measurement(uploaded(stores[0]), "a.csv", None, {})
     row = stores[0].add_diagnosis(NewDiagnosis(measurement.id, "c" * 64, MACHINE, {}, {"hash": "h"}))
 
     def finder(store: Store, text: str) -> Callable[[], str]:

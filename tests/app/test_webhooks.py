@@ -243,7 +243,9 @@ def test_a_webhook_is_made_listed_and_forgotten(client: httpx.Client) -> None:
     made = answer.json()
     assert len(made.pop("secret")) == 64
     place = answer.headers["location"]
-    assert client.get(place).json() == made
+    read = client.get(place)
+    assert read.json() == made
+    assert client.get(place, headers={"If-None-Match": read.headers["etag"]}).status_code == 304
     assert made in client.get(f"{API}/webhooks").json()["items"]
     assert client.get(f"{place}/deliveries").json() == {"items": [], "next_cursor": None}
     assert client.delete(place).status_code == 204
