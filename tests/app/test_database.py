@@ -13,6 +13,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import event, text
+from uploaded import SHA256, SIZE, uploaded
 
 from app.assets import Assets
 from app.build_queue import BuildQueue
