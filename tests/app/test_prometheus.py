@@ -84,8 +84,9 @@ def test_what_happens_is_counted(client: httpx.Client, worn: bytes) -> None:
     (offered,) = client.get(f"{API}/catalogues").json()["items"]
     assert value(after, "catalogues") == 1
     assert value(after, "catalogue_entries", catalogue="slider-crank") == offered["entries"]
-    (worker,) = [each for each in psutil.Process().children() if "spawn_main" in " ".join(each.cmdline())]
-    assert value(after, "memory_bytes", process="worker-0") == pytest.approx(worker.memory_info().rss, rel=0.1)
+    workers = [each for each in psutil.Process().children() if "spawn_main" in " ".join(each.cmdline())]
+    shown = value(after, "memory_bytes", process="worker-0")
+    assert any(shown == pytest.approx(worker.memory_info().rss, rel=0.1) for worker in workers)
     assert value(after, "memory_bytes", process="server") > 1e7
 
 
