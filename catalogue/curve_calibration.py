@@ -29,6 +29,8 @@ class Calibration:
     distances, orders : tuple of Tail
         Per hypothesis: full-space distance, and mean of the largest watched z.
     conformal : Conformal
+    doubts : tuple of Tail
+        Per hypothesis: how much rather a machine seems to differ from its file; empty where no network says so.
     share : float
         Exponent of a network's opinion beside them, whose own is 1 / `temperature`; 0 where there is none.
     """
@@ -39,15 +41,22 @@ class Calibration:
     orders: tuple[Tail, ...]
     conformal: Conformal
     share: float = 0.0
+    doubts: tuple[Tail, ...] = ()
 
 
-def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion | None = None) -> Calibration:
-    """Calibrate on pairs of what was learned and what was held out of it, by the network of an opinion, too."""
+def calibrated(
+    pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion | None = None, witness: Opinion | None = None
+) -> Calibration:
+    """Calibrate on pairs of what was learned and what was held out of it, by the network of an opinion, too.
+
+    A witness is the opinion of a network of strata.
+    """
     evidence: list[FloatArray] = []
     opinions: list[FloatArray] = []
     truth: list[IntArray] = []
     distances: list[list[FloatArray]] = []
     orders: list[list[FloatArray]] = []
+    doubts: list[list[FloatArray]] = []
     own: dict[int, list[tuple[FloatArray, IntArray]]] = {}
     for model, held in pairs:
         features, index = held.stacked()
@@ -55,6 +64,7 @@ def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion
         columns = []
         distances = distances or [[] for _ in held.hypotheses]
         orders = orders or [[] for _ in held.hypotheses]
+        doubts = doubts or [[] for _ in held.hypotheses]
         for h, draws in enumerate(held.hypotheses):
             likelihood = model.log_likelihood(whitened, h)
             columns.append(averaged(likelihood))
@@ -64,6 +74,8 @@ def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion
             )
             distances[h].append(distance)
             orders[h].append(order)
+            if witness is not None:
+                doubts[h].append(witness.doubts(draws.features))
             if draws.log_clearance.shape[1]:
                 place = model.curves[h].grid.index(draws.log_clearance)
                 own.setdefault(draws.log_clearance.shape[1], []).append((curve, place))
@@ -89,6 +101,7 @@ def calibrated(pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion
         tuple(Tail.of(np.concatenate(values)) for values in orders),
         Conformal.fit(posterior, stacked, weights),
         share,
+        () if witness is None else tuple(Tail.of(np.concatenate(values)) for values in doubts),
     )
 
 

@@ -85,10 +85,14 @@ class GaussianAlongClearance:
     ridge: float = 0.05
     fold_count: int = 4
     name: str = field(default="gaussian-along-clearance", init=False)
-    version: str = field(default="3", init=False)
+    version: str = field(default="4", init=False)
 
     def fit(
-        self, training: TrainingSet, projection: FloatArray | None = None, opinion: Opinion | None = None
+        self,
+        training: TrainingSet,
+        projection: FloatArray | None = None,
+        opinion: Opinion | None = None,
+        witness: Opinion | None = None,
     ) -> FittedGaussian:
         """Learn a training set and calibrate on draws held out of it.
 
@@ -100,6 +104,9 @@ class GaussianAlongClearance:
         opinion : Opinion, optional
             Of a network that was trained without :func:`~catalogue.calibration.held_out` entries. It counts where there
             are many cases.
+        witness : Opinion, optional
+            Of a network of strata, trained so, too: a recording that it takes for one of a machine that differs from
+            its file is not explained. It counts where there are many cases.
 
         Raises
         ------
@@ -116,7 +123,7 @@ class GaussianAlongClearance:
         if training.cases >= self.many_cases:
             learned, held = kept_apart(training)
             model = self._learned(learned, sparse, projection)
-            return FittedGaussian(model, calibrated([(model, held)], opinion), opinion)
+            return FittedGaussian(model, calibrated([(model, held)], opinion, witness), opinion, witness)
         splits = folds(training, self.fold_count)
         pairs = ((self._learned(learned, sparse, projection), held) for learned, held in splits)
         calibration = calibrated(pairs)
@@ -173,6 +180,7 @@ class FittedGaussian:
     model: CurveModel
     calibration: Calibration
     opinion: Opinion | None = None
+    witness: Opinion | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -206,6 +214,7 @@ class FittedGaussian:
         likelihoods = [self.model.log_likelihood(whitened, h) for h in range(len(self.model.curves))]
         evidence = np.array([averaged(each) for each in likelihoods])
         posterior = self._probabilities(evidence.T, block)[0]
+        doubt = 0.0 if self.witness is None else float(self.witness.doubts(block)[0])
         matches = []
         for h, curve in enumerate(self.model.curves):
             best = likelihoods[h].argmax(axis=1).astype(np.int64)
@@ -216,6 +225,8 @@ class FittedGaussian:
                 self.calibration.orders[h].p_value(float(order[0])),
                 BROADBAND_SHARE,
             )
+            if self.witness is not None:
+                p_value = combined(self.calibration.doubts[h].p_value(doubt), p_value)
             matches.append(
                 HypothesisMatch(
                     curve.label,

@@ -6,7 +6,7 @@ import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -43,6 +43,8 @@ class Learning:
         Hypotheses that are left out.
     seed : int
         Of everything drawn.
+    subject : {"hypotheses", "strata"}
+        What a network learns to tell apart: hypotheses, or machines that are as in their file from those that are not.
     """
 
     mode: Mode = "trusted"
@@ -53,6 +55,7 @@ class Learning:
     reach: int = field(default=8000, repr=False)
     without: tuple[str, ...] = ()
     seed: int = 0
+    subject: Literal["hypotheses", "strata"] = field(default="hypotheses", repr=False)
 
     @classmethod
     def of(cls, mode: Mode, *, without: tuple[str, ...] = (), most: int | None = None) -> Self:

@@ -141,16 +141,19 @@ class ModelLibrary:
         speed: float | None = None,
         weights: FloatArray | None = None,
         network: Network | None = None,
+        strata: Network | None = None,
     ) -> FittedMatcher:
         """Return a matcher fitted to exactly this sensing; from memory or a file if it is known."""
         method = matcher or GaussianAlongClearance()
-        opinion = None if network is None else network.opinion(sensing.noise, band_widths(self._matrix))
+        widths = band_widths(self._matrix)
+        opinion = None if network is None else network.opinion(sensing.noise, widths)
+        witness = None if strata is None else strata.opinion(sensing.noise, widths)
         rows = {known.label: rows_of(self._matrix, known.label, learning, speed) for known in self._matrix.hypotheses}
         rows = {label: chosen for label, chosen in rows.items() if label not in learning.without}
         ends = [[label, len(chosen), int(chosen.sum())] for label, chosen in rows.items()]
         weighed = None if weights is None else np.asarray(weights, np.float64).tobytes().hex()
-        judge = None if opinion is None else opinion.network.digest
-        asked = [sensing.digest, watched.tolist(), repr(method), method.version, repr(learning), ends, weighed, judge]
+        judges = [None if each is None else each.network.digest for each in (opinion, witness)]
+        asked = [sensing.digest, watched.tolist(), repr(method), method.version, repr(learning), ends, weighed, judges]
         key = f"{self._state}-{content_digest([self._matrix.id, *asked])}"
         with self._lock:
             if key in self._known:
@@ -163,7 +166,7 @@ class ModelLibrary:
             chosen = None if weights is None else {label: weights[each] for label, each in rows.items()}
             training = training_set(self._matrix, sensing, watched, learning, rows=rows, weights=chosen)
             if isinstance(method, GaussianAlongClearance):
-                found = method.fit(training, opinion=opinion)
+                found = method.fit(training, opinion=opinion, witness=witness)
             else:
                 found = method.fit(training)
             if isinstance(found, FittedGaussian):
@@ -199,11 +202,13 @@ class ModelLibrary:
 
     def _answer(self, question: _Question, effort: Effort, learning: Learning, matcher: Matcher | None) -> MatchResult:
         coarse = rounded_sensing(question.sensing, band_widths(self._matrix), NOISE_STEP_DB)
-        network, notes = None, self._notes(learning)
+        network, strata, notes = None, None, self._notes(learning)
         own_method = matcher is None or isinstance(matcher, GaussianAlongClearance)
         # Where entries have weights none counts: a network has learned all entries alike.
         if self._networks is not None and own_method and question.weights is None:
             network = self._networks.get(question.sensing, learning, question.speed)
+            if learning.mode == "trusted":
+                strata = self._networks.get(question.sensing, replace(learning, subject="strata"), question.speed)
             if network is None and self._networks.applies(question.sensing, learning, question.speed):
                 notes = (*notes, "the catalogue's networks are not trained yet: building it again does that")
         model = self.fitted(
@@ -214,12 +219,14 @@ class ModelLibrary:
             speed=question.speed,
             weights=question.weights,
             network=network,
+            strata=strata,
         )
         asked = model.opinion.network.digest if isinstance(model, FittedGaussian) and model.opinion else None
         looked_up = replace(model.match(question.lifted(coarse)), mode=learning.mode, notes=notes, network=asked)
         if effort == "fast" or not isinstance(model, FittedGaussian):
             return looked_up
-        refit = Refit(self._matrix, model, learning, question.speed, question.weights, network if asked else None)
+        judges = (network if asked else None, strata if isinstance(model, FittedGaussian) and model.witness else None)
+        refit = Refit(self._matrix, model, learning, question.speed, question.weights, *judges)
         return merged(looked_up, refit.match(question.sensing, question.feature, question.watched, looked_up))
 
     def _notes(self, learning: Learning) -> tuple[str, ...]:

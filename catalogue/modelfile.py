@@ -21,7 +21,7 @@ from catalogue.gaussian import FittedGaussian
 from catalogue.network import Network, Opinion
 from catalogue.tube import ClearanceGrid, Tube
 
-FORMAT = 2
+FORMAT = 3
 """Of the files; others are fitted anew."""
 
 KEPT = 16

@@ -17,7 +17,10 @@ from scipy.special import log_softmax
 
 from catalogue.matching import FloatArray
 
-__all__ = ["Network", "Opinion", "density_db"]
+__all__ = ["AS_FILED", "DIFFERS", "Network", "Opinion", "density_db"]
+
+AS_FILED, DIFFERS = "as filed", "differs"
+"""What a network of strata tells apart."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class Network:
     Parameters
     ----------
     labels : tuple of str
-        Hypotheses, all equally probable beforehand.
+        Hypotheses, all equally probable beforehand; or :data:`AS_FILED` and :data:`DIFFERS`.
     centre, scale : ndarray, shape (d + c,)
         Of its inputs: d levels and the noise of c channels.
     weights : tuple of ndarray
@@ -102,6 +105,15 @@ class Opinion:
             shown = 10.0 * np.log10(10.0 ** (0.1 * features) + self.missing)
         found: FloatArray = self.network.log_likelihoods(shown, self.noise_db)[:, columns]
         return found
+
+    def doubts(self, features: FloatArray) -> FloatArray:
+        """Return how much rather levels (m, d) are of a machine that differs from its file, log likelihood ratio (m,).
+
+        Of a network of strata.
+        """
+        found = self.log_evidences(features, (AS_FILED, DIFFERS))
+        ratio: FloatArray = found[:, 1] - found[:, 0]
+        return ratio
 
 
 def density_db(noise: FloatArray, width: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ def train_networks(
     Returns
     -------
     tuple of str
-        Modes of those trained, in the order of asking.
+        Modes of those trained, in the order of asking; "strata" for the one that tells strata apart.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def train_networks(
         # Of the state that is there now, which another builder may have made meanwhile.
         if not file.name.startswith((catalogue.id[:12], Catalogue.open(folder).id[:12])):
             file.unlink(missing_ok=True)
-    return tuple(learning.mode for learning, _ in wanted)
+    return tuple(learning.mode if learning.subject == "hypotheses" else learning.subject for learning, _ in wanted)
 
 
 def _train_all(

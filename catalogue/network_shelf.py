@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,10 +72,11 @@ class NetworkShelf:
         """
         for mode in MODES:
             learning = Learning.of(mode, most=most)
-            for factor in self._matrix.speeds:
-                speed = factor * self._matrix.nominal_speed
-                if self._applies(learning, speed) and self._found(self._key(learning, speed)) is None:
-                    yield learning, speed
+            for each in (learning, replace(learning, subject="strata")) if mode == "trusted" else (learning,):
+                for factor in self._matrix.speeds:
+                    speed = factor * self._matrix.nominal_speed
+                    if self._applies(each, speed) and self._found(self._key(each, speed)) is None:
+                        yield each, speed
 
     def train(
         self, learning: Learning, speed: float, progress: Progress | None = None, *, lasting: bool = False
@@ -150,6 +152,8 @@ class NetworkShelf:
 
     def _key(self, learning: Learning, speed: float | None) -> str:
         asked = [self._arrangement, repr(_whole(learning)), learning.reach, repr(self._training), self._place(speed)]
+        if learning.subject != "hypotheses":
+            asked.append(learning.subject)
         return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, *asked])}"
 
 
@@ -173,4 +177,5 @@ def arrangement(sensing: Sensing) -> str:
 
 
 def _whole(learning: Learning) -> Learning:
-    return Learning.of(learning.mode, most=None if learning.reach == Learning.reach else learning.reach)
+    whole = Learning.of(learning.mode, most=None if learning.reach == Learning.reach else learning.reach)
+    return replace(whole, subject=learning.subject)

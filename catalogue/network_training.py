@@ -15,9 +15,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from catalogue.calibration import held_out
+from catalogue.entry import Hypothesis, Stratum
 from catalogue.learning import Learning, rows_of
 from catalogue.matching import FloatArray, IntArray
-from catalogue.network import Network, density_db
+from catalogue.network import AS_FILED, DIFFERS, Network, density_db
 from catalogue.observation import Sensing, observe
 from catalogue.spectra import Spectra
 
@@ -75,14 +76,14 @@ class NetworkTraining:
     def enough(self, matrix: Spectra, learning: Learning, speed: float | None) -> bool:
         """Whether there are cases enough: of worn joints to learn from, of every hypothesis to calibrate on."""
         counts = []
-        for known in matrix.hypotheses:
-            rows = rows_of(matrix, known.label, learning, speed)
+        classes = _classes(matrix, learning, speed)
+        for known, rows in classes:
             apart = int(np.sum(held_out(rows)))
             if min(apart, len(rows) - apart) < LEAST_ON_EITHER_SIDE:
                 return False
             if known.joints:
                 counts.append(len(rows))
-        return len(matrix.hypotheses) > 1 and min(counts, default=0) >= self.least_cases
+        return len(classes) > 1 and min(counts, default=0) >= self.least_cases
 
     def train(
         self,
@@ -118,6 +119,8 @@ class NetworkTraining:
             centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
             classifier = self._fitted((inputs - centre) / scale, index, lambda s: tell(self.blocks + 10 * s, total))
         labels = tuple(known.label for known in matrix.hypotheses if known.label not in learning.without)
+        if learning.subject == "strata":
+            labels = (AS_FILED, DIFFERS)
         weights, biases = ([np.asarray(each, np.float64) for each in part] for part in classifier)
         if len(labels) == 2:
             # One output, the second hypothesis against the first.
@@ -133,19 +136,16 @@ class NetworkTraining:
         speed: float | None,
         tell: Callable[[int], None],
     ) -> tuple[FloatArray, IntArray, tuple[float, float]]:
-        """Inputs (n, d + c), hypothesis (n,), and the least and largest mean noise, dB."""
-        hypotheses = [known for known in matrix.hypotheses if known.label not in learning.without]
-        chosen = []
-        for known in hypotheses:
-            rows = rows_of(matrix, known.label, replace(learning, most=learning.reach), speed)
-            chosen.append(rows[~held_out(rows)])
+        """Inputs (n, d + c), class (n,), and the least and largest mean noise, dB."""
+        classes = _classes(matrix, replace(learning, most=learning.reach), speed)
+        chosen = [rows[~held_out(rows)] for _, rows in classes]
         edges_hz = np.array(matrix.edges) * abs(matrix.nominal_speed) / (2.0 * math.pi)
         width = np.diff(edges_hz)[: sensing.bands]
         middle = np.sqrt(np.maximum(edges_hz[:-1], 0.5 * edges_hz[1]) * edges_hz[1:])[: sensing.bands]
         shortest = max(self.lengths[0], 5.0 * 2.0 * math.pi / abs(matrix.nominal_speed))
         quiet_db, loud_db = (10.0 * math.log10(each**2 / FULL_BAND) for each in self.noise)
         own_db = 10.0 * np.log10(np.sum(sensing.channels**2, axis=1))
-        share = max(1, self.rows // self.blocks // len(hypotheses))
+        share = max(1, self.rows // self.blocks // len(classes))
         generator = np.random.default_rng(learning.seed)
         inputs, index = [], []
         for block in range(self.blocks):
@@ -164,7 +164,7 @@ class NetworkTraining:
                 features, _ = observe(matrix.packed(some), seen, learning.discrepancy, copies, seed, edges_hz)
                 noise = np.broadcast_to(density_db(seen.noise, width), (len(features), len(own_db)))
                 inputs.append(np.concatenate([features, noise], axis=1).astype(np.float32))
-                index.append(np.full(len(features), number))
+                index.append(np.full(len(features), number % 2 if learning.subject == "strata" else number))
             tell(block + 1)
         mean = float(np.mean(own_db))
         return np.concatenate(inputs), np.concatenate(index), (quiet_db + mean, loud_db + mean)
@@ -187,3 +187,17 @@ class NetworkTraining:
                 classifier.fit(inputs, index)
             tell(stage + 1)
         return classifier.coefs_, classifier.intercepts_
+
+
+def _classes(matrix: Spectra, learning: Learning, speed: float | None) -> list[tuple[Hypothesis, IntArray]]:
+    """Rows of each class: a hypothesis; or of machines as filed and of others by turns, for each hypothesis."""
+    found = []
+    for known in matrix.hypotheses:
+        if known.label in learning.without:
+            continue
+        if learning.subject == "hypotheses":
+            found.append((known, rows_of(matrix, known.label, learning, speed)))
+            continue
+        strata: tuple[Stratum, ...] = ("trusted", "wide")
+        found += [(known, matrix.rows(known.label, each, draws=learning.most, speed=speed)) for each in strata]
+    return found

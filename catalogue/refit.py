@@ -39,6 +39,8 @@ class Refit:
         How much each entry counts.
     network : Network, optional
         Whose opinion counts, too.
+    strata : Network, optional
+        That says whether the machine differs from its file.
     settings : GaussianAlongClearance
     """
 
@@ -48,6 +50,7 @@ class Refit:
     speed: float | None = None
     weights: FloatArray | None = None
     network: Network | None = None
+    strata: Network | None = None
     settings: GaussianAlongClearance = field(default_factory=GaussianAlongClearance)
 
     def match(self, sensing: Sensing, feature: FloatArray, watched: BoolArray, first: MatchResult) -> MatchResult:
@@ -56,10 +59,12 @@ class Refit:
         rows = {match.label: self._rows(match) for match in chosen}
         weights = None if self.weights is None else {label: self.weights[each] for label, each in rows.items()}
         training = training_set(self.matrix, sensing, watched, self.learning, rows=rows, weights=weights)
-        opinion = None
-        if self.network is not None:
-            opinion = self.network.opinion(sensing.noise, band_widths(self.matrix))
-        return self.settings.fit(training, self.model.model.projection, opinion).match(feature)
+        widths = band_widths(self.matrix)
+        opinion, witness = (
+            None if network is None else network.opinion(sensing.noise, widths)
+            for network in (self.network, self.strata)
+        )
+        return self.settings.fit(training, self.model.model.projection, opinion, witness).match(feature)
 
     def _rows(self, match: HypothesisMatch) -> IntArray:
         if not match.clearances:

@@ -25,7 +25,7 @@ from catalogue.network import Network, Opinion
 from catalogue.network_building import train_networks
 from catalogue.network_shelf import NetworkShelf, arrangement
 from catalogue.network_training import NetworkTraining
-from catalogue.observation import Discrepancy, observe
+from catalogue.observation import Discrepancy, Sensing, observe
 from catalogue.spectra import band_widths
 from catalogue.store import Catalogue
 
@@ -317,8 +317,8 @@ def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods(trained: N
     wrong = replace(trained, biases=(*trained.biases[:-1], trained.biases[-1] + np.array([0.0, 0.0, 500.0, 0.0])))
 
     class Shelf(NetworkShelf):
-        def get(self, *_: object) -> Network | None:  # type: ignore[override]
-            return self.network
+        def get(self, sensing: Sensing, learning: Learning, speed: float | None) -> Network | None:
+            return self.network if learning.subject == "hypotheses" else None
 
         network: Network | None = None
 
