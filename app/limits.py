@@ -8,9 +8,11 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.errors import BadRequestError, SlowRequestError, UploadTooLargeError
+from app.scopes import API
 
 JSON_BYTES = 1_000_000
-RECORDINGS = "/api/v1/measurements"
+RECORDINGS = f"{API}/measurements"
+DIAGNOSES = f"{API}/diagnoses"
 RECORDING_BYTES = 16_000_000
 """Largest recording as JSON, which is held in memory; a file is not."""
 
@@ -23,7 +25,8 @@ class BodyLimit:
     app : ASGIApp
         The application behind.
     upload_bytes : int
-        Largest multipart body; any other body may have at most `JSON_BYTES`, a recording `RECORDING_BYTES`.
+        Largest multipart body where files are taken; any other body may have at most `JSON_BYTES`, a recording
+        `RECORDING_BYTES`.
     receive_timeout : float
         Longest pause between two parts of a body [s].
     """
@@ -39,7 +42,7 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         headers = Request(scope).headers
-        multipart = headers.get("content-type", "").startswith("multipart/")
+        multipart = headers.get("content-type", "").lower().startswith("multipart/") and takes_files(scope["path"])
         usual = RECORDING_BYTES if scope["path"] == RECORDINGS else JSON_BYTES
         limit = self._upload_bytes if multipart else min(usual, self._upload_bytes)
         declared = headers.get("content-length", "0")
@@ -68,6 +71,11 @@ class BodyLimit:
             return message
 
         await self._app(scope, counted, send)
+
+
+def takes_files(path: str) -> bool:
+    """Return whether files are streamed to disk at an address; elsewhere in the interface a body is held in memory."""
+    return path in (RECORDINGS, DIAGNOSES) or not path.startswith(f"{API}/")
 
 
 def too_large(limit: int) -> UploadTooLargeError:

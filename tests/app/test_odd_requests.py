@@ -30,3 +30,10 @@ def test_an_empty_body_is_named(client: httpx.Client) -> None:
 def test_no_address_is_redirected_to_another(client: httpx.Client) -> None:
     answer = client.get("/api/v1/machines/")
     assert (answer.status_code, answer.headers["content-type"]) == (404, "application/problem+json")
+
+
+def test_only_where_files_are_taken_may_a_form_be_as_large_as_one(client: httpx.Client) -> None:
+    form = {"file": ("a.csv", b" " * 1_100_000)}
+    answers = {place: client.post(f"/api/v1/{place}", files=form) for place in ("webhooks", "builds", "measurements")}
+    statuses = {place: answer.status_code for place, answer in answers.items()}
+    assert statuses == {"webhooks": 413, "builds": 415, "measurements": 422}
