@@ -392,10 +392,6 @@ def test_every_error_is_a_problem_document(client: httpx.Client, method: str, pa
     assert_problem(client.request(method, path), status)
 
 
-def test_405_says_what_is_allowed(client: httpx.Client) -> None:
-    assert "GET" in client.post("/healthz").headers["allow"]
-
-
 def test_health(client: httpx.Client) -> None:
     assert client.get("/healthz").json() == {"status": "ok"}
     assert client.get("/readyz").json() == {"status": "ready", "catalogues": 1}
@@ -441,19 +437,3 @@ def test_work_that_takes_too_long_is_stopped(hurried: str, worn: bytes) -> None:
     with httpx.Client(base_url=hurried, timeout=60) as client:
         assert_problem(send(client, worn, "worn.csv"), 504, "stopped after 0.2 s", "time-limit")
         assert client.get("/healthz").status_code == 200
-
-
-@pytest.mark.parametrize(
-    ("method", "path", "allowed"),
-    [
-        ("DELETE", f"{API}/machines/four-bar", "GET, PUT"),
-        ("PATCH", f"{API}/diagnoses", "GET, POST"),
-        ("POST", "/static/page.css", "GET, HEAD"),
-    ],
-)
-def test_a_method_that_is_not_known_is_told_the_others(
-    client: httpx.Client, method: str, path: str, allowed: str
-) -> None:
-    answer = client.request(method, path)
-    assert_problem(answer, 405)
-    assert answer.headers["allow"] == allowed

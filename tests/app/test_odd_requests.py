@@ -1,4 +1,4 @@
-"""Requests that are almost right: names in a query that nobody reads, nothing in the body, a slash too many."""
+"""Requests that are almost right: names in a query that nobody reads, nothing in the body, a slash too many, other methods."""
 
 from __future__ import annotations
 
@@ -37,3 +37,20 @@ def test_only_where_files_are_taken_may_a_form_be_as_large_as_one(client: httpx.
     answers = {place: client.post(f"/api/v1/{place}", files=form) for place in ("webhooks", "builds", "measurements")}
     statuses = {place: answer.status_code for place, answer in answers.items()}
     assert statuses == {"webhooks": 413, "builds": 415, "measurements": 422}
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("DELETE", "/api/v1/machines/four-bar", "GET, PUT"),
+        ("PATCH", "/api/v1/diagnoses", "GET, POST"),
+        ("POST", "/healthz", "GET"),
+        ("POST", "/static/page.css", "GET, HEAD"),
+    ],
+)
+def test_a_method_that_is_not_known_is_told_the_others(
+    client: httpx.Client, method: str, path: str, allowed: str
+) -> None:
+    answer = client.request(method, path)
+    assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
+    assert answer.headers["content-type"] == "application/problem+json"
