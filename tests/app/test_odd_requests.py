@@ -1,4 +1,4 @@
-"""Requests that are almost right: names in a query that nobody reads, nothing in the body, a slash too many, other methods."""
+"""Requests that are almost right: names that nobody reads, nothing in the body, a slash too many, other methods."""
 
 from __future__ import annotations
 
