@@ -12,19 +12,17 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
-from app import handlers, openapi
-from app.build_queue import BuildQueue
-from app.build_runner import BuildRunner
-from app.catalogues import CatalogueShelf
-from app.gate import Gate
-from app.headers import SecurityHeaders
-from app.keys import Keys
-from app.limits import BodyLimit
+from app.http import handlers, openapi
+from app.http.gate import Gate
+from app.http.headers import SecurityHeaders
+from app.http.limits import BodyLimit
+from app.http.metrics import Metrics
+from app.http.query import refuse_unknown
+from app.http.request_log import RequestLog
+from app.jobs.build_runner import BuildRunner
+from app.jobs.webhook_sender import WebhookSender
+from app.jobs.workers import WorkerPool
 from app.logs import LogSettings
-from app.machine_store import MachineStore
-from app.metrics import Metrics
-from app.query import refuse_unknown
-from app.request_log import RequestLog
 from app.routes import (
     asset_pages,
     assets,
@@ -46,10 +44,12 @@ from app.routes import (
 from app.scopes import API
 from app.service import Service
 from app.settings import Settings
-from app.storage import Store
-from app.webhook_sender import WebhookSender
-from app.webhooks import Webhooks
-from app.workers import WorkerPool
+from app.shelves.catalogues import CatalogueShelf
+from app.storage.build_queue import BuildQueue
+from app.storage.keys import Keys
+from app.storage.machine_store import MachineStore
+from app.storage.store import Store
+from app.storage.webhooks import Webhooks
 
 STATIC = Path(__file__).parent / "static"
 

@@ -12,20 +12,21 @@ from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from app import tasks, webhooks
-from app.assets import AssetRow, Assets
-from app.build_queue import BuildQueue
-from app.build_runner import BuildRunner
-from app.catalogues import CatalogueShelf, Offer
-from app.entries import EntryShelf
 from app.errors import BadFieldError, TimeLimitError, WorkerDiedError
-from app.machine_store import MachineStore
-from app.metrics import Metrics
-from app.schemas import DiagnosisRequest
+from app.http.metrics import Metrics
+from app.jobs import tasks
+from app.jobs.build_runner import BuildRunner
+from app.jobs.workers import TaskFailedError, WorkerPool
+from app.schemas.resources import DiagnosisRequest
 from app.settings import Settings
-from app.storage import DiagnosisRow, MeasurementRow, NewDiagnosis, Store, Upload
-from app.told import Told
-from app.workers import TaskFailedError, WorkerPool
+from app.shelves.catalogues import CatalogueShelf, Offer
+from app.shelves.entries import EntryShelf
+from app.storage import webhooks
+from app.storage.assets import AssetRow, Assets
+from app.storage.build_queue import BuildQueue
+from app.storage.machine_store import MachineStore
+from app.storage.store import DiagnosisRow, MeasurementRow, NewDiagnosis, Store, Upload
+from app.storage.told import Told
 from solver.errors import UnitError
 from solver.machines.units import ANGULAR_SPEED, to_si
 

@@ -27,7 +27,7 @@ import httpx
 import numpy as np
 import pyuff
 
-from app import examples
+from app.http import examples
 from benchmarks.entry_load import serving
 
 CONFIGURATION = Path(__file__).parent.parent / "schemathesis.toml"

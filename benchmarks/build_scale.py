@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.kills import free_port
-from catalogue.build import BuildReport, build
-from catalogue.chunk import Chunk
-from catalogue.cluster import DaskCluster
-from catalogue.directory import CatalogueDirectory
-from catalogue.executors import LocalProcesses
-from catalogue.location import IndexLocation
-from catalogue.plan import Plan, parse_plan
-from catalogue.shard import OK, Outcome
+from catalogue.building.build import BuildReport, build
+from catalogue.building.chunk import Chunk
+from catalogue.building.cluster import DaskCluster
+from catalogue.building.executors import LocalProcesses
+from catalogue.plans.plan import Plan, parse_plan
+from catalogue.storage.directory import CatalogueDirectory
+from catalogue.storage.location import IndexLocation
+from catalogue.storage.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
 
 

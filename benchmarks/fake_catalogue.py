@@ -18,15 +18,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.directory import CatalogueDirectory, sha256_of
-from catalogue.entry import Entry, Hypothesis
-from catalogue.hdf5 import encode_shard
-from catalogue.manifest import Manifest
-from catalogue.plan import Plan, preset
-from catalogue.sealing import seal
-from catalogue.shard import OK, Outcome, Shard
-from catalogue.store import Catalogue
-from catalogue.variants import Variant
+from catalogue.plans.entry import Entry, Hypothesis
+from catalogue.plans.plan import Plan, preset
+from catalogue.plans.variants import Variant
+from catalogue.storage.directory import CatalogueDirectory, sha256_of
+from catalogue.storage.hdf5 import encode_shard
+from catalogue.storage.manifest import Manifest
+from catalogue.storage.sealing import seal
+from catalogue.storage.shard import OK, Outcome, Shard
+from catalogue.storage.store import Catalogue
 from solver.machines.machine import Machine, shipped_machine
 
 CHUNK = 128

@@ -27,15 +27,15 @@ import httpx
 import numpy as np
 
 from benchmarks.fake_catalogue import peak
-from catalogue.answer import Effort, ModeAsked
-from catalogue.diagnosis import Question, answer
-from catalogue.features import prepare
-from catalogue.measurement import read_measurement
-from catalogue.model_library import ModelLibrary
-from catalogue.network_building import train_networks
-from catalogue.network_shelf import NetworkShelf
-from catalogue.prepared import PreparedMeasurement
-from catalogue.store import Catalogue
+from catalogue.building.network_building import train_networks
+from catalogue.diagnosing.answer import Effort, ModeAsked
+from catalogue.diagnosing.diagnosis import Question, answer
+from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.network_shelf import NetworkShelf
+from catalogue.measurements.measurement import read_measurement
+from catalogue.signals.features import prepare
+from catalogue.signals.prepared import PreparedMeasurement
+from catalogue.storage.store import Catalogue
 from solver.spectra.band_power import transform_power
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "app" / "demo" / "recordings"

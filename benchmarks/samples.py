@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from app.commands.tables import table
-from catalogue.answer import Diagnosis, Effort, ModeAsked
-from catalogue.diagnosis import diagnose
-from catalogue.recordings import read_recording
-from catalogue.store import Catalogue
+from catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
+from catalogue.diagnosing.diagnosis import diagnose
+from catalogue.measurements.recordings import read_recording
+from catalogue.storage.store import Catalogue
 
 #: The same data as the plain file of that number.
 OTHER_CLOTHES = (

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_json: bool) -> None:
     """Validate MACHINE (a shipped machine's name, or a file) and show what it consists of."""
     if drawing is not None:
-        from app.pictures import check_ending
+        from app.figures.pictures import check_ending
 
         check_ending(drawing)
     from solver.machines.contact_rules import restitution_remarks
@@ -41,7 +41,7 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
     sizes = account(found, state)
     check_assembly(found)
     if drawing is not None:
-        from app.pictures import save_drawing
+        from app.figures.pictures import save_drawing
 
         save_drawing(found, state.joints, drawing)
     matrix = matrix_of(found, state)

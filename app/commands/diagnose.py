@@ -21,8 +21,8 @@ from app.commands.parameters import (
 from app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from catalogue.answer import Effort, ModeAsked
-    from catalogue.import_profile import ImportProfile
+    from catalogue.diagnosing.answer import Effort, ModeAsked
+    from catalogue.measurements.import_profile import ImportProfile
 
 
 @click.command("diagnose")
@@ -104,17 +104,17 @@ def command(
 ) -> None:
     """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame."""
     if plot is not None:
-        from app.plots import check_ending
+        from app.figures.plots import check_ending
 
         check_ending(plot)
     if effort != "thorough":
         refuse_given(("budget",), "means something with --effort thorough only")
     if tacho is None:
         refuse_given(("pulses",), "means something with --tacho only")
-    from catalogue.diagnosis import diagnose
-    from catalogue.measurement import read_measurement
-    from catalogue.recordings import read_recording
-    from catalogue.store import Catalogue
+    from catalogue.diagnosing.diagnosis import diagnose
+    from catalogue.measurements.measurement import read_measurement
+    from catalogue.measurements.recordings import read_recording
+    from catalogue.storage.store import Catalogue
 
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
     opened = Catalogue.open(existing_catalogue(catalogue))
@@ -137,7 +137,7 @@ def command(
     )
     result = diagnosis.model_dump(mode="json")
     if plot is not None:
-        from app.plots import plot_diagnosis
+        from app.figures.plots import plot_diagnosis
 
         plot_diagnosis(result, measurement.name, plot)
     if as_json:
@@ -162,7 +162,7 @@ def told_of(
     file: Path, profile: Path | None, said: Mapping[str, Any], tacho: str | None = None, pulses: int | None = None
 ) -> ImportProfile:
     """Return what is told of a file: its profile, the given one or that beside it, and what options say."""
-    from catalogue.import_profile import Tacho, load_profile, profile_beside
+    from catalogue.measurements.import_profile import Tacho, load_profile, profile_beside
 
     told = profile_beside(file) if profile is None else load_profile(profile)
     members = dict(said)

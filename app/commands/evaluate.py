@@ -100,7 +100,7 @@ def command(
 ) -> None:
     """Measure diagnoses on freshly simulated recordings that the catalogue has not seen."""
     if plot is not None:
-        from app.plots import check_ending
+        from app.figures.plots import check_ending
 
         check_ending(plot)
     if not sweep:
@@ -109,7 +109,7 @@ def command(
         raise click.UsageError(f"--protocol: {', '.join(protocols)}: --sweep takes one")
     from catalogue.evaluation.recordings import Recordings
     from catalogue.evaluation.study import evaluate, setups_of
-    from catalogue.store import Catalogue
+    from catalogue.storage.store import Catalogue
     from solver.compiler.native import cache_directory
 
     opened = Catalogue.open(existing_catalogue(catalogue))
@@ -135,13 +135,13 @@ def command(
         else:
             found = evaluate(opened, protocols, count, seed, setups=setups, recordings=kept, progress=line.show)
     if plot is not None:
-        from app.evaluation_plots import plot_evaluation
+        from app.figures.evaluation_plots import plot_evaluation
 
         plot_evaluation(found, plot)
     if as_json:
         print_json(found.content())
         return
-    from app.evaluation_report import report
+    from app.figures.evaluation_report import report
 
     click.echo(report(found))
     if plot is not None:

@@ -29,9 +29,9 @@ from app.commands.parameters import catalogue_option, existing_catalogue, json_o
 def command(catalogue: Path, out: Path, hypotheses: tuple[str, ...], as_json: bool) -> None:
     """Write the cases of a catalogue with their spectra into one file for other programs."""
     from app.errors import OutputError
-    from app.outputs import checked
-    from catalogue.export import ENDINGS, export
-    from catalogue.store import Catalogue
+    from app.figures.outputs import checked
+    from catalogue.storage.export import ENDINGS, export
+    from catalogue.storage.store import Catalogue
 
     checked(out, ENDINGS, "must end in .h5, .csv or .npz")
     opened = Catalogue.open(existing_catalogue(catalogue))

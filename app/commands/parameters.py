@@ -182,7 +182,7 @@ def existing_catalogue(path: Path) -> Path:
         When there is no catalogue.
     """
     from app.errors import UnknownCatalogueError
-    from catalogue.directory import CatalogueDirectory
+    from catalogue.storage.directory import CatalogueDirectory
 
     layout = CatalogueDirectory(path)
     if not layout.manifest.exists() and not layout.shards.is_dir():

@@ -11,7 +11,7 @@ from app.commands.parameters import catalogue_option, existing_catalogue, json_o
 from app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
-    from catalogue.regenerate import RegenerateReport
+    from catalogue.building.regenerate import RegenerateReport
 
 
 @click.command("regenerate")
@@ -31,8 +31,8 @@ def command(catalogue: Path, sample: int, seed: int, workers: int | None, as_jso
     """
     from app.commands.build import processors
     from app.errors import DamagedCatalogueError
-    from catalogue.regenerate import TOLERANCE_DB, regenerate
-    from catalogue.store import Catalogue
+    from catalogue.building.regenerate import TOLERANCE_DB, regenerate
+    from catalogue.storage.store import Catalogue
 
     opened = Catalogue.open(existing_catalogue(catalogue))
     with ProgressLine("simulating", "cases") as line:

@@ -18,6 +18,6 @@ def command(catalogue: Path, as_json: bool) -> None:
 
     Exit status 1 means that spectra are lost: building again computes them.
     """
-    from catalogue.verify import reindex
+    from catalogue.storage.verify import reindex
 
     tell(reindex(existing_catalogue(catalogue)), catalogue, "index and matrix made again", as_json=as_json)

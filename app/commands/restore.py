@@ -21,6 +21,6 @@ def command(folder: Path, catalogues: Path | None, data: Path | None, as_json: b
 
     JOINTPLAY_DATABASE names the database, which may be of another kind than the copied one; it has to be empty.
     """
-    from app.backup import restore
+    from app.storage.backup import restore
 
     tell(restore(folder, place_of(catalogues, data)), "restored", as_json=as_json)

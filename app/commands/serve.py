@@ -67,7 +67,7 @@ def command(
             f"{host}: without keys (--no-keys) only this computer itself may ask: 127.0.0.1, ::1, localhost"
         )
     if settings.scheduler:
-        from catalogue.cluster import check_address
+        from catalogue.building.cluster import check_address
 
         check_address(settings.scheduler)
     settings = answering(settings, host)

@@ -11,7 +11,7 @@ import click
 from app.commands.parameters import Decibels, Quantity, drive_speed, json_option, print_json
 
 if TYPE_CHECKING:
-    from app.recording import Recording
+    from app.figures.recording import Recording
     from solver.cases.history import Case, History, Settings
     from solver.cases.steps import Accuracy
     from solver.machines.machine import Machine
@@ -87,7 +87,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Simulate MACHINE (a shipped machine's name, or a file) and write what its frame does."""
-    from app.outputs import writer_for
+    from app.figures.outputs import writer_for
 
     if accuracy is not None and rtol is not None:
         raise click.UsageError("--rtol: give either --accuracy or --rtol, not both")
@@ -98,11 +98,11 @@ def command(
         refuse_for_ensembles(output, links=links, duration=duration is not None and converged is not None)
     write = writer_for(output)
     if plot is not None:
-        from app.plots import check_ending
+        from app.figures.plots import check_ending
 
         check_ending(plot)
     from app.errors import SimulationFailedError, UnassembledError
-    from app.recording import record
+    from app.figures.recording import record
     from solver import __version__
     from solver.machines.fault import parse_fault
     from solver.machines.machine import resolve_machine
@@ -134,7 +134,7 @@ def command(
     recording = record(found, history, settings, __version__)
     write(output, recording)
     if plot is not None:
-        from app.plots import plot_simulation
+        from app.figures.plots import plot_simulation
 
         plot_simulation(recording, plot)
     report(history, recording, output, plot, as_json)
@@ -155,9 +155,9 @@ def run_ensemble(
 ) -> None:
     """Average over several starts, write that and say what it is."""
     from app.commands.progress import ProgressLine
-    from app.ensembles import document, plot_ensemble, record_ensemble, report
     from app.errors import SimulationFailedError
-    from app.outputs import writer_for
+    from app.figures.ensembles import document, plot_ensemble, record_ensemble, report
+    from app.figures.outputs import writer_for
     from solver import __version__
     from solver.cases.history import Status
     from solver.simulation.ensemble import simulate_ensemble

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def command(machine: str, fault: str, speed: str | None, error: float, plot: Path | None, as_json: bool) -> None:
     """Measure harmonic error against processor time for MACHINE, and recommend a setting."""
     if plot is not None:
-        from app.plots import check_ending
+        from app.figures.plots import check_ending
 
         check_ending(plot)
     from app.errors import SimulationFailedError
@@ -46,7 +46,7 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
         raise SimulationFailedError(f"{found.name}: no reference: {measured.status}: {measured.message}")
     advice = measured.recommend(error)
     if plot is not None:
-        from app.tradeoff_plot import plot_trade_off
+        from app.figures.tradeoff_plot import plot_trade_off
 
         plot_trade_off(found, measured, error, plot)
     if as_json:

@@ -10,7 +10,7 @@ import click
 from app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
 
 if TYPE_CHECKING:
-    from catalogue.verify import VerifyReport
+    from catalogue.storage.verify import VerifyReport
 
 
 @click.command("verify")
@@ -21,7 +21,7 @@ def command(catalogue: Path, as_json: bool) -> None:
 
     Exit status 1 means that spectra are lost: building again computes them.
     """
-    from catalogue.verify import verify
+    from catalogue.storage.verify import verify
 
     tell(verify(existing_catalogue(catalogue)), catalogue, "in order", as_json=as_json)
 

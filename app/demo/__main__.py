@@ -25,9 +25,9 @@ CATALOGUE = Path(".jointplay/catalogues") / MACHINE
 
 def demo() -> None:
     """Run the demo in the present folder."""
-    from catalogue.diagnosis import diagnose
-    from catalogue.measurement import read_measurement
-    from catalogue.store import Catalogue
+    from catalogue.diagnosing.diagnosis import diagnose
+    from catalogue.measurements.measurement import read_measurement
+    from catalogue.storage.store import Catalogue
 
     click.echo(f"Machine {MACHINE}: which of its turning joints is worn, from vibration of its frame alone?\n")
     build_catalogue()
@@ -52,9 +52,9 @@ def build_catalogue() -> None:
     """Build the catalogue of the demo, or go on with it; one that fits no longer is built anew."""
     import shutil
 
-    from catalogue.build import build
+    from catalogue.building.build import build
     from catalogue.errors import CatalogueMismatchError
-    from catalogue.plan import resolve_plan
+    from catalogue.plans.plan import resolve_plan
     from solver.machines.machine import shipped_machine
 
     machine, plan = shipped_machine(MACHINE), resolve_plan(PLAN)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from app import words
-from app.storage import DiagnosisRow, MeasurementRow, aware
-from app.summaries import extent, kind_of, said
+from app.jobs.summaries import extent, kind_of, said
+from app.storage.store import DiagnosisRow, MeasurementRow, aware
 
 SHOWN_HYPOTHESES = 5
 SHOWN_SUGGESTIONS = 3

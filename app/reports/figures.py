@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
-from app.spectra import Band, Comparison, comparisons
-from app.storage import DiagnosisRow
+from app.figures.spectra import Band, Comparison, comparisons
+from app.storage.store import DiagnosisRow
 from solver.machines.drawing import machine_svg
 from solver.machines.machine import Machine, parse_machine
 

@@ -11,20 +11,20 @@ from sqlalchemy import select
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
-from app import paging
-from app.asset_schemas import AssetIn, AssetName
-from app.assets import AssetRow, Assets, diagnoses_of, measurements_of
 from app.errors import BadFieldError
-from app.handlers import note, problem_from
-from app.history import history, moment
-from app.page_forms import messages_of, plain_form
-from app.page_templates import templates
+from app.http import paging
+from app.http.handlers import note, problem_from
+from app.pages.history import history, moment
+from app.pages.page_forms import messages_of, plain_form
+from app.pages.page_templates import templates
 from app.problems import Problem
 from app.routes.assets import check_baseline
 from app.routes.pages import REFUSALS, context
+from app.schemas.assets import AssetIn, AssetName
 from app.scopes import Scope
 from app.service import Service, of_request
-from app.storage import MeasurementRow
+from app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
+from app.storage.store import MeasurementRow
 
 router = APIRouter(prefix="/assets")
 

@@ -8,16 +8,16 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app import paging
-from app.asset_schemas import EXTERNAL_ID, AssetIn, AssetOut, AssetPage
-from app.assets import AssetRow, Assets
 from app.errors import BadFieldError, UnknownMeasurementError
 from app.etags import respond
-from app.openapi import problems
+from app.http import paging
+from app.http.openapi import problems
 from app.routes.machines import Cursor, Limit
+from app.schemas.assets import EXTERNAL_ID, AssetIn, AssetOut, AssetPage
 from app.service import Service, of_request
-from app.storage import aware
-from app.uploads import JSON_TYPE, json_body
+from app.storage.assets import AssetRow, Assets
+from app.storage.store import aware
+from app.storage.uploads import JSON_TYPE, json_body
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 

@@ -8,16 +8,16 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from app import browsing
-from app.catalogues import Offer
 from app.errors import BadFieldError
-from app.handlers import note, problem_from
-from app.page_forms import messages_of, plain_number
-from app.page_templates import is_fragment, templates
-from app.pictures import machine_picture
+from app.figures.pictures import machine_picture
+from app.figures.spectra import NAMES, UNITS
+from app.http.handlers import note, problem_from
+from app.pages import browsing
+from app.pages.page_forms import messages_of, plain_number
+from app.pages.page_templates import is_fragment, templates
 from app.routes.pages import REFUSALS, context
 from app.service import Service, of_request
-from app.spectra import NAMES, UNITS
+from app.shelves.catalogues import Offer
 from app.words import micrometres, order
 from solver.errors import UnitError
 from solver.machines.units import LENGTH, to_si

@@ -10,19 +10,19 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
-from app import paging
-from app.build_orders import order, order_again
-from app.build_queue import BuildRow
-from app.build_schemas import BuildRequest
-from app.build_view import PLANS, build_view, failures_view
 from app.errors import BadFieldError, UnknownCatalogueError
-from app.handlers import note, problem_from
-from app.page_forms import messages_of, plain_form
-from app.page_templates import is_fragment, templates
+from app.http import paging
+from app.http.handlers import note, problem_from
+from app.jobs.build_orders import order, order_again
+from app.pages.build_view import PLANS, build_view, failures_view
+from app.pages.page_forms import messages_of, plain_form
+from app.pages.page_templates import is_fragment, templates
 from app.problems import Problem
 from app.routes.pages import REFUSALS, context
+from app.schemas.builds import BuildRequest
 from app.scopes import Scope
 from app.service import Service, of_request
+from app.storage.build_queue import BuildRow
 from catalogue.errors import CatalogueError
 
 router = APIRouter(prefix="/builds")

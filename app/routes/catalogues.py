@@ -7,13 +7,13 @@ import hashlib
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from app import paging
-from app.catalogues import Offer
 from app.etags import respond
-from app.openapi import DRAWING, problems
+from app.http import paging
+from app.http.openapi import DRAWING, problems
 from app.routes.machines import Cursor, Limit
-from app.schemas import CatalogueDetail, CatalogueItem, CataloguePage
+from app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage
 from app.service import of_request
+from app.shelves.catalogues import Offer
 from solver.machines.drawing import machine_svg
 
 router = APIRouter(prefix="/catalogues", tags=["catalogues"])

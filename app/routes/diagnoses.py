@@ -12,21 +12,21 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from app import paging
-from app.assets import diagnoses_of
 from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from app.etags import respond
-from app.file_fields import ASSET, FILE, SAID
-from app.idempotency import IdempotencyKey, once
-from app.openapi import COMPUTING, problems
-from app.results import DiagnosisOut, diagnosis_out
+from app.http import paging
+from app.http.file_fields import ASSET, FILE, SAID
+from app.http.openapi import COMPUTING, problems
 from app.routes.findings import Only, Since
 from app.routes.machines import Cursor, Limit
-from app.schemas import DiagnosisItem, DiagnosisPage, DiagnosisRequest
+from app.schemas.resources import DiagnosisItem, DiagnosisPage, DiagnosisRequest
 from app.service import of_request
-from app.storage import DiagnosisRow, aware, measurement_key
-from app.told import TOLD, Told, told_of
-from app.uploads import MULTIPART, Form, media_type, received_form
+from app.storage.assets import diagnoses_of
+from app.storage.idempotency import IdempotencyKey, once
+from app.storage.results import DiagnosisOut, diagnosis_out
+from app.storage.store import DiagnosisRow, aware, measurement_key
+from app.storage.told import TOLD, Told, told_of
+from app.storage.uploads import MULTIPART, Form, media_type, received_form
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 

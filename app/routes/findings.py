@@ -7,17 +7,17 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app import paging
-from app.asset_schemas import FindingIn, FindingOut, FindingPage, JointFound
-from app.assets import Assets, FindingRow
 from app.etags import respond
-from app.idempotency import IdempotencyKey, once
+from app.http import paging
+from app.http.openapi import problems
 from app.moments import Moment
-from app.openapi import problems
 from app.routes.machines import Cursor, Limit
+from app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
 from app.service import of_request
-from app.storage import aware
-from app.uploads import JSON_TYPE, json_body
+from app.storage.assets import Assets, FindingRow
+from app.storage.idempotency import IdempotencyKey, once
+from app.storage.store import aware
+from app.storage.uploads import JSON_TYPE, json_body
 
 router = APIRouter(tags=["findings"])
 

@@ -9,14 +9,15 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from app import paging, tasks
 from app.errors import BadRequestError, UnsupportedMediaError
 from app.etags import Conditions, respond, tag
-from app.machine_store import check_name
-from app.openapi import DRAWING, problems
-from app.schemas import MachineItem, MachinePage
+from app.http import paging
+from app.http.openapi import DRAWING, problems
+from app.jobs import tasks
+from app.schemas.resources import MachineItem, MachinePage
 from app.service import of_request
-from app.uploads import media_type
+from app.storage.machine_store import check_name
+from app.storage.uploads import media_type
 from solver.machines.drawing import machine_svg
 from solver.machines.machine import Machine, shipped_machine_names
 

@@ -7,19 +7,19 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app import paging
-from app.assets import measurements_of
 from app.etags import respond
-from app.file_fields import ASSET, FILE, SAID
-from app.idempotency import IdempotencyKey, once
-from app.openapi import COMPUTING, problems
+from app.http import paging
+from app.http.file_fields import ASSET, FILE, SAID
+from app.http.openapi import COMPUTING, problems
 from app.routes.findings import Only
 from app.routes.machines import Cursor, Limit
-from app.schemas import MeasurementOut, MeasurementPage
-from app.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
+from app.schemas.resources import MeasurementOut, MeasurementPage
 from app.service import of_request
-from app.storage import MeasurementRow, aware
-from app.uploads import MULTIPART
+from app.storage.assets import measurements_of
+from app.storage.idempotency import IdempotencyKey, once
+from app.storage.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
+from app.storage.store import MeasurementRow, aware
+from app.storage.uploads import MULTIPART
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 

@@ -16,21 +16,21 @@ from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
 
-from app import understanding
-from app.assets import Assets
 from app.errors import AppError, BadFieldError
 from app.etags import respond
-from app.handlers import note, problem_from
-from app.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, wanted
-from app.page_templates import is_fragment, templates
+from app.http.handlers import note, problem_from
+from app.jobs.workers import TaskFailedError
+from app.pages import understanding
+from app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, wanted
+from app.pages.page_templates import is_fragment, templates
+from app.pages.understood import confirmation
+from app.pages.views import view
 from app.problems import Problem
 from app.service import Service, of_request
-from app.storage import DiagnosisRow
-from app.told import told_of
-from app.understood import confirmation
-from app.uploads import received_form
-from app.views import view
-from app.workers import TaskFailedError
+from app.storage.assets import Assets
+from app.storage.store import DiagnosisRow
+from app.storage.told import told_of
+from app.storage.uploads import received_form
 from catalogue.errors import CatalogueError
 from solver.errors import SolverError
 

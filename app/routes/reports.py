@@ -10,8 +10,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from app.etags import matches, respond
-from app.negotiation import chosen_type
-from app.openapi import problems
+from app.http.negotiation import chosen_type
+from app.http.openapi import problems
 from app.reports.content import Report, report_of
 from app.reports.figures import Figures, figures_of
 from app.reports.html import html, policy

@@ -9,11 +9,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
 from app.errors import UnauthorizedError, UnsupportedMediaError
-from app.gate import COOKIE
-from app.keys import SESSION, Keys
-from app.page_templates import templates
+from app.http.gate import COOKIE
+from app.pages.page_templates import templates
 from app.service import of_request
-from app.uploads import media_type
+from app.storage.keys import SESSION, Keys
+from app.storage.uploads import media_type
 
 router = APIRouter()
 FORM = "application/x-www-form-urlencoded"

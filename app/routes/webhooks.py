@@ -5,17 +5,17 @@ from __future__ import annotations
 from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app import paging
 from app.etags import respond
-from app.idempotency import IdempotencyKey, once
-from app.openapi import problems
+from app.http import paging
+from app.http.openapi import problems
+from app.jobs.webhook_sender import checked_url
 from app.routes.machines import Cursor, Limit
+from app.schemas.webhooks import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
 from app.service import of_request
-from app.storage import aware
-from app.uploads import JSON_TYPE, json_body
-from app.webhook_schemas import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
-from app.webhook_sender import checked_url
-from app.webhooks import WebhookRow, Webhooks, place_of
+from app.storage.idempotency import IdempotencyKey, once
+from app.storage.store import aware
+from app.storage.uploads import JSON_TYPE, json_body
+from app.storage.webhooks import WebhookRow, Webhooks, place_of
 
 router = APIRouter(prefix="/webhooks", tags=["webhooks"])
 

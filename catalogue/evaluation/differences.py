@@ -13,7 +13,7 @@ import numpy as np
 
 from catalogue.evaluation.response import Response
 from catalogue.evaluation.truth import Truth, contact_of, drawn_contacts
-from catalogue.keys import seed_from
+from catalogue.plans.keys import seed_from
 from solver.machines.joints import SlidingJoint, TurningJoint
 from solver.machines.machine import Machine, parse_machine
 

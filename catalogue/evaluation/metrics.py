@@ -9,10 +9,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.answer import Diagnosis, Verdict
-from catalogue.calibration import calibration_error, log_loss
+from catalogue.diagnosing.answer import Diagnosis, Verdict
 from catalogue.evaluation.detection import auroc, rejected
 from catalogue.evaluation.truth import Truth
+from catalogue.matching.calibration import calibration_error, log_loss
 
 __all__ = ["Answered", "Figures", "JointScore", "ReliabilityBin", "figures", "joint_scores", "reliability"]
 

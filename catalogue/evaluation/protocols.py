@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
-from catalogue.entry import Hypothesis
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation.differences import DIFFERENCES
-from catalogue.store import Catalogue
+from catalogue.plans.entry import Hypothesis
+from catalogue.storage.store import Catalogue
 
 __all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "protocols_of"]
 

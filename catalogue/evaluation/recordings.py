@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 import solver
 from catalogue.evaluation.protocols import Protocol
 from catalogue.evaluation.truth import Truth
-from catalogue.keys import content_digest
-from catalogue.measurement import Channel, Measurement
+from catalogue.measurements.measurement import Channel, Measurement
+from catalogue.plans.keys import content_digest
 from solver.cases.history import Case, History, Settings, Status
 from solver.machines.fault import FaultState
 from solver.machines.machine import Machine

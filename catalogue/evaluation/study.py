@@ -11,10 +11,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.answer import Effort, ModeAsked
-from catalogue.cosine import CosineEntry
-from catalogue.diagnosis import Question, answer
-from catalogue.entry import Hypothesis
+from catalogue.diagnosing.answer import Effort, ModeAsked
+from catalogue.diagnosing.diagnosis import Question, answer
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.evaluation.differences import with_differences
 from catalogue.evaluation.hidden import hidden
@@ -22,13 +20,15 @@ from catalogue.evaluation.metrics import Answered, Figures, figures
 from catalogue.evaluation.protocols import Protocol, protocols_of
 from catalogue.evaluation.recordings import TOGETHER, Recordings, recorded
 from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.features import prepare
-from catalogue.matching import Matcher
-from catalogue.model_library import ModelLibrary
-from catalogue.nearest import NearestEntry
-from catalogue.network_shelf import NetworkShelf, own_sensing
-from catalogue.store import Catalogue
-from catalogue.trees import ExtraTrees
+from catalogue.matching.cosine import CosineEntry
+from catalogue.matching.matcher import Matcher
+from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.nearest import NearestEntry
+from catalogue.matching.network_shelf import NetworkShelf, own_sensing
+from catalogue.matching.trees import ExtraTrees
+from catalogue.plans.entry import Hypothesis
+from catalogue.signals.features import prepare
+from catalogue.storage.store import Catalogue
 
 __all__ = ["METHODS", "Row", "Setup", "Study", "evaluate", "setups_of"]
 

@@ -12,16 +12,16 @@ from typing import cast
 
 import numpy as np
 
-from catalogue.build import build
-from catalogue.chunk import chunked, simulate_chunk
+from catalogue.building.build import build
+from catalogue.building.chunk import chunked, simulate_chunk
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation.metrics import Figures
 from catalogue.evaluation.protocols import Protocol, protocols_of
 from catalogue.evaluation.recordings import Recordings
 from catalogue.evaluation.study import Setup, evaluate
-from catalogue.keys import content_digest
-from catalogue.plan import Plan
-from catalogue.store import Catalogue
+from catalogue.plans.keys import content_digest
+from catalogue.plans.plan import Plan
+from catalogue.storage.store import Catalogue
 from solver.cases.steps import Accuracy
 
 __all__ = ["Point", "Sweep", "trade_off"]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from catalogue.entry import Hypothesis
 from catalogue.evaluation.response import Response
-from catalogue.keys import seed_from
-from catalogue.parameters import nominal_drive_speed
+from catalogue.plans.entry import Hypothesis
+from catalogue.plans.keys import seed_from
+from catalogue.plans.parameters import nominal_drive_speed
 from solver.machines.joints import Contact, TurningJoint
 from solver.machines.machine import Machine
 

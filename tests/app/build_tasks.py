@@ -8,9 +8,9 @@ import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from app.build_process import Order, Told
+from app.jobs.build_process import Order, Told
+from app.jobs.workers import prepare
 from app.logs import LogSettings
-from app.workers import prepare
 
 
 def note(order: Order) -> None:

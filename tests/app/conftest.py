@@ -16,9 +16,9 @@ from small_service import PLAN, serving
 from webhook_listener import Listener, listening
 
 from app.settings import Settings
-from app.storage import Store
-from catalogue.build import build
-from catalogue.plan import parse_plan
+from app.storage.store import Store
+from catalogue.building.build import build
+from catalogue.plans.plan import parse_plan
 from solver.machines.machine import shipped_machine
 
 

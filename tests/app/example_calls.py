@@ -14,15 +14,15 @@ import httpx
 from small_service import serving
 from sqlalchemy import update
 
-from app import examples
-from app.build_queue import BuildRow
 from app.errors import BusyError, DatabaseGoneError, KeyInUseError, TimeLimitError, WorkerDiedError
-from app.gate import Gate
+from app.http import examples
+from app.http.gate import Gate
+from app.jobs.webhook_sender import WebhookSender
 from app.settings import Settings
-from app.storage import Store
-from app.webhook_sender import WebhookSender
+from app.storage.build_queue import BuildRow
+from app.storage.store import Store
 from catalogue.errors import CatalogueFileError, CatalogueMismatchError
-from catalogue.store import Catalogue
+from catalogue.storage.store import Catalogue
 
 UPLOAD_MB = 3.0
 MULTIPART = "multipart/form-data"

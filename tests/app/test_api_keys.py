@@ -14,10 +14,10 @@ from command_line import invoke
 from small_service import serving
 
 from app.errors import UnauthorizedError, UnknownKeyError
-from app.keys import Keys
 from app.scopes import Scope, scope_of
 from app.settings import Settings
-from app.storage import Store
+from app.storage.keys import Keys
+from app.storage.store import Store
 
 API = "/api/v1"
 

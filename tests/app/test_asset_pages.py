@@ -11,9 +11,9 @@ from typing import Any
 import httpx
 import pytest
 
-from app.assets import FindingRow
-from app.history import chart, history
-from app.storage import DiagnosisRow, MeasurementRow
+from app.pages.history import chart, history
+from app.storage.assets import FindingRow
+from app.storage.store import DiagnosisRow, MeasurementRow
 
 API = "/api/v1"
 

@@ -12,9 +12,9 @@ from command_line import assert_refused, invoke
 from small_service import PLAN, serving
 
 from app.settings import Settings
-from catalogue.build import build
-from catalogue.plan import parse_plan
-from catalogue.store import Catalogue
+from catalogue.building.build import build
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.store import Catalogue
 from solver.machines.machine import shipped_machine
 
 API = "/api/v1"

@@ -14,10 +14,10 @@ import build_tasks
 import pytest
 from sqlalchemy import update
 
-from app.build_queue import ATTEMPTS, BuildQueue, BuildRow
-from app.build_runner import BuildRunner
 from app.errors import BuildEndedError, UnknownBuildError
-from app.storage import Store
+from app.jobs.build_runner import BuildRunner
+from app.storage.build_queue import ATTEMPTS, BuildQueue, BuildRow
+from app.storage.store import Store
 
 
 class Server:

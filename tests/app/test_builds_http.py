@@ -18,11 +18,11 @@ import pytest
 from small_service import PLAN, asking
 
 from app.settings import Settings
-from catalogue.build import build
-from catalogue.directory import CatalogueDirectory
-from catalogue.manifest import Manifest
-from catalogue.plan import parse_plan
-from catalogue.store import Catalogue
+from catalogue.building.build import build
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.directory import CatalogueDirectory
+from catalogue.storage.manifest import Manifest
+from catalogue.storage.store import Catalogue
 from solver.machines.machine import shipped_machine
 
 API = "/api/v1"

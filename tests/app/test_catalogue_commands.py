@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from command_line import assert_refused, invoke
 
-from catalogue.directory import CatalogueDirectory
-from catalogue.store import Catalogue
+from catalogue.storage.directory import CatalogueDirectory
+from catalogue.storage.store import Catalogue
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from command_line import JOINTPLAY, assert_refused, invoke
 
 from app.cli import COMMANDS
 from app.commands.progress import clock
-from catalogue.hdf5 import read_arrays
+from catalogue.storage.hdf5 import read_arrays
 from solver.machines.machine import parse_machine
 
 

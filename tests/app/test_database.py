@@ -15,13 +15,13 @@ from alembic.migration import MigrationContext
 from sqlalchemy import event, text
 from uploaded import SHA256, SIZE, uploaded
 
-from app.assets import Assets
-from app.build_queue import BuildQueue
-from app.database import REVISION, VERSION_TABLE, database_url, revision_of
 from app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
-from app.keys import Keys
-from app.storage import Base, NewDiagnosis, Store, aware, measurement_key
-from app.told import Told
+from app.storage.assets import Assets
+from app.storage.build_queue import BuildQueue
+from app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
+from app.storage.keys import Keys
+from app.storage.store import Base, NewDiagnosis, Store, aware, measurement_key
+from app.storage.told import Told
 
 
 def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> None:

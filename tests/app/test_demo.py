@@ -7,7 +7,7 @@ from importlib import resources
 import pytest
 
 from app.demo.__main__ import content_of, recordings, truth_sentence
-from catalogue.measurement import read_measurement
+from catalogue.measurements.measurement import read_measurement
 from solver.machines.machine import shipped_machine
 
 NAMES = sorted(recordings())

@@ -10,20 +10,20 @@ from typing import Any, cast
 
 import pytest
 
-from app import tasks
-from app.build_queue import BuildQueue
-from app.build_runner import BuildRunner
-from app.catalogues import CatalogueShelf
 from app.errors import AppError, BadFieldError, TimeLimitError, UnknownCatalogueError, WorkerDiedError
-from app.machine_store import MachineStore
-from app.metrics import Metrics
-from app.schemas import DiagnosisRequest
+from app.http.metrics import Metrics
+from app.jobs import tasks
+from app.jobs.build_runner import BuildRunner
+from app.jobs.workers import TaskFailedError, WorkerPool, attempt
+from app.schemas.resources import DiagnosisRequest
 from app.service import Service
 from app.settings import Settings
-from app.storage import DiagnosisRow, Store, measurement_key
-from app.told import Told
-from app.workers import TaskFailedError, WorkerPool, attempt
-from catalogue.measurement import Measurement
+from app.shelves.catalogues import CatalogueShelf
+from app.storage.build_queue import BuildQueue
+from app.storage.machine_store import MachineStore
+from app.storage.store import DiagnosisRow, Store, measurement_key
+from app.storage.told import Told
+from catalogue.measurements.measurement import Measurement
 
 
 class Here:

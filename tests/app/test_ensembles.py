@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from app.cli import main
-from catalogue.hdf5 import read_arrays
+from catalogue.storage.hdf5 import read_arrays
 from solver.simulation import averages
 
 PAGE = Path(__file__).parents[2] / "docs" / "solver.md"

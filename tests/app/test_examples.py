@@ -13,7 +13,7 @@ import jsonschema
 import pytest
 from example_calls import BINARY, Answered, ExampleService, shown
 
-from app import examples
+from app.http import examples
 from app.problems import MEDIA_TYPE
 
 OPERATIONS_AT_LEAST = 34

@@ -26,9 +26,9 @@ from starlette.datastructures import UploadFile
 from app.failures import foreseen
 from app.problems import problem_of
 from app.settings import Settings
-from app.storage import ABANDONED_S, PARTIAL, Store
-from catalogue.directory import publish
+from app.storage.store import ABANDONED_S, PARTIAL, Store
 from catalogue.errors import CatalogueFileError
+from catalogue.storage.directory import publish
 
 API = "/api/v1"
 ASKED = {"machine": "slider-crank", "plan": PLAN, "catalogue": "made"}

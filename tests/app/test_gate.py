@@ -11,7 +11,7 @@ import pytest
 from small_service import serving
 
 from app.commands.serve import answering, loopback
-from app.rates import KEPT, TokenBuckets
+from app.http.rates import KEPT, TokenBuckets
 from app.settings import Settings
 
 API = "/api/v1"

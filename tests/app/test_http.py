@@ -15,10 +15,10 @@ import httpx
 import pytest
 from small_service import serving, spoiled
 
-from app import tasks
-from app.catalogues import stamp_of
+from app.jobs import tasks
 from app.settings import Settings
-from app.storage import Store
+from app.shelves.catalogues import stamp_of
+from app.storage.store import Store
 
 API = "/api/v1"
 PROBLEM = {"type", "title", "status", "detail", "instance"}

@@ -13,8 +13,8 @@ import pytest
 from small_service import asking
 
 from app.etags import Conditions
-from app.machine_store import MachineStore
 from app.settings import Settings
+from app.storage.machine_store import MachineStore
 from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 
 MACHINES = "/api/v1/machines"

@@ -13,7 +13,7 @@ import pytest
 from small_service import spoiled
 
 from app import main
-from app.told import TOLD
+from app.storage.told import TOLD
 
 VENDOR = main.STATIC / "vendor"
 

@@ -15,15 +15,15 @@ from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 from webhook_listener import listening, tell
 
-from app.build_queue import BuildQueue
-from app.keys import Keys
+from app.http.metrics import Metrics
+from app.jobs.webhook_sender import WebhookSender
 from app.main import create_app
-from app.metrics import Metrics
 from app.scopes import Scope
 from app.settings import Settings
-from app.storage import Store
-from app.webhook_sender import WebhookSender
-from app.webhooks import WAITS, Webhooks
+from app.storage.build_queue import BuildQueue
+from app.storage.keys import Keys
+from app.storage.store import Store
+from app.storage.webhooks import WAITS, Webhooks
 
 API = "/api/v1"
 

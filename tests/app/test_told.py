@@ -13,8 +13,8 @@ import pytest
 import soundfile
 
 from app.errors import BadFieldError
-from app.told import TOLD, Told, told_of
-from catalogue.measurement import Measurement, read_measurement
+from app.storage.told import TOLD, Told, told_of
+from catalogue.measurements.measurement import Measurement, read_measurement
 
 API = "/api/v1"
 PROFILE = "units: {a: g, b: g}\nsensors: {a: s1-x, b: s1-y}\n"

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from app.cli import main
 from app.commands.trade_off import document, option_of, report
-from app.tradeoff_plot import plot_trade_off
+from app.figures.tradeoff_plot import plot_trade_off
 from solver.cases.history import Case, Settings
 from solver.machines.fault import FaultState
 from solver.machines.machine import Machine, shipped_machine

@@ -15,12 +15,12 @@ import pytest
 from uploaded import uploaded
 from webhook_listener import Listener, state, tell
 
-import app.webhooks
-from app.asset_schemas import AssetIn, FindingIn
-from app.assets import Assets
-from app.storage import NewDiagnosis, Store, now
-from app.webhook_sender import WebhookSender
-from app.webhooks import LEASE, Taken, Webhooks
+import app.storage.webhooks
+from app.jobs.webhook_sender import WebhookSender
+from app.schemas.assets import AssetIn, FindingIn
+from app.storage.assets import Assets
+from app.storage.store import NewDiagnosis, Store, now
+from app.storage.webhooks import LEASE, Taken, Webhooks
 
 SERVERS = 2
 DELIVERIES = 12
@@ -112,7 +112,7 @@ def test_a_webhook_that_is_forgotten_while_something_is_told(
             wait(removals, timeout=1.0)  # it has to wait for the transaction that is under way
             return now()
 
-        monkeypatch.setattr(app.webhooks, "now", between)
+        monkeypatch.setattr(app.storage.webhooks, "now", between)
         tell(first)
         for removal in removals:
             removal.result(timeout=30)

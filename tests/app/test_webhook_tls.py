@@ -10,9 +10,9 @@ import pytest
 import trustme
 from webhook_listener import Listener, listening
 
-from app import webhook_sender
-from app.webhook_sender import NotDeliveredError, send
-from app.webhooks import Taken
+from app.jobs import webhook_sender
+from app.jobs.webhook_sender import NotDeliveredError, send
+from app.storage.webhooks import Taken
 
 NAME = "hooks.example"
 

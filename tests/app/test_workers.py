@@ -11,7 +11,7 @@ import time
 import pytest
 
 from app.errors import BusyError, TimeLimitError, WorkerDiedError
-from app.workers import TaskFailedError, WorkerPool
+from app.jobs.workers import TaskFailedError, WorkerPool
 from solver.errors import MachineError
 
 

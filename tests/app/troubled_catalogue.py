@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from catalogue.build import build
-from catalogue.chunk import Chunk
-from catalogue.plan import parse_plan
-from catalogue.shard import OK, Outcome
+from catalogue.building.build import build
+from catalogue.building.chunk import Chunk
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
 
 PLAN = parse_plan({"name": "made up", "draws": {"healthy": 6, "single": 12}, "laws": {"own": 1}})

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from catalogue.build import build
-from catalogue.plan import parse_plan
-from catalogue.store import Catalogue
+from catalogue.building.build import build
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.store import Catalogue
 from solver.machines.machine import shipped_machine
 
 PLAN = {

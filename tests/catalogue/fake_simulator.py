@@ -18,11 +18,11 @@ import time
 import fake_simulator
 import numpy as np
 
-from catalogue.build import Progress, build
-from catalogue.chunk import Chunk
-from catalogue.cluster import DaskCluster
-from catalogue.plan import Plan, parse_plan
-from catalogue.shard import OK, Outcome
+from catalogue.building.build import Progress, build
+from catalogue.building.chunk import Chunk
+from catalogue.building.cluster import DaskCluster
+from catalogue.plans.plan import Plan, parse_plan
+from catalogue.storage.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
 
 MACHINE = shipped_machine("slider-crank")

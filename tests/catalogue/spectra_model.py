@@ -11,8 +11,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.entry import Hypothesis, Stratum
-from catalogue.observation import Sensing
+from catalogue.matching.observation import Sensing
+from catalogue.plans.entry import Hypothesis, Stratum
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

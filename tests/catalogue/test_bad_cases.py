@@ -9,14 +9,14 @@ import pytest
 from building import KEYS, assert_complete, quick_build, with_draws
 from fake_simulator import MACHINE, PLAN, compute
 
-from catalogue import scheduling
-from catalogue.chunk import Chunk, chunked
+from catalogue.building import scheduling
+from catalogue.building.chunk import Chunk, chunked
+from catalogue.building.executors import InProcess
 from catalogue.errors import (
     BuildError,
 )
-from catalogue.executors import InProcess
-from catalogue.index import ChunkStatus, Index
-from catalogue.store import Catalogue
+from catalogue.storage.index import ChunkStatus, Index
+from catalogue.storage.store import Catalogue
 from solver.errors import MachineError
 
 

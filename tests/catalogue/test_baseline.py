@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalogue.baseline import LEAST_WEIGHT, Baseline, fit_baseline
+from catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, fit_baseline
+from catalogue.diagnosing.known_machine import KnownMachine
+from catalogue.diagnosing.tuning import quantities
 from catalogue.errors import DiagnosisError
-from catalogue.features import PreparedMeasurement, prepare
-from catalogue.known_machine import KnownMachine
-from catalogue.measurement import Channel, Measurement, read_measurement
-from catalogue.store import Catalogue
-from catalogue.suspension import accelerance, suspension_change, with_filed_suspension
-from catalogue.tuning import quantities
+from catalogue.measurements.measurement import Channel, Measurement, read_measurement
+from catalogue.signals.features import PreparedMeasurement, prepare
+from catalogue.signals.suspension import accelerance, suspension_change, with_filed_suspension
+from catalogue.storage.store import Catalogue
 from solver.cases.history import Case, Settings
 from solver.machines.fault import FaultState
 from solver.machines.machine import Machine, parse_machine, shipped_machine

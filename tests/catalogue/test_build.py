@@ -12,20 +12,20 @@ import pytest
 from building import FAILING, KEYS, assert_complete, quick_build, with_draws
 from fake_simulator import MACHINE, PLAN
 
-from catalogue.build import BuildReport, Progress
-from catalogue.directory import STALE, CatalogueDirectory
+from catalogue.building.build import BuildReport, Progress
+from catalogue.building.executors import InProcess
 from catalogue.errors import (
     CatalogueBusyError,
     CatalogueFileError,
 )
-from catalogue.executors import InProcess
-from catalogue.index import ChunkStatus, Index
-from catalogue.leases import Leases
-from catalogue.locks import BuilderLock
-from catalogue.plan import parse_plan
-from catalogue.recovery import adopt
-from catalogue.store import Catalogue
-from catalogue.verify import verify
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.directory import STALE, CatalogueDirectory
+from catalogue.storage.index import ChunkStatus, Index
+from catalogue.storage.leases import Leases
+from catalogue.storage.locks import BuilderLock
+from catalogue.storage.recovery import adopt
+from catalogue.storage.store import Catalogue
+from catalogue.storage.verify import verify
 
 
 def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +210,7 @@ def test_builders_that_cut_the_plan_differently_store_each_case_once(tmp_path: P
 
 def test_build_waits_for_the_end_of_a_verify(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path, with_draws(1))
-    monkeypatch.setattr("catalogue.locks.WAIT", 0.1)
+    monkeypatch.setattr("catalogue.storage.locks.WAIT", 0.1)
     with CatalogueDirectory(tmp_path).locked(), pytest.raises(CatalogueBusyError):
         quick_build(tmp_path)
     monkeypatch.undo()

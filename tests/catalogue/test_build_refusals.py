@@ -9,15 +9,15 @@ import pytest
 from building import quick_build
 from fake_simulator import MACHINE, PLAN, compute
 
-from catalogue.build import build
+from catalogue.building.build import build
 from catalogue.errors import (
     CatalogueFileError,
     CatalogueMismatchError,
     PlanError,
 )
-from catalogue.plan import parse_plan
-from catalogue.store import Catalogue
-from catalogue.verify import verify
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.store import Catalogue
+from catalogue.storage.verify import verify
 from solver.errors import AssemblyError
 from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 

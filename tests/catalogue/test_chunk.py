@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalogue.build import build
-from catalogue.chunk import Chunk, chunked, simulate_chunk
-from catalogue.guard import mean_difference_db
-from catalogue.plan import parse_plan
-from catalogue.store import Catalogue
+from catalogue.building.build import build
+from catalogue.building.chunk import Chunk, chunked, simulate_chunk
+from catalogue.building.guard import mean_difference_db
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.store import Catalogue
 from solver.errors import AssemblyError
 from solver.machines.machine import parse_machine, shipped_machine
 from solver.simulation.simulate import Case, Settings, simulate_batch

@@ -15,11 +15,11 @@ from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import compute
 
 from benchmarks.kills import Site, content, disturbed, free_port
-from catalogue import cluster
-from catalogue.chunk import Chunk
-from catalogue.cluster import DaskCluster
+from catalogue.building import cluster
+from catalogue.building.chunk import Chunk
+from catalogue.building.cluster import DaskCluster
+from catalogue.building.scheduling import HOPELESS
 from catalogue.errors import BuildError
-from catalogue.scheduling import HOPELESS
 from solver.errors import MachineError
 
 

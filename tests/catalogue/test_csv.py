@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recordings import RECORDINGS, unpacked
 
-from catalogue.channel_units import parse_unit, split_label
 from catalogue.errors import MeasurementError
-from catalogue.measurement import Measurement, measurement_of, read_measurement
-from catalogue.readers import Limits, RawColumn, RawRecording
-from catalogue.readers.kinds import known_ending
+from catalogue.measurements.channel_units import parse_unit, split_label
+from catalogue.measurements.measurement import Measurement, measurement_of, read_measurement
+from catalogue.measurements.readers import Limits, RawColumn, RawRecording
+from catalogue.measurements.readers.kinds import known_ending
 
 HEADER = "time [s],s1-x [m/s2],s1-y [g]"
 

@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
-from catalogue.answer import Diagnosis
-from catalogue.baseline import Baseline, Estimate
-from catalogue.build import build
-from catalogue.diagnosis import diagnose
+from catalogue.building.build import build
+from catalogue.diagnosing.answer import Diagnosis
+from catalogue.diagnosing.baseline import Baseline, Estimate
+from catalogue.diagnosing.diagnosis import diagnose
+from catalogue.diagnosing.evidence import edge_warnings, number_warnings
+from catalogue.diagnosing.verdict import judged
 from catalogue.errors import DiagnosisError, MeasurementError
-from catalogue.evidence import edge_warnings, number_warnings
-from catalogue.gaussian import GaussianAlongClearance
-from catalogue.import_profile import ImportProfile
-from catalogue.matching import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
-from catalogue.measurement import Measurement, read_measurement
-from catalogue.model_library import ModelLibrary
-from catalogue.plan import parse_plan
-from catalogue.store import Catalogue
-from catalogue.verdict import judged
+from catalogue.matching.gaussian import GaussianAlongClearance
+from catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
+from catalogue.matching.model_library import ModelLibrary
+from catalogue.measurements.import_profile import ImportProfile
+from catalogue.measurements.measurement import Measurement, read_measurement
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.store import Catalogue
 from solver.machines.machine import shipped_machine
 
 

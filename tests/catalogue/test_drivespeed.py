@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
-from catalogue.drivespeed import SpeedEstimate, estimate_speed, track_speed
 from catalogue.errors import MeasurementError
-from catalogue.measurement import read_measurement
+from catalogue.measurements.drivespeed import SpeedEstimate, estimate_speed, track_speed
+from catalogue.measurements.measurement import read_measurement
 
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from catalogue.answer import Diagnosis
-from catalogue.baseline_levels import OrderLevels
-from catalogue.diagnosis import answer
-from catalogue.entry import Hypothesis
+from catalogue.diagnosing.answer import Diagnosis
+from catalogue.diagnosing.baseline_levels import OrderLevels
+from catalogue.diagnosing.diagnosis import answer
+from catalogue.diagnosing.separation import _more_sensors
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation.differences import DIFFERENCES, with_differences
 from catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, protocols_of
@@ -24,10 +24,10 @@ from catalogue.evaluation.response import Response
 from catalogue.evaluation.study import Setup, evaluate, setups_of
 from catalogue.evaluation.sweep import trade_off
 from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.features import prepare
-from catalogue.separation import _more_sensors
-from catalogue.store import Catalogue
-from catalogue.suspension import with_filed_suspension
+from catalogue.plans.entry import Hypothesis
+from catalogue.signals.features import prepare
+from catalogue.signals.suspension import with_filed_suspension
+from catalogue.storage.store import Catalogue
 from solver.machines.machine import shipped_machine
 
 SHORT = replace(PROTOCOLS["matched"], seconds=1.0, clearance=(80e-6, 700e-6))

@@ -13,12 +13,12 @@ import pytest
 from building import quick_build
 from fake_simulator import PLAN
 
-from catalogue.cross_power import pack
 from catalogue.errors import CatalogueFileError, EntryNotFoundError
-from catalogue.export import export
-from catalogue.hdf5 import read_arrays
-from catalogue.plan import parse_plan
-from catalogue.store import Catalogue
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.cross_power import pack
+from catalogue.storage.export import export
+from catalogue.storage.hdf5 import read_arrays
+from catalogue.storage.store import Catalogue
 
 
 @pytest.fixture(scope="module")

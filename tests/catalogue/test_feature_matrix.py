@@ -12,22 +12,22 @@ import pytest
 from building import quick_build
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
-from catalogue import matrix, matrix_header, store
-from catalogue.build import Progress, build
-from catalogue.directory import CatalogueDirectory, sha256_of
-from catalogue.entry import Entry, Hypothesis
+from catalogue.building.build import Progress, build
 from catalogue.errors import CatalogueFileError
-from catalogue.hdf5 import encode_shard
-from catalogue.keys import content_digest
-from catalogue.manifest import Manifest
-from catalogue.matrix import FeatureMatrix
-from catalogue.plan import parse_plan
-from catalogue.sealing import seal
-from catalogue.shard import OK, Outcome, Shard
-from catalogue.store import Catalogue
-from catalogue.table import EntryTable
-from catalogue.variants import Variant
-from catalogue.verify import verify
+from catalogue.plans.entry import Entry, Hypothesis
+from catalogue.plans.keys import content_digest
+from catalogue.plans.plan import parse_plan
+from catalogue.plans.variants import Variant
+from catalogue.storage import matrix, matrix_header, store
+from catalogue.storage.directory import CatalogueDirectory, sha256_of
+from catalogue.storage.hdf5 import encode_shard
+from catalogue.storage.manifest import Manifest
+from catalogue.storage.matrix import FeatureMatrix
+from catalogue.storage.sealing import seal
+from catalogue.storage.shard import OK, Outcome, Shard
+from catalogue.storage.store import Catalogue
+from catalogue.storage.table import EntryTable
+from catalogue.storage.verify import verify
 
 ALL = parse_plan(
     {

@@ -10,12 +10,12 @@ import pytest
 from recordings import RECORDINGS, TRUTH
 
 from catalogue.errors import MeasurementError
-from catalogue.feature_bands import feature_axes, feature_vector, joined, usable_cuts
-from catalogue.features import PreparedMeasurement, prepare
-from catalogue.measurement import Channel, Measurement, measurement_of, read_measurement
-from catalogue.readers import RawColumn, RawRecording
-from catalogue.recipe_steps import RecipeStep
-from catalogue.sensors import map_sensors
+from catalogue.measurements.measurement import Channel, Measurement, measurement_of, read_measurement
+from catalogue.measurements.readers import RawColumn, RawRecording
+from catalogue.signals.features import PreparedMeasurement, prepare
+from catalogue.signals.recipe_steps import RecipeStep
+from catalogue.signals.sensors import map_sensors
+from catalogue.storage.feature_bands import feature_axes, feature_vector, joined, usable_cuts
 from solver.machines.fault import parse_fault
 from solver.machines.machine import Machine, parse_machine, shipped_machine
 from solver.simulation.simulate import Case, Settings, simulate

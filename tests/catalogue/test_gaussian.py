@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from feature_model import HIGH, LOW, FeatureModel
 
-from catalogue.calibration import calibration_error, held_out, log_loss
 from catalogue.errors import MatchingError
-from catalogue.gaussian import FittedGaussian, GaussianAlongClearance
-from catalogue.matching import Draws, TrainingSet
+from catalogue.matching.calibration import calibration_error, held_out, log_loss
+from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from catalogue.matching.matcher import Draws, TrainingSet
 
 MODEL = FeatureModel()
 DRAWS = 160

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.entry import Hypothesis
 from catalogue.evaluation.differences import with_differences
 from catalogue.evaluation.hidden import hidden
 from catalogue.evaluation.protocols import PROTOCOLS, Protocol
 from catalogue.evaluation.recordings import Recordings
 from catalogue.evaluation.truth import Truth, draw_truth
+from catalogue.plans.entry import Hypothesis
 from solver.machines.machine import shipped_machine
 
 MACHINE = shipped_machine("quick-return")

@@ -14,16 +14,16 @@ from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN, compute
 from sqlalchemy import text
 
-from catalogue.chunk import chunked
-from catalogue.database import VERSION_TABLE, Database, database_url
-from catalogue.directory import CatalogueDirectory
+from catalogue.building.chunk import chunked
 from catalogue.errors import CatalogueFileError
-from catalogue.index import EntriesPresentError, Index
-from catalogue.leases import ChunkRow, ChunkStatus
-from catalogue.location import IndexLocation
-from catalogue.manifest import Manifest
-from catalogue.shard import Shard
-from catalogue.verify import verify
+from catalogue.storage.database import VERSION_TABLE, Database, database_url
+from catalogue.storage.directory import CatalogueDirectory
+from catalogue.storage.index import EntriesPresentError, Index
+from catalogue.storage.leases import ChunkRow, ChunkStatus
+from catalogue.storage.location import IndexLocation
+from catalogue.storage.manifest import Manifest
+from catalogue.storage.shard import Shard
+from catalogue.storage.verify import verify
 
 CHUNKS = [ChunkRow(f"chunk-{number:03d}", "A", 4) for number in range(40)]
 IDS = [chunk.id for chunk in CHUNKS]

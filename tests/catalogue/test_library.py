@@ -13,14 +13,14 @@ import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
 from catalogue.errors import DiagnosisError
-from catalogue.gaussian import FittedGaussian
-from catalogue.learning import Learning, rows_of, training_set
-from catalogue.matching import MatchResult, TrainingSet
-from catalogue.model_library import ModelLibrary
-from catalogue.modelfile import read_model, write_model
-from catalogue.nearest import NearestEntry
-from catalogue.observation import Discrepancy, Sensing, observe
-from catalogue.store import Catalogue
+from catalogue.matching.gaussian import FittedGaussian
+from catalogue.matching.learning import Learning, rows_of, training_set
+from catalogue.matching.matcher import MatchResult, TrainingSet
+from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.modelfile import read_model, write_model
+from catalogue.matching.nearest import NearestEntry
+from catalogue.matching.observation import Discrepancy, Sensing, observe
+from catalogue.storage.store import Catalogue
 
 MODEL = SpectraModel(220, wide=60)
 LIBRARY = ModelLibrary(MODEL)
@@ -86,7 +86,7 @@ def test_models_of_this_state_are_loaded_from_files(tmp_path: Path, monkeypatch:
     assert other.load() == ModelLibrary(MODEL).load() == 0
     for file in tmp_path.glob("*.npz"):
         file.unlink()
-    monkeypatch.setattr("catalogue.model_library.training_set", None)  # nothing can be fitted any more
+    monkeypatch.setattr("catalogue.matching.model_library.training_set", None)  # nothing can be fitted any more
     assert same(again.answer(sensing(), feature, WATCHED, "fast", "trusted"), expected)
 
 
@@ -95,7 +95,7 @@ def test_a_damaged_file_or_a_folder_that_cannot_be_written_costs_nothing_but_tim
     expected = ModelLibrary(MODEL, tmp_path).answer(sensing(), feature, WATCHED, "fast", "trusted")
     (file,) = tmp_path.glob("*.npz")
     whole = file.read_bytes()
-    for damaged in (whole[: len(whole) // 2], b"", b"PK", whole.replace(b'"format": 2', b'"format": 0')):
+    for damaged in (whole[: len(whole) // 2], b"", b"PK", whole.replace(b'"format": 3', b'"format": 0')):
         file.write_bytes(damaged)
         assert same(ModelLibrary(MODEL, tmp_path).answer(sensing(), feature, WATCHED, "fast", "trusted"), expected)
         assert file.read_bytes() != damaged
@@ -149,7 +149,7 @@ def test_with_a_limit_a_refit_learns_from_the_first_draws_only_too(monkeypatch: 
         learned.append(dict(rows))
         return training_set(*arguments, rows=rows, **settings)
 
-    monkeypatch.setattr("catalogue.refit.training_set", spied)
+    monkeypatch.setattr("catalogue.matching.refit.training_set", spied)
     for most in (20, None):
         LIBRARY.answer(sensing(), feature, WATCHED, mode="trusted", most=most)
     limited, free = learned
@@ -168,7 +168,7 @@ def test_a_refit_of_machines_in_order_keeps_the_shares_of_the_strata(monkeypatch
         learned.append(rows["healthy"])
         return training_set(*arguments, rows=rows, **settings)
 
-    monkeypatch.setattr("catalogue.refit.training_set", spied)
+    monkeypatch.setattr("catalogue.matching.refit.training_set", spied)
     feature, _ = recording("healthy")
     ModelLibrary(model).answer(sensing(), feature, WATCHED, mode="robust")
     assert len(learned[0]) == 800
@@ -214,7 +214,7 @@ def test_a_catalogue_is_matched_by_its_own_matrix(small_catalogue: Catalogue, tm
 
 
 def test_few_models_are_kept_as_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("catalogue.modelfile.KEPT", 2)
+    monkeypatch.setattr("catalogue.matching.modelfile.KEPT", 2)
     fitted = LIBRARY.fitted(sensing(), WATCHED, Learning.of("trusted"))
     assert isinstance(fitted, FittedGaussian)
     for k, name in enumerate(("a", "b", "c")):

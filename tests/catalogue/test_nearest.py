@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from feature_model import HIGH, LOW, FeatureModel
 
-from catalogue.calibration import Tail, calibration_error, combined, folds
-from catalogue.cosine import ChordDistance, CosineEntry
 from catalogue.errors import MatchingError
-from catalogue.gaussian import GaussianAlongClearance
-from catalogue.matching import FittedMatcher, Matcher
-from catalogue.nearest import DecibelDistance, NearestEntry
-from catalogue.trees import ExtraTrees
+from catalogue.matching.calibration import Tail, calibration_error, combined, folds
+from catalogue.matching.cosine import ChordDistance, CosineEntry
+from catalogue.matching.gaussian import GaussianAlongClearance
+from catalogue.matching.matcher import FittedMatcher, Matcher
+from catalogue.matching.nearest import DecibelDistance, NearestEntry
+from catalogue.matching.trees import ExtraTrees
 
 MODEL = FeatureModel()
 

@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
-from catalogue.calibration import fit_shares, held_out, kept_apart
+from catalogue.building.executors import InProcess
+from catalogue.building.network_building import train_networks
 from catalogue.errors import BuildError, CatalogueFileError
-from catalogue.executors import InProcess
-from catalogue.learning import Learning, training_set
-from catalogue.matching import TrainingSet
-from catalogue.model_library import ModelLibrary
-from catalogue.modelfile import read_network, write_network
-from catalogue.nearest import NearestEntry
-from catalogue.network import Network, Opinion
-from catalogue.network_building import train_networks
-from catalogue.network_shelf import NetworkShelf, arrangement
-from catalogue.network_training import NetworkTraining
-from catalogue.observation import Discrepancy, Sensing, observe
-from catalogue.spectra import band_widths
-from catalogue.store import Catalogue
+from catalogue.matching.calibration import fit_shares, held_out, kept_apart
+from catalogue.matching.learning import Learning, training_set
+from catalogue.matching.matcher import TrainingSet
+from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.modelfile import read_network, write_network
+from catalogue.matching.nearest import NearestEntry
+from catalogue.matching.network import Network, Opinion
+from catalogue.matching.network_shelf import NetworkShelf, arrangement
+from catalogue.matching.network_training import NetworkTraining
+from catalogue.matching.observation import Discrepancy, Sensing, observe
+from catalogue.matching.spectra import band_widths
+from catalogue.storage.store import Catalogue
 
 MODEL = SpectraModel(300, wide=200)
 SMALL = NetworkTraining(rows=6000, blocks=10, layers=(32,), epochs=(4, 2))
@@ -219,7 +219,7 @@ def test_building_trains_what_is_missing_and_forgets_former_states(
     folder = tmp_path / "copy"
     shutil.copytree(small_catalogue.path, folder)
     assert train_networks(folder) == ()  # too few cases
-    monkeypatch.setattr("catalogue.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
+    monkeypatch.setattr("catalogue.matching.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
     networks = Catalogue.open(folder).layout.networks
     networks.mkdir()
     (networks / "another-state.npz").write_bytes(b"")
@@ -237,7 +237,7 @@ def test_a_network_that_is_lost_ends_a_build(
 ) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(small_catalogue.path, folder)
-    monkeypatch.setattr("catalogue.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
+    monkeypatch.setattr("catalogue.matching.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
     networks = Catalogue.open(folder).layout.networks
     networks.write_text("no folder")
     with pytest.raises(CatalogueFileError, match=r"networks.*: cannot be written"):
@@ -252,7 +252,7 @@ def test_a_network_that_is_lost_ends_a_build(
         def is_loss(self, error: BaseException) -> bool:
             return isinstance(error, BrokenProcessPool)
 
-    monkeypatch.setattr("catalogue.network_building.InProcess", Dying)
+    monkeypatch.setattr("catalogue.building.network_building.InProcess", Dying)
     with pytest.raises(BuildError, match="a process that trains a network died; building again"):
         train_networks(folder)
 
@@ -282,7 +282,7 @@ def test_no_more_networks_are_trained_at_a_time_than_there_are_processes(
             assert not at_once
 
     wanted = [(TRUSTED, speed) for speed in (1.0, 2.0, 3.0, 4.0)]
-    monkeypatch.setattr("catalogue.network_building.LocalProcesses", Counting)
+    monkeypatch.setattr("catalogue.building.network_building.LocalProcesses", Counting)
     monkeypatch.setattr(NetworkShelf, "missing", lambda self: iter(wanted))
     told: list[tuple[int, int]] = []
 

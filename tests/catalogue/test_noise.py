@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
-from catalogue.drivespeed import SpeedEstimate, SpeedTrack, track_speed
 from catalogue.errors import MeasurementError
-from catalogue.hum import remove_hum
-from catalogue.measurement import read_measurement
-from catalogue.noise import NoiseFloor, noise_floor
+from catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
+from catalogue.measurements.measurement import read_measurement
+from catalogue.signals.hum import remove_hum
+from catalogue.signals.noise import NoiseFloor, noise_floor
 
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
 FS = 10_000.0

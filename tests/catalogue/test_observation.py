@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from catalogue.cross_power import pack
 from catalogue.errors import DiagnosisError
-from catalogue.feature_bands import feature_vector
-from catalogue.observation import Discrepancy, Sensing, grouped, observe, rounded_sensing, rounded_up
-from catalogue.transfer import RandomTransfer
+from catalogue.matching.observation import Discrepancy, Sensing, grouped, observe, rounded_sensing, rounded_up
+from catalogue.matching.transfer import RandomTransfer
+from catalogue.storage.cross_power import pack
+from catalogue.storage.feature_bands import feature_vector
 from solver.spectra.sensor import rigid_body, sensor_transform
 
 NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0)

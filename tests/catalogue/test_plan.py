@@ -15,14 +15,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalogue.draws import Distribution, unit_draws
-from catalogue.entry import Entry
 from catalogue.errors import PlanError
-from catalogue.parameters import MachineNumbers
-from catalogue.plan import Plan, load_plan, parse_plan, preset, preset_names, resolve_plan
-from catalogue.plan_text import plan_lines
-from catalogue.ranges import STIFFNESS_SCATTER
-from catalogue.variants import Variant
+from catalogue.plans.draws import Distribution, unit_draws
+from catalogue.plans.entry import Entry
+from catalogue.plans.parameters import MachineNumbers
+from catalogue.plans.plan import Plan, load_plan, parse_plan, preset, preset_names, resolve_plan
+from catalogue.plans.plan_text import plan_lines
+from catalogue.plans.ranges import STIFFNESS_SCATTER
+from catalogue.plans.variants import Variant
 from solver.cases.history import Case
 from solver.cases.parameters import full_paths
 from solver.machines.fault import FaultState

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from catalogue.parameters import MachineNumbers
-from catalogue.ranges import default_laws, default_uncertain, default_wide
-from catalogue.variants import Variant, output_load
+from catalogue.plans.parameters import MachineNumbers
+from catalogue.plans.ranges import default_laws, default_uncertain, default_wide
+from catalogue.plans.variants import Variant, output_load
 from solver.machines.machine import Machine, parse_machine, shipped_machine
 
 SLIDER_CRANK = shipped_machine("slider-crank")

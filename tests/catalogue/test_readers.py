@@ -21,10 +21,10 @@ import soundfile
 from recordings import RECORDINGS, unpacked
 
 from catalogue.errors import MeasurementError
-from catalogue.hdf5 import write_arrays
-from catalogue.import_profile import ImportProfile
-from catalogue.measurement import Measurement, read_measurement
-from catalogue.readers import Limits, cell
+from catalogue.measurements.import_profile import ImportProfile
+from catalogue.measurements.measurement import Measurement, read_measurement
+from catalogue.measurements.readers import Limits, cell
+from catalogue.storage.hdf5 import write_arrays
 
 RATE = 2000.0
 SIGNAL = np.random.default_rng(3).normal(size=(400, 2))

@@ -11,11 +11,11 @@ from building import quick_build
 from fake_simulator import compute
 
 import solver
-from catalogue.chunk import Chunk, simulate_chunk
+from catalogue.building.chunk import Chunk, simulate_chunk
+from catalogue.building.regenerate import TOLERANCE_DB, regenerate
 from catalogue.errors import CatalogueMismatchError
-from catalogue.regenerate import TOLERANCE_DB, regenerate
-from catalogue.shard import Outcome
-from catalogue.store import Catalogue
+from catalogue.storage.shard import Outcome
+from catalogue.storage.store import Catalogue
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from catalogue.drivespeed import SpeedEstimate, SpeedTrack, track_speed
-from catalogue.feature_bands import feature_vector, usable_cuts
-from catalogue.resampling import at_mean_speed, splined
+from catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
+from catalogue.signals.resampling import at_mean_speed, splined
+from catalogue.storage.feature_bands import feature_vector, usable_cuts
 from solver.spectra.band_power import band_matrix
 from solver.spectra.bands import BandScheme
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from building import quick_build
 
-from catalogue.directory import CatalogueDirectory
-from catalogue.manifest import Manifest
-from catalogue.matrix import FeatureMatrix
-from catalogue.sealing import seal
-from catalogue.store import Catalogue
+from catalogue.storage.directory import CatalogueDirectory
+from catalogue.storage.manifest import Manifest
+from catalogue.storage.matrix import FeatureMatrix
+from catalogue.storage.sealing import seal
+from catalogue.storage.store import Catalogue
 
 
 @pytest.mark.parametrize("moment", ["before its manifest", "with its manifest", "with an old matrix and its manifest"])

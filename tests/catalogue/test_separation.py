@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS
 
-from catalogue.build import build
-from catalogue.comparison import exact_sensing
-from catalogue.features import PreparedMeasurement, prepare
-from catalogue.matching import ClearanceEstimate, HypothesisMatch, MatchResult
-from catalogue.measurement import Measurement, read_measurement
-from catalogue.observation import Discrepancy, Sensing, observe
-from catalogue.plan import parse_plan
-from catalogue.separation import _more_sensors, _Question, _sensing, suggest
-from catalogue.store import Catalogue
+from catalogue.building.build import build
+from catalogue.diagnosing.comparison import exact_sensing
+from catalogue.diagnosing.separation import _more_sensors, _Question, _sensing, suggest
+from catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
+from catalogue.matching.observation import Discrepancy, Sensing, observe
+from catalogue.measurements.measurement import Measurement, read_measurement
+from catalogue.plans.plan import parse_plan
+from catalogue.signals.features import PreparedMeasurement, prepare
+from catalogue.storage.store import Catalogue
 from solver.machines.machine import shipped_machine
 
 PLAN = {

@@ -7,12 +7,12 @@ import pytest
 from recordings import RECORDINGS, unpacked
 
 from catalogue.errors import MeasurementError
-from catalogue.features import prepare
-from catalogue.import_profile import ImportProfile, SpectrumSaid
-from catalogue.measured_spectrum import MeasuredSpectrum
-from catalogue.measurement import read_measurement
-from catalogue.recordings import read_recording
-from catalogue.spectrum_features import band_power
+from catalogue.measurements.import_profile import ImportProfile, SpectrumSaid
+from catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from catalogue.measurements.measurement import read_measurement
+from catalogue.measurements.recordings import read_recording
+from catalogue.signals.features import prepare
+from catalogue.signals.spectrum_features import band_power
 from solver.machines.machine import shipped_machine
 
 STEP = 0.5

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
-from catalogue.features import prepare
-from catalogue.measurement import Channel, Measurement, read_measurement
-from catalogue.steadiness import Stretch, steady_stretch
+from catalogue.measurements.measurement import Channel, Measurement, read_measurement
+from catalogue.signals.features import prepare
+from catalogue.signals.steadiness import Stretch, steady_stretch
 from solver.machines.fault import parse_fault
 from solver.machines.machine import parse_machine, shipped_machine
 from solver.simulation.simulate import Case, Settings, simulate

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
-from catalogue.calibration import held_out
-from catalogue.gaussian import FittedGaussian, GaussianAlongClearance
-from catalogue.learning import Learning, training_set
-from catalogue.matching import FloatArray
-from catalogue.model_library import ModelLibrary
-from catalogue.modelfile import as_read
-from catalogue.network import AS_FILED, DIFFERS, Network, Opinion
-from catalogue.network_shelf import NetworkShelf
-from catalogue.network_training import NetworkTraining
-from catalogue.observation import observe
-from catalogue.spectra import band_widths
+from catalogue.matching.calibration import held_out
+from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from catalogue.matching.learning import Learning, training_set
+from catalogue.matching.matcher import FloatArray
+from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.modelfile import as_read
+from catalogue.matching.network import AS_FILED, DIFFERS, Network, Opinion
+from catalogue.matching.network_shelf import NetworkShelf
+from catalogue.matching.network_training import NetworkTraining
+from catalogue.matching.observation import observe
+from catalogue.matching.spectra import band_widths
 
 AMOUNT = 1.5
 """Decibels."""

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from catalogue import synthesis
-from catalogue.comparison import exact_sensing, measured_levels, watched
-from catalogue.diagnosis import Question, answer
-from catalogue.entry import Entry, Hypothesis
+from catalogue.diagnosing import synthesis
+from catalogue.diagnosing.comparison import exact_sensing, measured_levels, watched
+from catalogue.diagnosing.diagnosis import Question, answer
+from catalogue.diagnosing.synthesis import Recorded, Refined, Synthesis, refine
 from catalogue.evaluation.protocols import PROTOCOLS
 from catalogue.evaluation.recordings import Recordings, recorded
 from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.features import PreparedMeasurement, prepare
-from catalogue.libraries import library_of
-from catalogue.matching import MatchResult, Mode, ranked
-from catalogue.plan import parse_plan
-from catalogue.population import Population
-from catalogue.store import Catalogue
-from catalogue.synthesis import Recorded, Refined, Synthesis, refine
+from catalogue.matching.libraries import library_of
+from catalogue.matching.matcher import MatchResult, Mode, ranked
+from catalogue.matching.population import Population
+from catalogue.plans.entry import Entry, Hypothesis
+from catalogue.plans.plan import parse_plan
+from catalogue.signals.features import PreparedMeasurement, prepare
+from catalogue.storage.store import Catalogue
 
 SHORT = replace(PROTOCOLS["matched"], seconds=1.0)
 

@@ -7,11 +7,11 @@ import pytest
 from recordings import RECORDINGS, unpacked
 
 from catalogue.errors import MeasurementError
-from catalogue.features import prepare
-from catalogue.import_profile import ImportProfile, Tacho
-from catalogue.measurement import Measurement, read_measurement
-from catalogue.parameters import nominal_drive_speed
-from catalogue.tacho import pulses, track_of, turns_of
+from catalogue.measurements.import_profile import ImportProfile, Tacho
+from catalogue.measurements.measurement import Measurement, read_measurement
+from catalogue.measurements.tacho import pulses, track_of, turns_of
+from catalogue.plans.parameters import nominal_drive_speed
+from catalogue.signals.features import prepare
 from solver.machines.machine import shipped_machine
 
 RATE = 10_000.0

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from fake_simulator import MACHINE, PLAN, compute
 
-from catalogue.build import build
-from catalogue.directory import CatalogueDirectory, sha256_of
+from catalogue.building.build import build
 from catalogue.errors import CatalogueFileError
-from catalogue.hdf5 import decode_shard, encode_shard
-from catalogue.plan import parse_plan
-from catalogue.shard import Shard
-from catalogue.store import Catalogue
-from catalogue.verify import reindex, verify
+from catalogue.plans.plan import parse_plan
+from catalogue.storage.directory import CatalogueDirectory, sha256_of
+from catalogue.storage.hdf5 import decode_shard, encode_shard
+from catalogue.storage.shard import Shard
+from catalogue.storage.store import Catalogue
+from catalogue.storage.verify import reindex, verify
 
 TOTAL = len(PLAN.entries(MACHINE))
 

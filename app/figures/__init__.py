@@ -1,0 +1,1 @@
+"""Drawings, plots and files that commands and pages write."""

@@ -1,0 +1,143 @@
+"""Figures in files: what a simulation gave, and how a diagnosis compares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from app import words
+from app.figures.outputs import checked
+from app.figures.recording import MOTIONS, Recording
+from app.figures.spectra import Comparison, comparisons
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ENDINGS = (".png", ".svg", ".pdf")
+SHOWN_REVOLUTIONS = 3.0
+SHOWN_DECADES = 8.0
+SHOWN_HYPOTHESES = 5
+SYMBOLS = {"x": "x", "y": "y", "theta": "θ"}
+BLUE, ORANGE = "#1f5fa8", "#c2570c"
+
+
+def check_ending(path: Path) -> None:
+    """Refuse a plot's file name before any work is done.
+
+    Raises
+    ------
+    OutputError
+        For another ending than .png, .svg or .pdf, or a folder that does not exist.
+    """
+    checked(path, ENDINGS, "must end in .png, .svg or .pdf")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the format that the file's ending asks for."""
+    check_ending(path)
+    figure.savefig(path, dpi=150)
+
+
+def plot_simulation(recording: Recording, path: Path) -> None:
+    """Draw acceleration over time and its spectrum by order, for x, y and theta of the frame."""
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    grid = figure.subplots(3, 2)
+    attributes = recording.attributes
+    fault = attributes["fault"] or "no play"
+    figure.suptitle(f"{attributes['machine']}, {fault}: acceleration of {attributes['frame']}")
+    for row, motion in enumerate(MOTIONS):
+        unit = recording.units["frame_acceleration"].split(",")[row]
+        draw_history(grid[row, 0], recording, row)
+        grid[row, 0].set_ylabel(f"{SYMBOLS[motion]} [{unit}]")
+        if "psd_frame" in recording.arrays:
+            draw_density(grid[row, 1], recording, row)
+        else:
+            grid[row, 1].set_axis_off()
+    if recording.missing:
+        grid[0, 1].text(0.0, 0.5, f"no spectra: {recording.missing}", wrap=True)
+    grid[2, 0].set_xlabel("time [s]")
+    save(figure, path)
+
+
+def draw_history(axes: Axes, recording: Recording, column: int) -> None:
+    """Draw the last revolutions of one motion."""
+    time = recording.arrays["t"]
+    speed = abs(float(recording.attributes["drive_speed_rad_per_s"]))  # type: ignore[arg-type]
+    span = SHOWN_REVOLUTIONS * 2 * math.pi / speed if speed else math.inf
+    shown = np.asarray(time) >= max(float(time[0]), float(time[-1]) - span)
+    axes.plot(time[shown], recording.arrays["frame_acceleration"][shown, column], color=BLUE, linewidth=0.8)
+    axes.grid(alpha=0.3)
+
+
+def draw_density(axes: Axes, recording: Recording, column: int) -> None:
+    """Draw the spectral density of one motion over orders, or over frequency where nothing turns evenly."""
+    speed = abs(float(recording.attributes["drive_speed_rad_per_s"]))  # type: ignore[arg-type]
+    base = speed / (2 * math.pi) if speed else 1.0
+    frequency = np.asarray(recording.arrays["f"], dtype=np.float64)[1:] / base
+    density = np.asarray(recording.arrays["psd_frame"], dtype=np.float64)[1:, column]
+    top = float(density.max(initial=0.0)) or 1.0
+    # What is far below the rest is rounding, and would only squeeze the part that matters.
+    axes.loglog(frequency, np.maximum(density, top * 10.0**-SHOWN_DECADES), color=BLUE, linewidth=0.8)
+    axes.set_ylabel(recording.units["psd_frame"].split(",")[column])
+    axes.set_xlabel("order of the drive" if speed else "frequency [Hz]")
+    axes.grid(alpha=0.3, which="both")
+
+
+def plot_diagnosis(result: Mapping[str, Any], name: str, path: Path) -> None:
+    """Draw the ranking, and measured against matched levels by order for every channel.
+
+    Parameters
+    ----------
+    result : Mapping
+        The members of a diagnosis.
+    name : str
+        Of the recording.
+    path : Path
+        File to write.
+    """
+    found = comparisons(result)
+    figure = Figure(figsize=(11, 2.2 + 2.6 * (1 + len(found))), layout="constrained")
+    grid = figure.subplots(1 + len(found), 1, squeeze=False)[:, 0]
+    figure.suptitle(f"{name}: {words.sentence(result)}", wrap=True)
+    draw_ranking(grid[0], result)
+    for axes, comparison in zip(grid[1:], found, strict=True):
+        draw_comparison(axes, comparison)
+    grid[-1].set_xlabel("order of the drive")
+    save(figure, path)
+
+
+def draw_ranking(axes: Axes, result: Mapping[str, Any]) -> None:
+    """Draw probabilities of the first hypotheses as bars, the most probable on top."""
+    shown = list(result["hypotheses"][:SHOWN_HYPOTHESES])[::-1]
+    names = []
+    for entry in shown:
+        several = len(entry["joints"]) > 1
+        found = [words.clearance(each, joint if several else "") for joint, each in entry["joints"].items()]
+        names.append("\n".join([words.label(entry), *found]))
+    bars = axes.barh(range(len(shown)), [entry["probability"] for entry in shown], color=ORANGE)
+    axes.set_yticks(range(len(shown)), names, fontsize="small")
+    axes.bar_label(bars, [words.percent(entry["probability"]) for entry in shown], padding=3)
+    axes.set_xlim(0, 1.12)
+    axes.set_xlabel("probability")
+
+
+def draw_comparison(axes: Axes, comparison: Comparison) -> None:
+    """Draw one channel: measured, matched, and how far the matched may scatter."""
+    orders = [band.order for band in comparison.bands]
+    lower = [band.predicted_db - 2 * band.spread_db for band in comparison.bands]
+    upper = [band.predicted_db + 2 * band.spread_db for band in comparison.bands]
+    axes.fill_between(orders, lower, upper, color=ORANGE, alpha=0.2, label="scatter, two standard deviations")
+    axes.plot(orders, [band.predicted_db for band in comparison.bands], color=ORANGE, linestyle="--", label="matched")
+    axes.plot(
+        orders, [band.measured_db for band in comparison.bands], color=BLUE, marker="o", markersize=3, label="measured"
+    )
+    axes.set_xscale("log")
+    axes.set_title(comparison.title, loc="left", fontsize="medium")
+    axes.set_ylabel(comparison.label)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize="small")

@@ -1,0 +1,203 @@
+"""The gate before every request: the host it names, how often its client asks, its key, where a form was sent from."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+from urllib.parse import quote, urlsplit
+
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import URL
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Send
+from starlette.types import Scope as Connection
+
+from app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
+from app.http.handlers import answer, problem_from
+from app.http.rates import TokenBuckets
+from app.pages.page_templates import is_fragment, is_page
+from app.scopes import READING, scope_of
+from app.settings import Settings
+
+if TYPE_CHECKING:
+    from app.storage.keys import Key, Keys
+
+COOKIE = "jointplay_session"
+ANY_HOST = "*"
+#: Whoever watches the process asks by address, and is told nothing but whether it lives.
+PROBES = ("/healthz", "/readyz")
+
+
+class Gate:
+    """Middleware that lets requests pass that may.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        The application behind.
+    settings : Settings
+        `keys`, `hosts`, `rate_limit_per_s`, `rate_burst` are used.
+    """
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app = app
+        self._hosts = settings.allowed_hosts
+        self._keyed = settings.keys == "required"
+        self._buckets = TokenBuckets(settings.rate_limit_per_s, settings.rate_burst)
+
+    async def __call__(self, scope: Connection, receive: Receive, send: Send) -> None:
+        """Pass a request on, or answer it here."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request = Request(scope)
+        refusal: Response | None = None
+        try:
+            await self._judge(request)
+        except Exception as error:
+            # Raised in a middleware, an exception would pass the application's own handlers by.
+            refusal = refused(request, error)
+        if refusal is None:
+            await self._app(scope, receive, send)
+        else:
+            await refusal(scope, receive, send)
+
+    async def _judge(self, request: Request) -> None:
+        """Raise what speaks against a request."""
+        path, method = request.url.path, request.method
+        if path not in PROBES:
+            self._check_host(request)
+        key, by_cookie = None, False
+        needed = scope_of(method, path)
+        try:
+            if self._keyed and needed is not None:
+                key, by_cookie = await identify(request, request.app.state.keys)
+        finally:
+            # Wrong keys are counted as well, at their sender's address.
+            if path not in PROBES:
+                self._count(key.id if key is not None else address(request))
+        request.state.key = None if key is None else key.id
+        request.state.signed_in = by_cookie
+        request.state.scopes = None if key is None else key.scopes
+        if method not in READING and (by_cookie or key is None):
+            check_origin(request, browser=by_cookie)
+        if key is not None and needed is not None and needed not in key.scopes:
+            raise ForbiddenError(f"the key {key.id} has not the scope {needed}, which {method} {path} needs", needed)
+
+    def _check_host(self, request: Request) -> None:
+        """Refuse a request that names another host: a page that points its own name here must not be answered."""
+        if ANY_HOST in self._hosts:
+            return
+        named = request.headers.get("host", "")
+        if host_name(named) not in self._hosts:
+            raise WrongHostError(f"Host: {named[:80]}: is none of {', '.join(sorted(self._hosts))} (JOINTPLAY_HOSTS)")
+
+    def _count(self, client: str) -> None:
+        """Refuse a client that asks too often."""
+        wait = self._buckets.take(client)
+        if wait:
+            raise RateLimitedError("too many requests; Retry-After says when to try again", math.ceil(wait))
+
+
+async def identify(request: Request, keys: Keys) -> tuple[Key, bool]:
+    """Return the key of a request, and whether it came by a browser's cookie.
+
+    Raises
+    ------
+    UnauthorizedError
+        When there is none, or one that does not hold.
+    """
+    token = token_of(request)
+    if token is not None:
+        return await run_in_threadpool(keys.find, token), False
+    session = request.cookies.get(COOKIE)
+    if session is not None:
+        return await run_in_threadpool(keys.of_session, session), True
+    raise UnauthorizedError("a key is needed: Authorization: Bearer KEY, or X-API-Key: KEY")
+
+
+def token_of(request: Request) -> str | None:
+    """Return the key that the headers of a request carry; one in an address is never looked at."""
+    kind, _, token = request.headers.get("authorization", "").partition(" ")
+    if kind.lower() == "bearer" and token.strip():
+        return token.strip()
+    return request.headers.get("x-api-key") or None
+
+
+def check_origin(request: Request, *, browser: bool) -> None:
+    """Refuse what another site's page makes a browser send.
+
+    Parameters
+    ----------
+    request : Request
+    browser : bool
+        Whether it is surely one that asks: then it has to say where from.
+
+    Raises
+    ------
+    ForbiddenError
+        When it came from another site, or does not say.
+    """
+    site, origin = request.headers.get("sec-fetch-site"), request.headers.get("origin")
+    if site is not None:
+        allowed = site in ("same-origin", "none")
+    elif origin is not None:
+        # Scheme and host are not compared with ours: behind a proxy that speaks TLS we know neither.
+        allowed = urlsplit(origin).netloc.lower() == request.headers.get("host", "").lower()
+    else:
+        allowed = not browser
+    if not allowed:
+        raise ForbiddenError("the request was sent by a page of another site (Origin, Sec-Fetch-Site)")
+
+
+def refused(request: Request, error: Exception) -> Response:
+    """Return the answer to a request that may not pass; a browser without a session is shown the form to sign in."""
+    if isinstance(error, UnauthorizedError) and (is_page(request) or is_visit(request)):
+        place = URL("/sign-in").include_query_params(next=wanted_place(request))
+        if is_fragment(request):
+            return Response(status_code=401, headers={"HX-Redirect": str(place)})
+        return RedirectResponse(str(place), status_code=303)
+    return answer(request, problem_from(error))
+
+
+def is_visit(request: Request) -> bool:
+    """Return whether a browser goes to an address by itself, such as that of a report."""
+    return request.method == "GET" and request.headers.get("sec-fetch-mode") == "navigate"
+
+
+def wanted_place(request: Request) -> str:
+    """Return where a browser goes on after it signed in: to the page it asked for, or the one that sent the form.
+
+    What names another site, or cannot be read, becomes the first page.
+    """
+    if request.method == "GET":
+        return own_place(quote(request.scope["path"]), request.url.query)
+    sender = request.headers.get("hx-current-url") or request.headers.get("referer", "")
+    try:
+        parts = urlsplit(sender)
+    except ValueError:
+        return "/"
+    if parts.netloc.lower() != request.headers.get("host", "").lower():
+        return "/"
+    return own_place(parts.path, parts.query)
+
+
+def own_place(path: str, query: str) -> str:
+    """Return a path of this service with its query, in the form of an address."""
+    if not path.startswith("/") or path.startswith("//"):
+        return "/"
+    return f"{path}?{query}" if query else path
+
+
+def host_name(named: str) -> str:
+    """Return the name in a Host header, in lower case, without its port."""
+    try:
+        return urlsplit(f"//{named}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def address(request: Request) -> str:
+    """Return the address that a request came from."""
+    return request.client.host if request.client is not None else "unknown"

@@ -1,0 +1,94 @@
+"""How exceptions become problem documents."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from http import HTTPStatus
+
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Match, Mount
+
+from app.errors import AppError, BadRequestError
+from app.jobs.workers import TaskFailedError
+from app.pages.page_templates import is_page, problem_page
+from app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
+from catalogue.errors import CatalogueError
+from solver.errors import SolverError
+
+log = logging.getLogger(__name__)
+
+
+def answer(request: Request, problem: Problem) -> Response:
+    """Return a problem as the answer to a request: a document, or a page where a person in a browser reads it."""
+    note(request, problem)
+    if is_page(request):
+        return problem_page(request, problem)
+    return JSONResponse(
+        problem.document(request.url.path), problem.status, headers=dict(problem.headers), media_type=MEDIA_TYPE
+    )
+
+
+def note(request: Request, problem: Problem) -> None:
+    """Note which problem a request is answered with, for its line in the log."""
+    request.state.problem = problem.type.rpartition(":")[2] if problem.type != PLAIN_TYPE else str(problem.status)
+
+
+def problem_from(error: Exception) -> Problem:
+    """Return the problem that an exception of any kind means."""
+    if isinstance(error, TaskFailedError):
+        return error.problem
+    if isinstance(error, RequestValidationError):
+        entries = list(error.errors())
+        broken = next((entry for entry in entries if entry["type"] == "json_invalid"), None)
+        if broken is not None:
+            return problem_of(BadRequestError(f"is not JSON: {broken['ctx']['error']}"))
+        return of_validation(entries)
+    if isinstance(error, HTTPException):
+        if isinstance(error.__cause__, AppError):
+            return problem_of(error.__cause__)  # the framework reads the body, and says 400 of whatever ends that
+        return of_status(error.status_code, str(error.detail or ""), error.headers)
+    return problem_of(error)
+
+
+async def handle(request: Request, error: Exception) -> Response:
+    """Answer an exception; those that nobody foresaw are logged whole."""
+    problem = problem_from(error)
+    if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
+        problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(allowed(request))})
+    if problem.status >= 500:
+        known = isinstance(error, AppError) and problem.status != 500
+        log.error("%s", problem.detail, exc_info=None if known else error)
+    return answer(request, problem)
+
+
+def allowed(request: Request) -> list[str]:
+    """Return the methods that the address of a request knows: of all routes, where the framework names the first's."""
+    routes = [route for route in request.app.router.routes if not isinstance(route, Mount)]
+    found = [
+        method
+        for method in ("GET", "POST", "PUT", "PATCH", "DELETE")
+        if any(route.matches({**request.scope, "method": method})[0] is Match.FULL for route in routes)
+    ]
+    return found or ["GET", "HEAD"]  # a file: only those are left
+
+
+def install(application: FastAPI) -> None:
+    """Let all exceptions of an application be answered here."""
+    for kind in (
+        AppError,
+        SolverError,
+        CatalogueError,
+        TaskFailedError,
+        RequestValidationError,
+        HTTPException,
+        SQLAlchemyError,
+        OSError,
+        Exception,
+    ):
+        application.add_exception_handler(kind, handle)

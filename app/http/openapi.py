@@ -1,0 +1,143 @@
+"""The OpenAPI document: every error is a problem document, and nothing of the framework's own 422 remains."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from app.http.examples import with_examples
+from app.http.links import with_links
+from app.problems import MEDIA_TYPE
+from app.schemas.resources import ProblemDocument
+from app.scopes import scope_of
+
+API_VERSION = "1.24.0"
+REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
+
+DESCRIPTIONS = {
+    400: "The request cannot be read.",
+    404: "There is none of this name or id.",
+    406: "There is no form that `Accept` allows.",
+    409: "What is there already does not allow it.",
+    412: "A condition of the request (`If-Match`, `If-None-Match`) does not hold.",
+    413: "The body is larger than the limit of the service.",
+    415: "This type of body is not taken here.",
+    422: "The content breaks a rule; the detail names file, field, value and rule.",
+    500: "The service failed.",
+    503: "All workers are busy, or the database does not answer; Retry-After says when to try again.",
+    504: "The computation took longer than the limit of the service.",
+    507: "A disk of the service is full; nothing was stored.",
+}
+SCHEMES = {
+    "bearer": {"type": "http", "scheme": "bearer", "description": "A key: Authorization: Bearer KEY."},
+    "header": {"type": "apiKey", "in": "header", "name": "X-API-Key", "description": "A key: X-API-Key: KEY."},
+}
+COMPUTING = (400, 404, 409, 413, 415, 422, 500, 503, 504, 507)
+
+#: What a drawing is described as.
+DRAWING: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The drawing.", "content": {"image/svg+xml": {"schema": {"type": "string"}}}}
+}
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the description of a route's errors by status."""
+    return {
+        status: {"description": DESCRIPTIONS[status], "content": {MEDIA_TYPE: {"schema": REFERENCE}}}
+        for status in statuses
+    }
+
+
+def documented(application: FastAPI, *, keyed: bool) -> Callable[[], dict[str, Any]]:
+    """Return the function that makes the application's OpenAPI document, once.
+
+    Parameters
+    ----------
+    application : FastAPI
+    keyed : bool
+        Whether requests need keys.
+    """
+
+    def document() -> dict[str, Any]:
+        if application.openapi_schema is None:
+            document = with_problems(
+                get_openapi(
+                    title=application.title,
+                    version=application.version,
+                    summary=application.summary,
+                    description=application.description,
+                    routes=application.routes,
+                )
+            )
+            document = with_links(with_examples(document))
+            application.openapi_schema = with_security(document) if keyed else document
+        return application.openapi_schema
+
+    return document
+
+
+def with_problems(document: dict[str, Any]) -> dict[str, Any]:
+    """Take the framework's own 422 out, and say that any error has our shape, also where a route lists none."""
+    for path in document["paths"].values():
+        for operation in path.values():
+            responses = operation["responses"]
+            # The framework says 422 of everything that takes a parameter, also of ids, of which any text may be one.
+            if "422" in responses and responses["422"]["content"].get(MEDIA_TYPE, {}).get("schema") != REFERENCE:
+                del responses["422"]
+            responses["default"] = {"description": "Any other error.", "content": {MEDIA_TYPE: {"schema": REFERENCE}}}
+    schemas = document.setdefault("components", {}).setdefault("schemas", {})
+    for path in document["paths"].values():
+        for operation in path.values():
+            if "requestBody" in operation:
+                operation["requestBody"] = hoisted(operation["requestBody"], schemas)
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
+    schemas.update(problem.pop("$defs", {}))
+    schemas["ProblemDocument"] = problem
+    return document
+
+
+def hoisted(body: dict[str, Any], schemas: dict[str, Any]) -> dict[str, Any]:
+    """Return the description of a body with its schemas' own definitions among those of the document.
+
+    Parameters
+    ----------
+    body : dict
+        Belongs to a route, which may be described again: it stays as it is.
+    schemas : dict
+        Of the document; what is found is added.
+    """
+    content = {}
+    for kind, media in body["content"].items():
+        schema = dict(media.get("schema", {}))
+        schemas.update(schema.pop("$defs", {}))
+        content[kind] = {**media, "schema": schema}
+    return {**body, "content": content}
+
+
+def with_security(document: dict[str, Any]) -> dict[str, Any]:
+    """Say of every operation which scope a key needs for it."""
+    document["components"]["securitySchemes"] = SCHEMES
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            scope = scope_of(method.upper(), path)
+            operation["security"] = [{name: [scope.value]} for name in SCHEMES] if scope is not None else []
+    return document
+
+
+def main() -> None:
+    """Print the document, for ``docs/openapi.json``."""
+    from app.main import create_app
+    from app.settings import Settings
+
+    sys.stdout.write(json.dumps(create_app(Settings(keys="required")).openapi(), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What computes or runs beside requests: worker processes, builds, deliveries of webhooks."""

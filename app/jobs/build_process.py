@@ -1,0 +1,99 @@
+"""What the process of a build does: it builds, trains, and tells the server how far it is."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Literal
+
+from app.jobs.workers import prepare
+from app.logs import DEFAULT_LOG, LogSettings, of_request
+from app.problems import problem_of
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Order:
+    """A build as the process needs it."""
+
+    machine: Mapping[str, Any]
+    plan: Mapping[str, Any]
+    folder: Path
+    workers: int | None
+    log: LogSettings = DEFAULT_LOG
+    scheduler: str = ""
+    """Address of a Dask scheduler whose workers compute; without one, processes here do."""
+    request: str | None = None
+    """Id of the request that asked for it."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the process tells the server: how far it is (columns of the build's row), or how it ended."""
+
+    kind: Literal["progress", "done", "failed"]
+    values: Mapping[str, Any]
+
+
+def work(order: Order, sender: Connection) -> None:
+    """Build a catalogue in this process, which ends with the server, and send how it goes."""
+    prepare(order.log)
+    # A signal to all processes of a server is for the server, which ends this one and gives the build back. A handler
+    # is not passed on to the builder's workers, as an ignored signal would be.
+    signal.signal(signal.SIGTERM, lambda _number, _frame: None)
+    with of_request(order.request):
+        try:
+            log.info("the build of %s begins", order.folder.name)
+            sender.send(built(order, sender))
+            log.info("the build of %s has ended", order.folder.name)
+        except Exception as error:
+            problem = problem_of(error)
+            if problem.status >= 500:
+                log.exception("the build of %s failed", order.folder.name)
+            sender.send(Told("failed", {"message": problem.detail}))
+
+
+def built(order: Order, sender: Connection) -> Told:
+    """Build, train, and return how it ended."""
+    from app.commands.build import cluster, processors
+    from catalogue.building.build import Progress, build
+    from catalogue.building.network_building import train_networks
+    from catalogue.plans.plan import parse_plan
+    from catalogue.storage.store import Catalogue
+    from solver.machines.machine import parse_machine
+
+    workers = order.workers or processors()
+
+    def cases(state: Progress) -> None:
+        values = {
+            "cases_done": state.done,
+            "cases_total": state.total,
+            "rate_per_s": state.rate,
+            "seconds_left": state.eta,
+            "message": "",
+        }
+        sender.send(Told("progress", values))
+
+    def networks(done: int, total: int) -> None:
+        sender.send(Told("progress", {"seconds_left": None, "message": f"{done} of {total} networks are trained"}))
+
+    def said(text: str) -> None:
+        sender.send(Told("progress", {"message": text}))
+
+    machine, plan = parse_machine(order.machine), parse_plan(order.plan)
+    with ExitStack() as stack:
+        executor = stack.enter_context(cluster(order.scheduler, said)) if order.scheduler else None
+        report = build(machine, plan, order.folder, workers=workers, progress=cases, executor=executor)
+    found = {"catalogue_id": Catalogue.open(order.folder).id}
+    if report.lost:
+        message = f"{len(report.lost)} cases could not be computed: {report.lost_reason}; a further build tries them"
+        return Told("failed", {**found, "message": message})
+    train_networks(order.folder, workers=workers, progress=networks)
+    failed = ", ".join(f"{count} {status}" for status, count in sorted(report.failed.items()))
+    return Told("done", {**found, "message": f"cases without a spectrum: {failed}" if failed else ""})

@@ -1,0 +1,98 @@
+"""What is known of a recording, or of a spectrum, that was read: as JSON values, and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from catalogue.measurements.measured_spectrum import MeasuredSpectrum
+    from catalogue.measurements.measurement import Measurement
+
+
+def summary_of(measurement: Measurement | MeasuredSpectrum) -> dict[str, Any]:
+    """Return what there is to say about a measurement.
+
+    Parameters
+    ----------
+    measurement : Measurement or MeasuredSpectrum
+
+    Returns
+    -------
+    dict
+        Members of :class:`app.schemas.resources.MeasurementOut` that follow from the file.
+    """
+    from catalogue.measurements.measurement import Measurement
+
+    common = {"warnings": list(measurement.warnings), "import_report": list(measurement.import_report)}
+    channels = [
+        {"name": channel.name, "unit": channel.unit, "quantity": channel.quantity} for channel in measurement.channels
+    ]
+    if isinstance(measurement, Measurement):
+        samples = len(measurement.signal)
+        return {
+            "kind": "recording",
+            "sample_rate_hz": float(measurement.sample_rate),
+            "samples": samples,
+            "duration_s": samples / float(measurement.sample_rate),
+            "revolutions": None if measurement.turns is None else len(measurement.turns) - 1,
+            "channels": channels,
+            **common,
+        }
+    return {
+        "kind": "spectrum",
+        "spectrum": {
+            "lines": len(measurement.frequency),
+            "resolution_hz": measurement.resolution,
+            "lowest_hz": float(measurement.frequency[0]),
+            "highest_hz": float(measurement.frequency[-1]),
+        },
+        "channels": [
+            {**channel, "scaling": form.scaling, "detector": form.detector, "decibel": form.decibel}
+            for channel, form in zip(channels, measurement.forms, strict=True)
+        ],
+        **common,
+    }
+
+
+def kind_of(summary: Mapping[str, Any]) -> str:
+    """Return ``recording`` or ``spectrum``; of what was stored before there were spectra, nothing is said."""
+    return str(summary.get("kind", "recording"))
+
+
+def extent(summary: Mapping[str, Any]) -> str:
+    """Return how long a recording is, or how far a spectrum reaches, in words."""
+    if kind_of(summary) == "spectrum":
+        held = summary["spectrum"]
+        return f"spectrum, {held['lines']} lines, {held['resolution_hz']:.4g} Hz apart, to {held['highest_hz']:.6g} Hz"
+    return f"{summary['duration_s']:.4g} s at {summary['sample_rate_hz']:.6g} Hz"
+
+
+def channel_words(channel: Mapping[str, Any]) -> str:
+    """Return what the numbers of a channel are, in words."""
+    said = f"{channel['quantity']} in {channel['unit']}"
+    if not channel.get("scaling"):
+        return said
+    scaling = {"psd": "density", "power": "power", "amplitude": "amplitude"}[channel["scaling"]]
+    return f"{said}, {scaling}, {channel['detector']}{', dB' if channel['decibel'] else ''}"
+
+
+def said(told: Mapping[str, Any]) -> str:
+    """Return what a sender said of a file, in one line."""
+    parts = []
+    for name, value in told.items():
+        if name == "sample_rate_hz":
+            parts.append(f"sample rate {value:g} Hz")
+        else:
+            members = value if name == "profile" else {name: value}
+            parts += [f"{member.replace('_', ' ')} {plainly(each)}" for member, each in members.items()]
+    return "; ".join(parts)
+
+
+def plainly(value: Any) -> str:
+    """Return a JSON value as a reader writes it."""
+    if isinstance(value, Mapping):
+        return ", ".join(plainly(each) if name == "*" else f"{name}: {plainly(each)}" for name, each in value.items())
+    if isinstance(value, list):
+        return ", ".join(plainly(each) for each in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

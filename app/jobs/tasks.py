@@ -1,0 +1,190 @@
+"""What worker processes do: read recordings and diagnose them. Plain values in, plain values out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from app.jobs.summaries import summary_of
+from app.jobs.workers import Outcome, attempt
+from app.storage.told import Told
+
+if TYPE_CHECKING:
+    from catalogue.diagnosing.answer import Effort, ModeAsked
+    from catalogue.measurements.measured_spectrum import MeasuredSpectrum
+    from catalogue.measurements.measurement import Measurement
+    from catalogue.storage.store import Catalogue
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a recording is compared with, and how.
+
+    Parameters
+    ----------
+    catalogue : str
+        Folder of the catalogue.
+    stamp : str
+        Changes when the catalogue does, so that an open one is not used for longer than it is true.
+    speed : float, optional
+        Drive speed [rad/s].
+    effort : str
+        fast, standard or thorough.
+    mode : str
+        auto, trusted or robust.
+    mapping : Mapping
+        Column to sensor.
+    baseline : tuple, optional
+        Path, name and what is told of a recording of the machine in order.
+    """
+
+    catalogue: str
+    stamp: str
+    speed: float | None
+    effort: Effort
+    mode: ModeAsked
+    mapping: Mapping[str, str]
+    baseline: tuple[str, str, Told] | None = None
+
+
+def summarise(path: str, name: str, told: Told) -> dict[str, Any]:
+    """Read a recording, or a spectrum, and return what there is to say about it.
+
+    Parameters
+    ----------
+    path : str
+        Where its bytes lie.
+    name : str
+        What its sender calls it; its ending says how to read it.
+    told : Told
+        What its sender says of it.
+    """
+    return summary_of(read(path, name, told))
+
+
+def diagnose(
+    path: str,
+    name: str,
+    told: Told,
+    question: Question,
+) -> dict[str, Any]:
+    """Diagnose a recording and return the contract's members as JSON values.
+
+    Parameters
+    ----------
+    path, name, told
+        As for :func:`summarise`.
+    question : Question
+        What to compare it with, and how.
+    """
+    return diagnosed(read(path, name, told), question)
+
+
+def summarise_and_diagnose(path: str, name: str, told: Told, question: Question) -> tuple[dict[str, Any], Outcome]:
+    """Do what :func:`summarise` and then :func:`diagnose` do, and read the recording once.
+
+    Returns
+    -------
+    dict
+        What there is to say about the recording.
+    Outcome
+        The diagnosis, or why there is none.
+    """
+    measurement = read(path, name, told)
+    return summary_of(measurement), attempt(diagnosed, (measurement, question))
+
+
+def diagnosed(measurement: Measurement | MeasuredSpectrum, question: Question) -> dict[str, Any]:
+    """Diagnose what was read and return the contract's members as JSON values."""
+    from catalogue.diagnosing.diagnosis import diagnose as ranked
+
+    result = ranked(
+        measurement,
+        opened(question.catalogue, question.stamp),
+        speed=question.speed,
+        effort=question.effort,
+        mode=question.mode,
+        mapping=question.mapping or None,
+        baseline=None if question.baseline is None else in_order(*question.baseline),
+    )
+    document: dict[str, Any] = result.model_dump(mode="json")
+    return document
+
+
+def check_machine(text: str, name: str) -> str:
+    """Read a machine file and return it as canonical JSON; it is checked as ``jointplay check`` does.
+
+    Parameters
+    ----------
+    text : str
+        YAML or JSON.
+    name : str
+        What messages call it.
+    """
+    from solver.machines.fault import FaultState
+    from solver.machines.machine import parse_machine
+    from solver.simulation.account import account
+    from solver.simulation.simulate import check_assembly
+
+    machine = parse_machine(text, name)
+    account(machine, FaultState({}))
+    check_assembly(machine)
+    return machine.canonical_json()
+
+
+def warm(catalogues: Sequence[tuple[str, str]]) -> int:
+    """Load what diagnosing needs, and the models last fitted to some catalogues; return how many models those are.
+
+    Parameters
+    ----------
+    catalogues : sequence of (str, str)
+        Folders and stamps, as in :class:`Question`.
+    """
+    import catalogue.diagnosing.diagnosis
+    import catalogue.measurements.recordings  # noqa: F401, loaded to be there when it is needed
+    from catalogue.errors import CatalogueError
+    from catalogue.matching.libraries import KEPT, library_of
+
+    loaded = 0
+    for directory, stamp in catalogues[:KEPT]:
+        with suppress(CatalogueError):  # whoever asks for it is told
+            loaded += library_of(opened(directory, stamp)).load()
+    return loaded
+
+
+def read(path: str, name: str, told: Told) -> Measurement | MeasuredSpectrum:
+    """Read a recording, or a spectrum, by the reader that its content and name ask for."""
+    from catalogue.measurements.recordings import read_recording
+
+    return read_recording(
+        Path(path).read_bytes(),
+        name=name,
+        sample_rate=told.sample_rate_hz,
+        units=told.units or None,
+        profile=told.import_profile,
+    )
+
+
+def in_order(path: str, name: str, told: Told) -> Measurement:
+    """Read a baseline, which has to be a recording over time."""
+    from catalogue.measurements.measurement import read_measurement
+
+    return read_measurement(
+        Path(path).read_bytes(),
+        name=name,
+        sample_rate=told.sample_rate_hz,
+        units=told.units or None,
+        profile=told.import_profile,
+    )
+
+
+@lru_cache(maxsize=4)
+def opened(directory: str, stamp: str) -> Catalogue:
+    """Return an open catalogue; a worker keeps the last few it used."""
+    from catalogue.storage.store import Catalogue
+
+    return Catalogue.open(Path(directory))

@@ -1,0 +1,1 @@
+"""What the web page says: forms, what was understood, results."""

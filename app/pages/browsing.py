@@ -1,0 +1,83 @@
+"""The catalogue browser's worker task: what a worn joint looks like against a machine in order."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app.jobs.tasks import opened
+from app.pages.understanding import RPM
+
+if TYPE_CHECKING:
+    from catalogue.storage.matrix import FeatureMatrix
+
+HEALTHY = "healthy"
+#: Power shown at least: 10 um/s2 is less than any accelerometer sees, and an ideal machine is far stiller than that.
+LEAST = 1e-10
+
+
+def nearest(directory: str, stamp: str, hypothesis: str, clearance: float) -> dict[str, Any]:
+    """Return the entry that is nearest to a clearance, beside the entries of a machine in order.
+
+    Parameters
+    ----------
+    directory, stamp : str
+        Of the catalogue, as for :func:`app.jobs.tasks.diagnose`.
+    hypothesis : str
+        Its label; one that the catalogue has entries of.
+    clearance : float
+        Radial, of every worn joint, m, greater than 0.
+
+    Returns
+    -------
+    dict
+        ``orders`` (G,); ``levels``, ``healthy``, ``low`` and ``high`` by channel, (G,) each, dB: of the entry, and the
+        median and the central 90 % of the healthy ones; ``key``, ``clearances_um``, ``speed_rpm``, ``healthy_entries``.
+    """
+    catalogue = opened(directory, stamp)
+    matrix = catalogue.matrix
+    rows = _trusted(matrix, hypothesis)
+    worn = [matrix.joints.index(joint) for joint in joints_of(matrix, hypothesis)]
+    chosen = int(rows[0])
+    if worn:
+        off = np.abs(np.log(matrix.clearance(rows)[:, worn] / clearance)).sum(axis=1)
+        chosen = int(rows[np.argmin(off)])
+    in_order = _trusted(matrix, HEALTHY)
+    table = matrix.table(np.array([chosen]))
+    spectrum = _levels(matrix, np.array([chosen]))[0]
+    sound = _levels(matrix, in_order) if len(in_order) else spectrum[None]
+    low, middle, high = np.quantile(sound, (0.05, 0.5, 0.95), axis=0)
+    edges = np.array(matrix.edges)
+    single = np.diff(edges) <= 1.0 + 1e-9
+    orders = np.where(single, 0.5 * (edges[:-1] + edges[1:]), np.sqrt(np.maximum(edges[:-1], 0.5) * edges[1:]))
+    channels = ("x", "y", "theta")
+    return {
+        "orders": orders.tolist(),
+        "levels": {name: spectrum[:, i].tolist() for i, name in enumerate(channels)},
+        "healthy": {name: middle[:, i].tolist() for i, name in enumerate(channels)},
+        "low": {name: low[:, i].tolist() for i, name in enumerate(channels)},
+        "high": {name: high[:, i].tolist() for i, name in enumerate(channels)},
+        "key": str(table.key[0]),
+        "clearances_um": {matrix.joints[i]: float(1e6 * table.clearance[0, i]) for i in worn},
+        "speed_rpm": abs(float(table.drive_speed[0])) * RPM,
+        "healthy_entries": len(in_order),
+    }
+
+
+def joints_of(matrix: FeatureMatrix, hypothesis: str) -> tuple[str, ...]:
+    """Return the worn joints of a hypothesis of a catalogue."""
+    return next(tuple(found.joints) for found in matrix.hypotheses if found.label == hypothesis)
+
+
+def _trusted(matrix: FeatureMatrix, label: str) -> Any:
+    """Rows at the machine's own speed, of the machine as modelled where there are such entries."""
+    for stratum in ("trusted", "wide"):
+        rows = matrix.rows(label, stratum, speed=matrix.nominal_speed)
+        if len(rows):
+            return rows
+    return matrix.rows(label)
+
+
+def _levels(matrix: FeatureMatrix, rows: Any) -> Any:
+    return 10.0 * np.log10(np.maximum(matrix.packed(rows)[..., :3], LEAST))

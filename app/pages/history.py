@@ -1,0 +1,147 @@
+"""What the page shows of an asset's past: clearance over time by joint, the diagnoses, and what inspections found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from app import words
+from app.storage.assets import FindingRow
+from app.storage.store import DiagnosisRow, MeasurementRow, aware
+
+
+def history(
+    diagnoses: Sequence[DiagnosisRow], measurements: Mapping[str, MeasurementRow], findings: Sequence[FindingRow]
+) -> dict[str, Any]:
+    """Return the members that an asset's page shows of its past.
+
+    Parameters
+    ----------
+    diagnoses : sequence of DiagnosisRow
+        Of the asset, the newest first.
+    measurements : Mapping
+        Their recordings by id.
+    findings : sequence of FindingRow
+        Of the asset, the newest first.
+
+    Returns
+    -------
+    dict
+        ``rows`` and ``findings`` of the tables, and ``chart``, None where there is nothing to draw.
+    """
+    return {
+        "rows": [diagnosis_row(row, measurements[row.measurement]) for row in diagnoses],
+        "findings": [finding_row(row) for row in findings],
+        "chart": chart(diagnoses, measurements, findings) if diagnoses or findings else None,
+    }
+
+
+def diagnosis_row(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
+    """Return the row of a diagnosis in the table."""
+    result = row.result
+    worn = worn_of(result)
+    return {
+        "id": row.id,
+        "verdict": result["verdict"],
+        "short": words.short(result),
+        "clearances": [
+            (joint if len(worn["joints"]) > 1 else "", *words.clearance_parts(found))
+            for joint, found in worn["joints"].items()
+        ]
+        if worn
+        else [],
+        "percent": words.percent(worn["probability"] if worn else words.sound(result["hypotheses"]))
+        if result["verdict"] != "unknown"
+        else "–",
+        "sent": moment(measurement.created_at),
+        "diagnosed": moment(row.created_at),
+        "recording": measurement.name,
+        "effort": result["effort"],
+    }
+
+
+def finding_row(row: FindingRow) -> dict[str, Any]:
+    """Return the row of a finding in the table."""
+    found = [f"{name} {words.micrometres(joint['clearance_um'])} µm" for name, joint in row.joints.items()]
+    return {
+        "at": moment(row.at),
+        "diagnosis": row.diagnosis,
+        "joints": ", ".join(found),
+        "text": row.text,
+    }
+
+
+def worn_of(result: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the hypothesis that a verdict of wear names; ``None`` for another verdict."""
+    if result["verdict"] != "fault":
+        return None
+    found: Mapping[str, Any] | None = next((entry for entry in result["hypotheses"] if entry["joints"]), None)
+    return found
+
+
+def latest(diagnoses: Sequence[DiagnosisRow]) -> list[DiagnosisRow]:
+    """Return the newest diagnosis of each recording, of a list with the newest first."""
+    return list({row.measurement: row for row in reversed(diagnoses)}.values())
+
+
+def chart(
+    diagnoses: Sequence[DiagnosisRow], measurements: Mapping[str, MeasurementRow], findings: Sequence[FindingRow]
+) -> dict[str, Any]:
+    """Return the chart: its data for the script and its content in words for those who do not see it.
+
+    A recording stands at the time when it was sent, with its newest diagnosis.
+    """
+    shown = sorted(latest(diagnoses), key=lambda row: aware(measurements[row.measurement].created_at))
+    points: dict[str, list[dict[str, float]]] = {}
+    order: list[str] = []
+    events: list[dict[str, Any]] = []
+    for row in shown:
+        at = seconds(measurements[row.measurement].created_at)
+        order += [name for name in row.machine["joints"] if name not in order]
+        worn = worn_of(row.result)
+        if worn is None:
+            events.append({"at": at, "kind": row.result["verdict"]})
+            continue
+        for joint, found in worn["joints"].items():
+            low, high = found["interval_um"]
+            points.setdefault(joint, []).append({"at": at, "um": found["clearance_um"], "low": low, "high": high})
+    for finding in findings:
+        event = {"at": seconds(finding.at), "kind": "finding"}
+        events += [
+            {**event, "joint": joint, "um": found["clearance_um"]} for joint, found in finding.joints.items()
+        ] or [event]
+    joints = sorted(points, key=order.index)
+    return {
+        "joints": [{"name": name, "look": order.index(name) % 6} for name in joints],
+        "kinds": sorted({event["kind"] for event in events}),
+        "summary": summary(joints, points, len(shown), len(findings)),
+        "data": {
+            "label": "radial clearance, µm",
+            "joints": [{"name": name, "look": order.index(name) % 6, "points": points[name]} for name in joints],
+            "events": events,
+        },
+    }
+
+
+def summary(joints: Sequence[str], points: Mapping[str, Sequence[Mapping[str, float]]], count: int, found: int) -> str:
+    """Return a chart in words."""
+    said = [
+        f"{name} from {words.micrometres(points[name][0]['um'])} to {words.micrometres(points[name][-1]['um'])} µm"
+        if len(points[name]) > 1
+        else f"{name} once, {words.micrometres(points[name][0]['um'])} µm"
+        for name in joints
+    ]
+    worn = f"Found worn: {'; '.join(said)}." if said else "No joint was found worn."
+    shown = f"{count} recording{'s' * (count != 1)} and {found} finding{'s' * (found != 1)}"
+    return f"Radial clearance over time, of {shown}. {worn} The tables below have the values."
+
+
+def seconds(at: datetime) -> float:
+    """Return a time as seconds since 1970."""
+    return aware(at).timestamp()
+
+
+def moment(at: datetime) -> str:
+    """Return a time as the page shows it."""
+    return f"{aware(at):%Y-%m-%d %H:%M}"

@@ -1,0 +1,123 @@
+"""What the page's forms say, and where a refusal is shown: beside the field at fault."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fastapi import Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+
+from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from app.problems import Problem
+from app.schemas.resources import DiagnosisRequest
+from app.service import speed_of
+from app.storage.told import TOLD
+from app.storage.uploads import media_type
+from catalogue.signals.sensors import matched_by_name
+from solver.machines.machine import Machine
+
+SAID = tuple(sorted(TOLD))
+UPLOAD = ("catalogue", "file", "asset", *SAID)
+CONFIRM = ("measurement", "catalogue", "asset", "speed", "effort", "mode", "mapping")
+NOT_USED = "-"
+URLENCODED = "application/x-www-form-urlencoded"
+MAX_FIELDS = 200
+
+
+async def plain_form(request: Request) -> dict[str, str]:
+    """Return the fields of a form without files; empty ones are left out.
+
+    Raises
+    ------
+    UnsupportedMediaError
+        For a body of another type.
+    BadRequestError
+        For a body with a field given twice.
+    """
+    if media_type(request) != URLENCODED:
+        raise UnsupportedMediaError(f"Content-Type: {media_type(request) or 'none'}: must be {URLENCODED}")
+    given: dict[str, str] = {}
+    async with request.form(max_fields=MAX_FIELDS) as form:
+        for name, value in form.multi_items():
+            if name in given:
+                raise BadRequestError(f"{name[:80]}: is given twice")
+            given[name] = str(value).strip()
+    return {name: value for name, value in given.items() if value}
+
+
+def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> DiagnosisRequest:
+    """Return what a confirmed form asks for.
+
+    Parameters
+    ----------
+    given : Mapping
+        Its fields; ``sensor-0`` ... say which sensor each column is.
+    columns : sequence of str
+        Of the recording.
+    machine : Machine
+        Of the catalogue.
+
+    Raises
+    ------
+    BadFieldError
+        For a speed that is none, a sensor that two columns are said to be, or no sensor at all.
+    RequestValidationError
+        For a field that breaks a rule of the HTTP interface.
+    """
+    members: dict[str, Any] = {
+        name: given[name] for name in ("measurement", "catalogue", "asset", "effort", "mode") if name in given
+    }
+    speed = given.get("speed", "")
+    if speed and speed != given.get("estimated"):
+        # The page asks for revolutions per minute; whoever writes a unit is believed.
+        members["speed"] = f"{speed} rpm" if plain_number(speed) else speed
+        speed_of(members["speed"])
+    return checked({**members, "mapping": chosen_sensors(given, columns, machine)})
+
+
+def chosen_sensors(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> dict[str, str]:
+    """Return the mapping that the selects of a form stand for; empty where it is what the names say anyway."""
+    by_name = matched_by_name(columns, machine)
+    chosen = {
+        column: given.get(f"sensor-{index}", by_name.get(column, NOT_USED)) for index, column in enumerate(columns)
+    }
+    used = [sensor for sensor in chosen.values() if sensor != NOT_USED]
+    for sensor in used:
+        if used.count(sensor) > 1:
+            raise BadFieldError(f"sensor {sensor[:80]}: two columns are said to be it", field="mapping")
+    if not used:
+        raise BadFieldError("say of one column at least which sensor it is", field="mapping")
+    if chosen == {column: by_name.get(column, NOT_USED) for column in columns}:
+        return {}
+    return {
+        column: "" if sensor == NOT_USED else sensor
+        for column, sensor in chosen.items()
+        if sensor != NOT_USED or column in by_name
+    }
+
+
+def checked(members: Mapping[str, Any]) -> DiagnosisRequest:
+    """Return a request whose members keep the rules."""
+    try:
+        return DiagnosisRequest.model_validate(members)
+    except ValidationError as error:
+        raise RequestValidationError(error.errors()) from None
+
+
+def plain_number(text: str) -> bool:
+    """Return whether a text is a number without a unit."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def messages_of(problem: Problem, fields: Sequence[str]) -> dict[str, str]:
+    """Return the messages of a problem by field of a form; what is wrong with a recording is about the recording."""
+    named = [entry["field"] for entry in problem.errors if entry["field"] in fields]
+    about_file = problem.type.rpartition(":")[2] in ("measurement", "too-large", "diagnosis")
+    recording = "file" if "file" in fields else "measurement"
+    return dict.fromkeys(named or ([recording] if about_file else []), problem.detail)

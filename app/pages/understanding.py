@@ -1,0 +1,77 @@
+"""What worker processes do for the page besides diagnosing: say what is understood, move a drawing, show an entry."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+from app.jobs.tasks import opened, read
+from app.storage.told import Told
+
+POSITIONS = 72
+RPM = 30.0 / math.pi
+
+
+def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> dict[str, Any]:
+    """Return how a recording would be compared with a catalogue: sensors by column, drive speed, warnings.
+
+    Parameters
+    ----------
+    path, name, told, catalogue, stamp
+        As for :func:`app.jobs.tasks.diagnose`.
+
+    Returns
+    -------
+    dict
+        ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found; ``tacho``: whether pulses say it;
+        ``warnings``; ``field`` and ``message``: what has to be put right first, empty where nothing has.
+    """
+    from catalogue.errors import MeasurementError
+    from catalogue.measurements.measurement import Measurement
+    from catalogue.signals.features import prepare
+    from catalogue.signals.sensors import map_sensors
+
+    measurement = read(path, name, told)
+    found = opened(catalogue, stamp)
+    answer: dict[str, Any] = {"speed_rpm": None, "uncertainty_rpm": None, "warnings": [], "field": "", "message": ""}
+    answer["tacho"] = isinstance(measurement, Measurement) and measurement.turns is not None
+    field = "mapping"
+    try:
+        map_sensors(measurement, found.machine)
+        field = "speed"
+        prepared = prepare(measurement, found.machine, scheme=found.scheme)
+    except MeasurementError as error:
+        return {**answer, "warnings": list(measurement.warnings), "field": field, "message": str(error)}
+    estimate = prepared.speed
+    return {
+        **answer,
+        "speed_rpm": estimate.speed * RPM,
+        "uncertainty_rpm": estimate.uncertainty * RPM,
+        "warnings": list(dict.fromkeys(prepared.warnings)),
+    }
+
+
+@lru_cache(maxsize=16)
+def motion(machine: str) -> Mapping[str, Any]:
+    """Return how the drawing of a machine moves in one revolution.
+
+    Parameters
+    ----------
+    machine : str
+        Canonical JSON of the machine.
+
+    Returns
+    -------
+    dict
+        ``view_box`` and ``transforms``, see :class:`solver.machines.drawing_motion.MovingDrawing`.
+    """
+    from solver.cases.positions import link_motion
+    from solver.machines.drawing_motion import moving_drawing
+    from solver.machines.machine import parse_machine
+
+    parsed = parse_machine(json.loads(machine))
+    moving = moving_drawing(parsed, link_motion(parsed, POSITIONS))
+    return {"view_box": moving.view_box, "transforms": {name: list(steps) for name, steps in moving.transforms.items()}}

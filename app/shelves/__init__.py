@@ -1,0 +1,1 @@
+"""Catalogues and their entries, as they are offered."""

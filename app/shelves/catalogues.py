@@ -1,0 +1,158 @@
+"""The catalogues the service offers: those found in one directory."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from dataclasses import dataclass
+from functools import cached_property
+from math import pi
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from app.errors import UnknownCatalogueError
+from app.schemas.resources import CatalogueDetail, SensorItem
+from catalogue.errors import CatalogueError
+from catalogue.storage.directory import CatalogueDirectory
+
+if TYPE_CHECKING:
+    from catalogue.storage.store import Catalogue
+    from solver.machines.machine import Machine
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Offer:
+    """One catalogue as it was when it was last looked at.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder.
+    stamp : str
+        Changes when its files do.
+    machine : Machine
+        Whose spectra it holds.
+    description : CatalogueDetail
+        What the service says about it.
+    """
+
+    path: Path
+    stamp: str
+    machine: Machine
+    description: CatalogueDetail
+
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """The machine as JSON values."""
+        document: dict[str, Any] = json.loads(self.machine.canonical_json())
+        return document
+
+
+class CatalogueShelf:
+    """Finds catalogues and remembers their descriptions until they change.
+
+    Parameters
+    ----------
+    directory : Path
+        Holds one folder for each catalogue, or is a catalogue itself.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._offers: dict[Path, Offer] = {}
+        self._lock = threading.Lock()
+
+    def offers(self) -> list[Offer]:
+        """Return all catalogues, by name; one that cannot be opened is logged and left out."""
+        found = []
+        for path in self._paths():
+            try:
+                found.append(self._look(path))
+            except CatalogueError as error:
+                log.warning("catalogue left out: %s", error)
+        return found
+
+    def find(self, name: str) -> Offer:
+        """Return the catalogue of an id or folder name.
+
+        Raises
+        ------
+        UnknownCatalogueError
+            When there is none.
+        """
+        known = self.unchanged(name)
+        if known is not None:
+            return known
+        for offer in self.offers():
+            if name in (offer.description.id, offer.description.name):
+                return offer
+        raise UnknownCatalogueError(f"catalogue: {name[:80]}: there is none of this id or name", field="catalogue")
+
+    def unchanged(self, name: str) -> Offer | None:
+        """Return the catalogue of an id or folder name if it was looked at before and is as it was; a few stats."""
+        with self._lock:
+            known = [each for each in self._offers.values() if name in (each.description.id, each.description.name)]
+        return next((each for each in known if stamp_of(each.path) == each.stamp), None)
+
+    def _paths(self) -> list[Path]:
+        if CatalogueDirectory(self._directory).manifest.is_file():
+            return [self._directory]
+        if not self._directory.is_dir():
+            return []
+        return sorted(path for path in self._directory.iterdir() if CatalogueDirectory(path).manifest.is_file())
+
+    def _look(self, path: Path) -> Offer:
+        stamp = stamp_of(path)
+        with self._lock:
+            offer = self._offers.get(path)
+        if offer is None or offer.stamp != stamp:
+            offer = describe(path, stamp)
+            with self._lock:
+                self._offers[path] = offer
+        return offer
+
+
+def stamp_of(path: Path) -> str:
+    """Return a text that changes when the catalogue does: at the end of a build, and all the time during the first."""
+    directory = CatalogueDirectory(path)
+    grows = directory.matrices if directory.matrices.exists() else directory.shards
+    files = [file for file in (directory.manifest, grows) if file.exists()]
+    return ";".join(f"{file.name}:{file.stat().st_mtime_ns}" for file in files)
+
+
+def describe(path: Path, stamp: str) -> Offer:
+    """Open a catalogue and say what is in it.
+
+    Raises
+    ------
+    CatalogueError
+        When it cannot be opened.
+    """
+    from catalogue.storage.store import Catalogue
+
+    catalogue = Catalogue.open(path)
+    return Offer(path, stamp, catalogue.machine, describe_open(catalogue, path.name))
+
+
+def describe_open(catalogue: Catalogue, name: str) -> CatalogueDetail:
+    """Return the description of an open catalogue under a name."""
+    machine = catalogue.machine
+    speed = getattr(machine.drive, "speed", None)
+    return CatalogueDetail(
+        id=catalogue.id,
+        name=name,
+        machine=machine.name,
+        machine_content_key=machine.content_key,
+        hypotheses=list(catalogue.hypotheses),
+        entries=len(catalogue.matrix),
+        turning_joints=list(machine.turning_joints),
+        sensors=[
+            SensorItem(name=sensor.name, at_m=sensor.at, direction=sensor.direction) for sensor in machine.sensors
+        ],
+        nominal_speed_rpm=abs(speed) * 30 / pi if isinstance(speed, float) else None,
+        plan=catalogue.plan.model_dump(mode="json"),
+        statuses=catalogue.matrix.statuses(),
+    )

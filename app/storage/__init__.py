@@ -1,0 +1,1 @@
+"""Rows and files of the service: recordings, results, keys, assets, builds, webhooks."""

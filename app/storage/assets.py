@@ -1,0 +1,229 @@
+"""Assets: machines that stand somewhere, with their recordings, baseline, diagnoses and findings, in the database."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ForeignKey, Select, String, Text, select
+from sqlalchemy.orm import Mapped, Session, mapped_column
+
+from app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
+from app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
+from app.storage.database import Database
+from app.storage.store import Base, DiagnosisRow, newest, now
+from app.storage.webhooks import announce
+
+
+class AssetRow(Base):
+    """One asset."""
+
+    __tablename__ = "assets"
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    external_id: Mapped[str] = mapped_column(String(128), unique=True)
+    machine: Mapped[str] = mapped_column(String(200))
+    notes: Mapped[str] = mapped_column(Text)
+    baseline: Mapped[str | None] = mapped_column(ForeignKey("measurements.id"))
+    created_at: Mapped[datetime]
+    updated_at: Mapped[datetime]
+
+
+class AssetMeasurementRow(Base):
+    """A recording of an asset."""
+
+    __tablename__ = "asset_measurements"
+
+    asset: Mapped[str] = mapped_column(ForeignKey("assets.external_id"), primary_key=True)
+    measurement: Mapped[str] = mapped_column(ForeignKey("measurements.id"), primary_key=True)
+
+
+class AssetDiagnosisRow(Base):
+    """A diagnosis of an asset."""
+
+    __tablename__ = "asset_diagnoses"
+
+    diagnosis: Mapped[str] = mapped_column(ForeignKey("diagnoses.id"), primary_key=True)
+    asset: Mapped[str] = mapped_column(ForeignKey("assets.external_id"), index=True)
+
+
+class FindingRow(Base):
+    """What an inspection found."""
+
+    __tablename__ = "findings"
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(String(32), unique=True)
+    diagnosis: Mapped[str] = mapped_column(ForeignKey("diagnoses.id"), index=True)
+    asset: Mapped[str | None] = mapped_column(String(128), index=True)
+    created_at: Mapped[datetime]
+    at: Mapped[datetime]
+    joints: Mapped[dict[str, Any]]
+    text: Mapped[str] = mapped_column(Text)
+
+
+class Assets:
+    """The assets of a service.
+
+    Parameters
+    ----------
+    database : Database
+        Of the service's store.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def put(self, external_id: str, wanted: AssetIn, *, only_new: bool = False) -> tuple[AssetRow, bool]:
+        """Store what is known of an asset; return it, and whether it is new.
+
+        The baseline has to be a stored measurement; the caller has looked.
+
+        Raises
+        ------
+        BadFieldError
+            With `only_new`, when there is one of this id.
+        """
+        moment, asked = now(), wanted.model_dump()
+        first = {"external_id": external_id, "created_at": moment, "updated_at": moment, **asked}
+        with self._database.writing() as session:
+            # Two that put it at once wait for each other: one makes it, the other finds it.
+            insert = (
+                self._database.insert(AssetRow).values(first).on_conflict_do_nothing(index_elements=["external_id"])
+            )
+            new = session.scalar(insert.returning(AssetRow.number)) is not None
+            if only_new and not new:
+                said = f"external_id: {external_id}: there is an asset of this id already"
+                raise BadFieldError(said, field="external_id")
+            row = session.scalars(select(AssetRow).filter_by(external_id=external_id).with_for_update()).one()
+            if any(getattr(row, name) != value for name, value in asked.items()):
+                for name, value in asked.items():
+                    setattr(row, name, value)
+                row.updated_at = moment
+            session.flush()
+            if wanted.baseline is not None:
+                self.own_in(session, external_id, wanted.baseline)
+        return row, new
+
+    def asset(self, external_id: str) -> AssetRow:
+        """Return an asset.
+
+        Raises
+        ------
+        UnknownAssetError
+            When there is none of this id.
+        """
+        row = None
+        if re.fullmatch(EXTERNAL_ID, external_id):  # what can be no id does not reach the database
+            with self._database.reading() as session:
+                row = session.scalar(select(AssetRow).where(AssetRow.external_id == external_id))
+        if row is None:
+            raise UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
+        return row
+
+    def page(self, before: int | None, limit: int) -> list[AssetRow]:
+        """Return assets, the newest first, from below a row number on."""
+        with self._database.reading() as session:
+            return list(session.scalars(newest(session, AssetRow, before, limit)))
+
+    def own(self, external_id: str, measurement: str) -> None:
+        """Note that a stored measurement is of an asset."""
+        with self._database.writing() as session:
+            self.own_in(session, external_id, measurement)
+
+    def own_in(self, session: Session, external_id: str, measurement: str) -> None:
+        """Note in a transaction that a stored measurement is of an asset."""
+        row = {"asset": external_id, "measurement": measurement}
+        session.execute(self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing())
+
+    def note(self, session: Session, external_id: str, measurement: str, diagnosis: str) -> None:
+        """Note in a transaction that a diagnosis, and what it is of, belong to an asset."""
+        self.own_in(session, external_id, measurement)
+        row = {"asset": external_id, "diagnosis": diagnosis}
+        session.execute(self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing())
+
+    def add_finding(self, row: DiagnosisRow, found: FindingIn) -> FindingRow:
+        """Store a finding and return it: the same finding twice is one.
+
+        Raises
+        ------
+        BadFieldError
+            When it names a joint that the diagnosed machine does not have.
+        """
+        turning = {name for name, joint in row.machine["joints"].items() if joint["kind"] == "turning"}
+        for name in found.joints:
+            if name not in turning:
+                known = ", ".join(sorted(turning))
+                raise BadFieldError(
+                    f"joints: {name[:80]}: is no turning joint of this machine ({known})", field="joints"
+                )
+        said = found.model_dump(mode="json")
+        key = hashlib.sha256(f"{row.id} {json.dumps(said, sort_keys=True)}".encode()).hexdigest()[:32]
+        values = {
+            "id": key,
+            "diagnosis": row.id,
+            "asset": row.request.get("asset"),
+            "created_at": now(),
+            "at": found.at,
+            "joints": said["joints"],
+            "text": found.text,
+        }
+        with self._database.writing() as session:
+            insert = self._database.insert(FindingRow).values(values).on_conflict_do_nothing(index_elements=["id"])
+            if session.scalar(insert.returning(FindingRow.id)) is not None:
+                announce(session, "finding.created", {"finding": key, "diagnosis": row.id, "asset": values["asset"]})
+        return self.finding(key)
+
+    def finding(self, key: str) -> FindingRow:
+        """Return a finding.
+
+        Raises
+        ------
+        UnknownFindingError
+            When there is none of this id.
+        """
+        row = self._database.find(FindingRow, key)
+        if row is None:
+            raise UnknownFindingError(f"finding {key[:80]}: there is none of this id")
+        return row
+
+    def findings(
+        self,
+        before: int | None,
+        limit: int,
+        since: datetime | None = None,
+        only: Mapping[str, str | None] | None = None,
+    ) -> list[FindingRow]:
+        """Return findings, the newest first, from below a row number on.
+
+        Parameters
+        ----------
+        before : int, optional
+        limit : int
+        since : datetime, optional
+            Not those that came before.
+        only : Mapping, optional
+            Values of `diagnosis` and `asset`; ``None`` for any.
+        """
+        with self._database.reading() as session:
+            query = newest(session, FindingRow, before, limit)
+            if since is not None:
+                query = query.where(FindingRow.created_at >= since)
+            for name, value in (only or {}).items():
+                if value is not None:
+                    query = query.where(getattr(FindingRow, name) == value)
+            return list(session.scalars(query))
+
+
+def measurements_of(external_id: str) -> Select[str]:
+    """Return the query for the ids of an asset's measurements."""
+    return select(AssetMeasurementRow.measurement).where(AssetMeasurementRow.asset == external_id)
+
+
+def diagnoses_of(external_id: str) -> Select[str]:
+    """Return the query for the ids of an asset's diagnoses."""
+    return select(AssetDiagnosisRow.diagnosis).where(AssetDiagnosisRow.asset == external_id)

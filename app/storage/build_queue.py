@@ -1,0 +1,258 @@
+"""Builds as rows: who works on which, until when, and what came of it.
+
+A server claims a build for a while and extends that while it lives. The lease of one that died runs out, and the next
+server takes the build up again; what was stored in the catalogue until then stays.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Literal, NamedTuple, get_args
+
+from sqlalchemy import Double, String, Text, and_, func, or_, select
+from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
+
+from app.errors import BuildEndedError, UnknownBuildError
+from app.logs import request_id
+from app.storage.database import Database
+from app.storage.store import Base, newest, now
+
+ATTEMPTS = 5
+"""How often a build is begun before one whose process or server dies each time is given up."""
+
+State = Literal["queued", "running", "done", "failed", "cancelled", "worker_lost"]
+
+ENDED: frozenset[State] = frozenset({"done", "failed", "cancelled", "worker_lost"})
+"""States that a build does not leave."""
+
+
+class BuildRow(Base):
+    """A catalogue to be built, everything that is needed for it, and how far it is."""
+
+    __tablename__ = "builds"
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(String(32), unique=True)
+    created_at: Mapped[datetime]
+    started_at: Mapped[datetime | None]
+    ended_at: Mapped[datetime | None]
+    machine: Mapped[dict[str, Any]]
+    plan: Mapped[dict[str, Any]]
+    plan_hash: Mapped[str] = mapped_column(String(64))
+    catalogue: Mapped[str] = mapped_column(String(255))
+    catalogue_id: Mapped[str | None] = mapped_column(String(64))
+    workers: Mapped[int | None]
+    state: Mapped[str] = mapped_column(String(16), index=True)
+    message: Mapped[str] = mapped_column(Text)
+    cases_done: Mapped[int]
+    cases_total: Mapped[int]
+    rate_per_s: Mapped[float] = mapped_column(Double)
+    seconds_left: Mapped[float | None] = mapped_column(Double)
+    attempts: Mapped[int]
+    owner: Mapped[str] = mapped_column(Text)
+    lease_until: Mapped[float] = mapped_column(Double)
+    cancel_asked: Mapped[bool]
+    request_id: Mapped[str | None] = mapped_column(String(64))
+
+
+@dataclass(frozen=True)
+class Beat:
+    """What a sign of life is answered with: whether the build is still its sender's, and whether to stop it."""
+
+    owned: bool
+    cancel: bool
+
+
+class Running(NamedTuple):
+    """How far all builds are that run, together."""
+
+    done: int
+    total: int
+    rate: float
+
+
+class BuildQueue:
+    """All builds of a database.
+
+    Parameters
+    ----------
+    database : Database
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(
+        self,
+        machine: Mapping[str, Any],
+        plan: Mapping[str, Any],
+        plan_hash: str,
+        catalogue: str,
+        workers: int | None,
+    ) -> BuildRow:
+        """Store a build that is to be done, and return it committed."""
+        row = BuildRow(
+            id=secrets.token_hex(16),
+            created_at=now(),
+            machine=dict(machine),
+            plan=dict(plan),
+            plan_hash=plan_hash,
+            catalogue=catalogue,
+            workers=workers,
+            state="queued",
+            message="",
+            cases_done=0,
+            cases_total=0,
+            rate_per_s=0.0,
+            attempts=0,
+            owner="",
+            lease_until=0.0,
+            cancel_asked=False,
+            request_id=request_id(),
+        )
+        with self._database.writing() as session:
+            session.add(row)
+        return self.find(row.id)
+
+    def find(self, key: str) -> BuildRow:
+        """Return a build.
+
+        Raises
+        ------
+        UnknownBuildError
+            When there is none of this id.
+        """
+        row = self._database.find(BuildRow, key)
+        if row is None:
+            raise UnknownBuildError(f"build {key[:80]}: there is none of this id")
+        return row
+
+    def listed(self, before: int | None, limit: int) -> list[BuildRow]:
+        """Return builds, the newest first, from below a row number on."""
+        with self._database.reading() as session:
+            return list(session.scalars(newest(session, BuildRow, before, limit)))
+
+    def counts(self) -> tuple[dict[State, int], Running]:
+        """Return how many builds are in each state, and how far those are that run."""
+        sums = (func.sum(BuildRow.cases_done), func.sum(BuildRow.cases_total), func.sum(BuildRow.rate_per_s))
+        with self._database.reading() as session:
+            found = session.execute(select(BuildRow.state, func.count(), *sums).group_by(BuildRow.state)).all()
+        rows = {state: (count, Running(done, total, rate)) for state, count, done, total, rate in found}
+        counts = {state: rows[state][0] if state in rows else 0 for state in get_args(State)}
+        return counts, rows["running"][1] if "running" in rows else Running(0, 0, 0.0)
+
+    def claim(self, owner: str, seconds: float) -> BuildRow | None:
+        """Take the oldest build that nobody works on, for a while; ``None`` where there is none.
+
+        Builds of one catalogue wait for each other. One whose server died is taken up again, but not for ever.
+        """
+        with self._database.reading() as session:  # most looks find nothing, and need no lock for that
+            if session.scalar(self._open(session)) is None:
+                return None
+        with self._database.writing() as session:
+            row: BuildRow
+            for row in session.scalars(self._open(session).with_for_update(skip_locked=True)):
+                if row.state == "running":
+                    self._lost(row, "its server ended in the middle of it")
+                if row.state == "queued":
+                    row.state, row.owner, row.attempts = "running", owner, row.attempts + 1
+                    row.started_at = row.started_at or now()
+                    # What an earlier attempt said is not how far this one is; cases it left are found at once.
+                    row.cases_done, row.cases_total, row.rate_per_s = 0, 0, 0.0
+                    row.lease_until = self._clock(session) + seconds
+                    return row
+        return None
+
+    def beat(self, key: str, owner: str, seconds: float, progress: Mapping[str, Any]) -> Beat:
+        """Extend a lease, and note how far the build is."""
+        with self._database.writing() as session:
+            row = self._mine(session, key, owner)
+            if row is None:
+                return Beat(owned=False, cancel=False)
+            row.lease_until = self._clock(session) + seconds
+            for name, value in progress.items():
+                setattr(row, name, value)
+            return Beat(owned=True, cancel=row.cancel_asked)
+
+    def end(self, key: str, owner: str, state: State, values: Mapping[str, Any]) -> None:
+        """Note how a build ended, if it is still this server's."""
+        with self._database.writing() as session:
+            row = self._mine(session, key, owner)
+            if row is not None:
+                for name, value in values.items():
+                    setattr(row, name, value)
+                self._close(row, state)
+
+    def lose(self, key: str, owner: str, message: str) -> None:
+        """Note that the process of a build died: it waits to be taken up again, or is given up."""
+        with self._database.writing() as session:
+            row = self._mine(session, key, owner)
+            if row is not None:
+                self._lost(row, message)
+
+    def release(self, key: str, owner: str) -> None:
+        """Give a build back that this server stops in good order; that counts as no attempt."""
+        with self._database.writing() as session:
+            row = self._mine(session, key, owner)
+            if row is not None:
+                row.attempts -= 1
+                self._lost(row, "")
+
+    def cancel(self, key: str) -> BuildRow:
+        """Stop a build: one that waits at once, one that runs as soon as its server hears of it.
+
+        Raises
+        ------
+        UnknownBuildError
+            When there is none of this id.
+        BuildEndedError
+            When it has ended already, otherwise than by this.
+        """
+        self.find(key)
+        with self._database.writing() as session:
+            row = session.scalars(select(BuildRow).where(BuildRow.id == key).with_for_update()).one()
+            if row.state == "queued":
+                self._close(row, "cancelled")
+            elif row.state == "running":
+                row.cancel_asked = True
+            elif row.state != "cancelled":
+                raise BuildEndedError(f"build {key}: is {row.state} already, and cannot be cancelled")
+            return row
+
+    def _open(self, session: Session) -> Any:
+        other = aliased(BuildRow)
+        clock = self._clock(session)
+        over = and_(BuildRow.state == "running", BuildRow.lease_until < clock)
+        busy = select(other.catalogue).where(other.state == "running", other.lease_until >= clock)
+        waiting = and_(BuildRow.state == "queued", BuildRow.catalogue.not_in(busy))
+        return select(BuildRow).where(or_(waiting, over)).order_by(BuildRow.number)
+
+    def _mine(self, session: Session, key: str, owner: str) -> BuildRow | None:
+        mine = (BuildRow.id == key, BuildRow.owner == owner, BuildRow.state == "running")
+        found: BuildRow | None = session.scalar(select(BuildRow).where(*mine).with_for_update())
+        return found
+
+    def _lost(self, row: BuildRow, message: str) -> None:
+        row.owner, row.lease_until, row.rate_per_s, row.seconds_left = "", 0.0, 0.0, None
+        row.message = message
+        if row.cancel_asked:
+            self._close(row, "cancelled")
+        elif row.attempts >= ATTEMPTS:
+            row.message = f"{message}; given up after {row.attempts} attempts"
+            self._close(row, "worker_lost")
+        else:
+            row.state = "queued"
+
+    def _close(self, row: BuildRow, state: State) -> None:
+        row.state, row.ended_at = state, now()
+        row.owner, row.lease_until, row.seconds_left = "", 0.0, None
+
+    def _clock(self, session: Session) -> float:
+        """One clock for all servers: the database's; a file of SQLite has the computer's."""
+        if self._database.is_sqlite:
+            return time.time()
+        return float(session.scalar(select(func.extract("epoch", func.clock_timestamp()))) or 0.0)

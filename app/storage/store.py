@@ -1,0 +1,410 @@
+"""What the service keeps: uploaded recordings as files by content, what is known of them in a database."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, BinaryIO, ClassVar, TypeVar
+
+from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select, text
+from sqlalchemy.engine import URL
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
+
+from app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from app.storage.database import Database, UtcDateTime, database_url
+from app.storage.told import Told
+from catalogue.storage.directory import sync_folder
+
+PARTIAL = "partial-"
+"""Beginning of the name of an upload that is on its way."""
+
+RECORDINGS = "measurements"
+"""Folder of uploads."""
+
+ABANDONED_S = 86_400.0
+"""Age from which on nobody is sending it any more."""
+
+
+class Base(DeclarativeBase):
+    """Root of the tables.
+
+    A new table needs no revision: one that is missing is made on opening. A change of one that is there does.
+    """
+
+    type_annotation_map: ClassVar = {dict[str, Any]: JSON, datetime: UtcDateTime}
+
+
+class MeasurementRow(Base):
+    """An uploaded recording."""
+
+    __tablename__ = "measurements"
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(String(32), unique=True)
+    sha256: Mapped[str] = mapped_column(String(64))
+    name: Mapped[str] = mapped_column(String(255))
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    given_sample_rate_hz: Mapped[float | None]
+    beside_rate: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    created_at: Mapped[datetime]
+    summary: Mapped[dict[str, Any]]
+
+    @property
+    def told(self) -> Told:
+        """What its sender said of it."""
+        return Told(self.given_sample_rate_hz, **(self.beside_rate or {}))
+
+
+class DiagnosisRow(Base):
+    """A finished diagnosis: what was asked, of which machine, and what was answered.
+
+    The machine is kept with it, because a catalogue that has grown has another id than when it was asked.
+    """
+
+    __tablename__ = "diagnoses"
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    id: Mapped[str] = mapped_column(String(32), unique=True)
+    measurement: Mapped[str] = mapped_column(ForeignKey("measurements.id"))
+    catalogue: Mapped[str] = mapped_column(String(64))
+    machine: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime]
+    request: Mapped[dict[str, Any]]
+    result: Mapped[dict[str, Any]]
+
+
+Row = TypeVar("Row", MeasurementRow, DiagnosisRow)
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A file on its way in.
+
+    Parameters
+    ----------
+    path : Path
+        Where its bytes lie.
+    sha256 : str
+        Of the bytes.
+    size : int
+        Number of bytes.
+    """
+
+    path: Path
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True)
+class NewDiagnosis:
+    """A diagnosis that is to be stored.
+
+    Parameters
+    ----------
+    measurement, catalogue, machine, request, result
+        As in :class:`DiagnosisRow`. Where the request names an asset, the diagnosis is of that asset alone.
+    also : callable, optional
+        Called with the id in the same transaction, if the diagnosis is new.
+    """
+
+    measurement: str
+    catalogue: str
+    machine: Mapping[str, Any]
+    request: Mapping[str, Any]
+    result: Mapping[str, Any]
+    also: Callable[[Session, str], None] | None = None
+
+    def row(self) -> dict[str, Any]:
+        """Return the members of the row."""
+        said = f"{self.measurement} {self.catalogue} {self.result['hash']}"
+        if self.request.get("asset"):
+            said += f" {self.request['asset']}"
+        return {
+            "id": hashlib.sha256(said.encode()).hexdigest()[:32],
+            "measurement": self.measurement,
+            "catalogue": self.catalogue,
+            "machine": dict(self.machine),
+            "created_at": now(),
+            "request": dict(self.request),
+            "result": dict(self.result),
+        }
+
+
+class Store:
+    """Recordings under one directory, and what is known of them in a database.
+
+    Parameters
+    ----------
+    directory : Path
+        Made when missing.
+    url : str
+        The database; by default a file of SQLite in the directory.
+
+    Attributes
+    ----------
+    database : Database
+        Other modules keep their tables in it, too.
+
+    Raises
+    ------
+    AppError
+        When the database was made by a newer version of the program.
+    """
+
+    def __init__(self, directory: Path, url: str = "") -> None:
+        self._directory = directory
+        self._files = directory / RECORDINGS
+        self._files.mkdir(parents=True, exist_ok=True)
+        self._tidy()
+        file = URL.create("sqlite", database=str(directory / "service.sqlite"))
+        self.database = Database(database_url(url) if url else file, Base.metadata)
+        self._session = self.database.session
+        self._opened = self._identity()
+
+    def close(self) -> None:
+        """Let go of the database."""
+        self.database.close()
+
+    def ready(self) -> None:
+        """Ask the database for something.
+
+        Raises
+        ------
+        SQLAlchemyError
+            When it does not answer.
+        NotReadyError
+            When its file was taken away, or another lies in its place: what is written would be lost.
+        """
+        if self._identity() != self._opened:
+            raise NotReadyError("its file is not the one that was opened")
+        with self._session() as session:
+            session.execute(text("SELECT 1")).scalar_one()
+
+    def try_writing(self) -> None:
+        """Write a file where uploads go, and delete it.
+
+        Raises
+        ------
+        OSError
+            When that cannot be done.
+        """
+        with tempfile.NamedTemporaryFile(dir=self._files, prefix=PARTIAL) as attempt:
+            attempt.write(b"?")
+            attempt.flush()
+
+    def _identity(self) -> tuple[int, int] | None:
+        """Tell the database's file from others; None where it is no file, or there is none any more."""
+        path = self.database.engine.url.database
+        if not self.database.is_sqlite or not path:
+            return None
+        try:
+            found = os.stat(path)
+        except FileNotFoundError:
+            return None
+        return found.st_dev, found.st_ino
+
+    def receive(self, source: BinaryIO) -> Upload:
+        """Copy an upload below the directory, to the disk, and return where it is.
+
+        The copy is this upload's own until it becomes a measurement. Each is to be settled once.
+        """
+        digest = hashlib.sha256()
+        size = 0
+        with tempfile.NamedTemporaryFile(dir=self._files, prefix=PARTIAL, delete=False) as partial:
+            try:
+                while block := source.read(1 << 20):
+                    digest.update(block)
+                    size += len(block)
+                    partial.write(block)
+                partial.flush()
+                os.fsync(partial.fileno())
+            except BaseException:
+                Path(partial.name).unlink(missing_ok=True)
+                raise
+        return Upload(Path(partial.name), digest.hexdigest(), size)
+
+    def _name(self, upload: Upload) -> None:
+        """Give an upload the name of its content, to the disk, before a row says that it is there.
+
+        A file that has this name is never deleted: another server may be about to store the same bytes. So bytes whose
+        row cannot be committed stay, too; they lie there for whoever sends them again.
+        """
+        target = self.path_of(upload.sha256)
+        target.parent.mkdir(exist_ok=True)
+        sync_folder(self._files)
+        try:
+            os.replace(upload.path, target)
+        except FileNotFoundError:
+            if not target.is_file():  # else it has the name already
+                raise
+        sync_folder(target.parent)
+
+    def _tidy(self) -> None:
+        """Delete what killed servers left of uploads; young ones may be on their way to another server."""
+        for path in self._files.glob(f"{PARTIAL}*"):
+            with suppress(FileNotFoundError):
+                if path.stat().st_mtime < time.time() - ABANDONED_S:
+                    path.unlink()
+
+    def path_of(self, sha256: str) -> Path:
+        """Return where the bytes with this checksum lie."""
+        return recording_path(self._directory, sha256)
+
+    def settle(self, upload: Upload) -> None:
+        """Delete an upload, unless it became a measurement."""
+        upload.path.unlink(missing_ok=True)
+
+    def add_measurement(
+        self,
+        upload: Upload,
+        name: str,
+        told: Told | None,
+        summary: Mapping[str, Any],
+        also: Callable[[Session, str], None] | None = None,
+    ) -> MeasurementRow:
+        """Store a measurement, or return the one stored before from the same bytes, of which the same was said.
+
+        Parameters
+        ----------
+        upload, name, told, summary
+            As in :class:`MeasurementRow`.
+        also : callable, optional
+            Called with the id in the same transaction.
+        """
+        self._name(upload)
+        with self.database.writing() as session:
+            kept = self._put_measurement(session, upload, name, told or Told(), summary)
+            if also is not None:
+                also(session, kept.id)
+        return kept
+
+    def add_both(
+        self, upload: Upload, name: str, told: Told, summary: Mapping[str, Any], diagnosis: NewDiagnosis
+    ) -> DiagnosisRow:
+        """Store a measurement and a diagnosis of it in one transaction, as one call after the other would."""
+        self._name(upload)
+        with self.database.writing() as session:
+            self._put_measurement(session, upload, name, told, summary)
+            kept = self._put_diagnosis(session, diagnosis)
+        return kept
+
+    def _put_measurement(
+        self, session: Session, upload: Upload, name: str, told: Told, summary: Mapping[str, Any]
+    ) -> MeasurementRow:
+        row = {
+            "id": measurement_key(upload.sha256, name, told),
+            "sha256": upload.sha256,
+            "name": name,
+            "size_bytes": upload.size,
+            "given_sample_rate_hz": told.sample_rate_hz,
+            "beside_rate": told.beside_rate or None,
+            "created_at": now(),
+            "summary": dict(summary),
+        }
+        return self._put(session, MeasurementRow, row)[0]
+
+    def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:
+        """Insert a row, or find the one of the same id; return it, and whether it is new."""
+        statement = self.database.insert(table).values(row).on_conflict_do_nothing(index_elements=["id"])
+        number = session.scalar(statement.returning(table.number))
+        if number is not None:
+            return table(number=number, **row), True
+        return session.scalars(select(table).filter_by(id=row["id"])).one(), False
+
+    def measurement(self, key: str) -> MeasurementRow:
+        """Return a measurement.
+
+        Raises
+        ------
+        UnknownMeasurementError
+            When there is none of this id.
+        """
+        row = self.database.find(MeasurementRow, key)
+        if row is None:
+            raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
+        return row
+
+    def add_diagnosis(self, diagnosis: NewDiagnosis) -> DiagnosisRow:
+        """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
+        with self.database.writing() as session:
+            return self._put_diagnosis(session, diagnosis)
+
+    def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
+        kept, new = self._put(session, DiagnosisRow, diagnosis.row())
+        if new and diagnosis.also is not None:
+            diagnosis.also(session, kept.id)
+        return kept
+
+    def diagnosis(self, key: str) -> DiagnosisRow:
+        """Return a diagnosis.
+
+        Raises
+        ------
+        UnknownDiagnosisError
+            When there is none of this id.
+        """
+        row = self.database.find(DiagnosisRow, key)
+        if row is None:
+            raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
+        return row
+
+    def diagnoses(
+        self, before: int | None, limit: int, since: datetime | None = None, among: Select[str] | None = None
+    ) -> list[DiagnosisRow]:
+        """Return diagnoses, the newest first, from below a row number on; not those before a moment.
+
+        Parameters
+        ----------
+        before : int, optional
+        limit : int
+        since : datetime, optional
+        among : Select, optional
+            Query for the ids that may occur.
+        """
+        with self._session() as session:
+            query = newest(session, DiagnosisRow, before, limit, among)
+            if since is not None:
+                query = query.where(DiagnosisRow.created_at >= since)
+            return list(session.scalars(query))
+
+    def measurements(self, before: int | None, limit: int, among: Select[str] | None = None) -> list[MeasurementRow]:
+        """Return measurements, the newest first, from below a row number on; of the ids in a query, if there is one."""
+        with self._session() as session:
+            return list(session.scalars(newest(session, MeasurementRow, before, limit, among)))
+
+
+def newest(session: Session, table: Any, before: int | None, limit: int, among: Select[str] | None = None) -> Any:
+    """Return the query for one page of a table, the newest rows first; of the ids in a query, if there is one."""
+    query = select(table).order_by(table.number.desc()).limit(limit)
+    if among is not None:
+        query = query.where(table.id.in_(among))
+    return query if before is None else query.where(table.number < before)
+
+
+def recording_path(directory: Path, sha256: str) -> Path:
+    """Return where the bytes with a checksum lie below a folder of data."""
+    return directory / RECORDINGS / sha256[:2] / sha256
+
+
+def measurement_key(sha256: str, name: str, told: Told) -> str:
+    """Return the id of a measurement: its bytes, and what its sender said of them."""
+    said = {"sha256": sha256, "name": name, "sample_rate_hz": told.sample_rate_hz, **told.beside_rate}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def now() -> datetime:
+    """Return the present time in UTC."""
+    return datetime.now(UTC)
+
+
+def aware(moment: datetime) -> datetime:
+    """Return a stored time as UTC."""
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -1,0 +1,157 @@
+"""A chunk: cases of one hypothesis with the same joints, simulated together by one worker with one compiled model."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import zip_longest
+
+import numpy as np
+
+from catalogue.building.guard import mean_difference_db
+from catalogue.plans.entry import Entry, Recipe
+from catalogue.plans.keys import content_digest
+from catalogue.storage.shard import OK, Outcome
+from solver.cases.steps import Accuracy
+from solver.machines.machine import Machine, parse_machine
+from solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
+from solver.spectra.band_power import band_matrix
+
+__all__ = ["Chunk", "Compute", "chunked", "simulate_chunk"]
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Cases to be computed together, and all that a worker must know for it.
+
+    Parameters
+    ----------
+    machine : str
+        Canonical JSON.
+    recipe : Recipe
+    entries : tuple of Entry
+        At least one; all of the same hypothesis, stratum, variant and speed, with the same joints and parameter names.
+    """
+
+    machine: str
+    recipe: Recipe
+    entries: tuple[Entry, ...]
+
+    @cached_property
+    def id(self) -> str:
+        """Follows from the entries alone, so that a build that continues knows its chunks again."""
+        return content_digest([entry.key for entry in self.entries])[:16]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints with clearance in all its cases."""
+        return self.entries[0].joints
+
+    def halves(self) -> tuple[Chunk, Chunk]:
+        """Two chunks of its cases, to find the one that kills workers; only where there are two cases at least."""
+        middle = len(self.entries) // 2
+        first, second = self.entries[:middle], self.entries[middle:]
+        return Chunk(self.machine, self.recipe, first), Chunk(self.machine, self.recipe, second)
+
+
+FINER: Accuracy = "standard"
+"""Accuracy at which guarded cases are computed again."""
+
+SLACK_REVOLUTIONS = 0.01
+"""Simulated beyond the recipe's, so that rounding to samples and to fast transforms costs no window of the estimate."""
+
+Compute = Callable[[Chunk], tuple[Outcome, ...]]
+"""What a worker does with a chunk: one outcome a case, in the order of the cases. A module's function, picklable."""
+
+
+def chunked(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: int) -> list[Chunk]:
+    """Cut cases into chunks.
+
+    Parameters
+    ----------
+    machine : Machine
+    recipe : Recipe
+    entries : iterable of Entry
+        Of one plan, any of its cases.
+    size : int
+        Most cases of a chunk. A chunk holds draws of one block of so many, ``0 <= draw < size`` for the first, so that
+        it does not depend on which other cases are missing.
+
+    Returns
+    -------
+    list of Chunk
+        The first chunks of all hypotheses, then the second ones, and so on: then workers compile different models
+        in the beginning, and find them compiled later.
+    """
+    groups: dict[tuple[object, ...], list[Entry]] = defaultdict(list)
+    for entry in entries:
+        kind = (entry.hypothesis, entry.stratum, entry.variant, entry.speed, entry.joints)
+        groups[*kind, tuple(sorted(entry.parameters)), entry.draw // size].append(entry)
+    content = machine.canonical_json()
+    alike: dict[object, list[Chunk]] = defaultdict(list)
+    for (hypothesis, *_), group in groups.items():
+        alike[hypothesis].append(Chunk(content, recipe, tuple(group)))
+    return [chunk for turn in zip_longest(*alike.values()) for chunk in turn if chunk is not None]
+
+
+@lru_cache(maxsize=2)
+def _machine(content: str) -> Machine:
+    return parse_machine(content, "machine of the catalogue")
+
+
+def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
+    """Simulate the cases of a chunk and estimate their spectra in bands.
+
+    Raises
+    ------
+    SolverError
+        A parameter or a setting that the solver refuses. What goes wrong numerically is the status of an outcome.
+    """
+    guarded = [i for i, entry in enumerate(chunk.entries) if entry.guarded and chunk.recipe.accuracy != FINER]
+    found = _simulated(chunk, guarded)
+    outcomes = found[: len(chunk.entries)]
+    for i, finer in zip(guarded, found[len(chunk.entries) :], strict=True):
+        power, seconds = outcomes[i].power, outcomes[i].seconds + finer.seconds
+        if power is not None and finer.power is not None:
+            outcomes[i] = replace(outcomes[i], guard_db=mean_difference_db(power, finer.power), seconds=seconds)
+    return tuple(outcomes)
+
+
+def _simulated(chunk: Chunk, guarded: Sequence[int]) -> list[Outcome]:
+    """All cases, then the guarded ones more finely: one queue, for a few cases would leave most lanes empty."""
+    recipe, entries = chunk.recipe, [*chunk.entries, *(chunk.entries[i] for i in guarded)]
+    accuracies = [recipe.accuracy] * len(chunk.entries) + [FINER] * len(guarded)
+    machine = entries[0].variant.machine(_machine(chunk.machine))
+    revolutions = recipe.revolutions + SLACK_REVOLUTIONS
+    settings = Settings(sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False, transient=False)
+    cases = [Case(entry.fault, entry.parameters) for entry in entries]
+    return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]
+
+
+def _outcome(history: History, recipe: Recipe) -> Outcome:
+    message = " ".join(history.message.split())
+
+    def failed(status: str, message: str) -> Outcome:
+        return Outcome(status, message, history.drive_speed, history.transient, 0, history.seconds)
+
+    if history.status is not Status.OK:
+        return failed(history.status.value, message)
+    signal = history.band_limited_acceleration
+    if not np.isfinite(signal).all():
+        return failed("not_finite", "the acceleration holds a number that is not finite")
+    bands = band_matrix(signal, history.sample_rate, history.drive_speed, recipe.scheme)
+    power = bands.power.astype(np.complex64)
+    if not (np.isfinite(power).all() and np.isfinite(bands.spread_db).all()):
+        return failed("not_finite", "a band power is beyond the range of single precision")
+    return Outcome(
+        OK,
+        message,
+        history.drive_speed,
+        history.transient,
+        bands.segments,
+        history.seconds,
+        power,
+        bands.spread_db.astype(np.float32),
+    )

@@ -1,0 +1,289 @@
+"""The answer of a diagnosis: shapes of its JSON, the same for the program and the API."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalogue.signals.recipe_steps import RecipeStep
+
+Effort = Literal["fast", "standard", "thorough"]
+Verdict = Literal["fault", "healthy", "unknown"]
+Mode = Literal["trusted", "robust"]
+ModeAsked = Literal["auto", "trusted", "robust"]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class JointClearance(_Frozen):
+    """Radial clearance of one joint: median and central 90 % interval, micrometres."""
+
+    clearance_um: float
+    interval_um: tuple[float, float]
+
+
+class Hypothesis(_Frozen):
+    """One explanation.
+
+    Attributes
+    ----------
+    label : str
+        Its name in the catalogue: "F", "A+C", "healthy", "as-new".
+    joints : mapping of str to JointClearance
+        Worn joints; empty for a healthy machine.
+    probability : float
+        Among the hypotheses of the catalogue.
+    distance_db : float
+        Root mean square difference between measured and predicted levels.
+    """
+
+    label: str
+    joints: Mapping[str, JointClearance]
+    probability: Annotated[float, Field(ge=0.0, le=1.0)]
+    distance_db: Annotated[float, Field(ge=0.0)]
+
+
+class GoodnessOfFit(_Frozen):
+    """Whether the best hypothesis explains the recording: share of its own simulated recordings that fit it worse."""
+
+    p_value: Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class BandEvidence(_Frozen):
+    """One compared level.
+
+    Attributes
+    ----------
+    order, low_hz, high_hz : float
+        Middle of the band in orders of the drive; its edges.
+    channel : str
+        "x", "y", "theta" of the frame, or a sensor.
+    measured_db, predicted_db, spread_db : float
+        Level re 1 (m/s2)^2 or 1 (rad/s2)^2: measured, expected under the best hypothesis, and its standard deviation.
+    z : float
+        (measured - predicted) / spread.
+    rival_db : float or None
+        Level expected under the rival; None without one.
+    favours_best : float or None
+        Log-likelihood ratio of the best hypothesis to the rival in this band alone, as if it depended on no other.
+    """
+
+    order: float
+    low_hz: float
+    high_hz: float
+    channel: str
+    measured_db: float
+    predicted_db: float
+    spread_db: float
+    z: float
+    rival_db: float | None = None
+    favours_best: float | None = None
+
+
+class Evidence(_Frozen):
+    """Measured against predicted levels under the best hypothesis: single orders, and bands above them.
+
+    Attributes
+    ----------
+    orders, bands : tuple of BandEvidence
+    rival : str or None
+        Label of the next hypothesis with other worn joints, which the bands decide against.
+    """
+
+    orders: tuple[BandEvidence, ...]
+    bands: tuple[BandEvidence, ...]
+    rival: str | None = None
+
+
+class ModeUsed(_Frozen):
+    """How far the model of the machine was believed.
+
+    Attributes
+    ----------
+    asked : {"auto", "trusted", "robust"}
+    used : {"trusted", "robust"}
+        As simulated, or with everything that may differ in the real machine.
+    trusted_p_value : float or None
+        Goodness of fit of the trusted model, which decides where the choice is free; None where it was not asked.
+    """
+
+    asked: ModeAsked
+    used: Mode
+    trusted_p_value: float | None
+
+
+class EffortSpent(_Frozen):
+    """What was computed for this answer alone, besides comparing with the catalogue.
+
+    Attributes
+    ----------
+    simulations, generations : int
+        Cases simulated around the most probable hypotheses, in how many rounds.
+    note : str
+        Why there were none or no more, and what they changed; empty for other efforts than thorough.
+    """
+
+    simulations: int
+    generations: int
+    note: str
+
+
+class FittedNumber(_Frozen):
+    """What a baseline says of a number: factor on what it should be, and standard deviation of its logarithm."""
+
+    factor: float
+    scatter: float
+
+
+class BaselineShown(_Frozen):
+    """What a recording of the machine in order said of machine and sensors.
+
+    Attributes
+    ----------
+    measurement, measurement_sha256 : str
+        Name of that recording, and checksum of its bytes.
+    condition : str
+        "healthy" or "as-new", whichever explains it better.
+    used : bool
+        Whether a machine in order explains it; nothing of it is used otherwise.
+    p_before, p_after : float
+        Share of simulated machines in order that fit worse: with the numbers of the machine file, and as fitted.
+    numbers, gains : mapping of str to FittedNumber
+        By path as in a plan ("frame.mass"), and by sensor.
+    """
+
+    measurement: str
+    measurement_sha256: str
+    condition: str
+    used: bool
+    p_before: float
+    p_after: float
+    numbers: Mapping[str, FittedNumber]
+    gains: Mapping[str, FittedNumber]
+
+
+class SuggestionShown(_Frozen):
+    """One thing that would tell the first hypotheses apart.
+
+    Attributes
+    ----------
+    kind : {"sensor", "direction", "speed"}
+    what : str
+        In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm".
+    hypotheses : tuple of str
+        Labels that are told apart.
+    separation_now, separation : float
+        Distance of the hypotheses in standard deviations, as it is and as it would be.
+    error_now, error : float
+        Share of such machines that would be taken for another one.
+    """
+
+    kind: Literal["sensor", "direction", "speed"]
+    what: str
+    hypotheses: tuple[str, ...]
+    separation_now: float
+    separation: float
+    error_now: float
+    error: float
+
+
+class MatcherIdentity(_Frozen):
+    """Which method matched, and the SHA-256 of the network whose opinion counted, where there is one."""
+
+    name: str
+    version: str
+    network: str | None = None
+
+
+class Provenance(_Frozen):
+    """Everything that determined the answer.
+
+    Attributes
+    ----------
+    measurement, measurement_sha256 : str
+        Name of the recording, and checksum of its bytes.
+    catalogue_sha256, machine_sha256 : str
+        Checksums of the catalogue's content and of the machine.
+    solver_version, catalogue_solver_version : str
+        Of this program, and of the one the catalogue was built with.
+    matcher : MatcherIdentity
+    recipe : tuple of RecipeStep
+        What was done to the recording, in order.
+    """
+
+    measurement: str
+    measurement_sha256: str
+    catalogue_sha256: str
+    machine_sha256: str
+    solver_version: str
+    catalogue_solver_version: str
+    matcher: MatcherIdentity
+    recipe: tuple[RecipeStep, ...]
+
+
+class Diagnosis(_Frozen):
+    """Answer to one recording; its JSON is the program's and the API's.
+
+    Attributes
+    ----------
+    id : str
+        Follows from recording, catalogue, settings and versions: the same question has the same id.
+    machine, catalogue : str
+        Name of the machine; the catalogue's folder name.
+    drive_speed_rpm : float
+        Estimated, or as given.
+    effort : {"fast", "standard", "thorough"}
+        As asked.
+    effort_spent : EffortSpent
+    mode : ModeUsed
+    verdict : {"fault", "healthy", "unknown"}
+    hypotheses : tuple of Hypothesis
+        All of the catalogue, most probable first.
+    joint_probabilities : mapping of str to float
+        Of each joint, to be among the worn ones.
+    candidate_set : tuple of str
+        Labels of the fewest hypotheses that hold the truth with probability `coverage`, if it is in the catalogue.
+    coverage : float
+        As asked.
+    widened : bool
+        Whether no hypothesis was in that set, and it was widened; what it holds is then approximate.
+    goodness_of_fit : GoodnessOfFit
+    evidence : Evidence
+    baseline : BaselineShown or None
+        None where there was no recording of the machine in order.
+    suggestions : tuple of SuggestionShown
+        What would tell the first hypotheses apart, best first.
+    warnings : tuple of str
+    provenance : Provenance
+    hash : str
+        SHA-256 of the canonical JSON of everything else.
+    """
+
+    id: str
+    machine: str
+    catalogue: str
+    drive_speed_rpm: float
+    effort: Effort
+    effort_spent: EffortSpent
+    mode: ModeUsed
+    verdict: Verdict
+    hypotheses: tuple[Hypothesis, ...]
+    joint_probabilities: Mapping[str, float]
+    candidate_set: tuple[str, ...]
+    coverage: float
+    widened: bool
+    goodness_of_fit: GoodnessOfFit
+    evidence: Evidence
+    baseline: BaselineShown | None
+    suggestions: tuple[SuggestionShown, ...]
+    warnings: tuple[str, ...]
+    provenance: Provenance
+    hash: str
+
+    def to_json(self, indent: int | None = 2) -> str:
+        """Return the JSON text."""
+        return self.model_dump_json(indent=indent)

@@ -1,0 +1,194 @@
+"""Levels of the low orders as sensors of unknown gain see them, and how they scatter in machines that are in order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.signals.prepared import PreparedMeasurement
+from catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER, feature_vector
+from catalogue.storage.store import Catalogue
+
+__all__ = ["LevelStatistics", "OrderLevels", "class_statistics"]
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complexfloating]
+BoolArray = npt.NDArray[np.bool_]
+
+#: Decibels of a relative change of power by one.
+DECIBELS = 10.0 / np.log(10.0)
+#: What a level of a model is not better known to than [dB]: two simulators that share no code agree to 0.2 to 0.5 dB
+#: on the low orders of healthy machines, gains aside.
+MODEL_DB = 0.4
+#: A level counts where the signal has this many times the power of the noise,
+LEAST_SIGNAL = 4.0
+#: where play of new fits shifts it by no more than this, and scatters no more than this [dB].
+MOST_SHIFT_DB = 3.0
+MOST_SCATTER_DB = 2.0
+#: Fewest entries that say how a machine in order scatters.
+LEAST_ENTRIES = 20
+#: Parts of the entries, each judged by what the others scatter.
+FOLDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class OrderLevels:
+    """Levels of orders 1 to 20 of a recording: of its sensors, and of the frame's motions where these see them all.
+
+    The motions follow from the sensors, but a gain that is off mixes them, so both are compared.
+
+    Parameters
+    ----------
+    prepared : PreparedMeasurement
+    measured : (m,) array
+        dB, noise included; order by order, the channels of an order side by side.
+    noise : (m,) array
+        Power of the recording's noise.
+    cells : (m,) array
+        Independent cells the noise was averaged over: half its degrees of freedom.
+    """
+
+    prepared: PreparedMeasurement
+    measured: FloatArray
+    noise: FloatArray
+    cells: FloatArray
+
+    @classmethod
+    def of(cls, prepared: PreparedMeasurement) -> OrderLevels:
+        """Levels of a recording."""
+        sensing, bands = prepared.sensing, prepared.sensor_bands
+        edges = bands.scheme.edges_hz(prepared.drive_speed)[: FEATURE_ORDERS + 1]
+        own = prepared.floor.band_power(edges, sensing.derivatives)
+        noise = np.hstack([own, prepared.noise_power[:FEATURE_ORDERS]]) if sensing.rigid_body else own
+        power = bands.power[:FEATURE_ORDERS]
+        seen = [np.diagonal(power, axis1=-2, axis2=-1).real]
+        if sensing.rigid_body:
+            seen.append(np.einsum("ci,bij,cj->bc", sensing.channels, power.real, sensing.channels))
+        cells = 0.5 * np.repeat(bands.degrees_of_freedom[:FEATURE_ORDERS, None], noise.shape[1], axis=1)
+        measured = DECIBELS * np.log(np.maximum(np.hstack(seen), LEAST_POWER))
+        return cls(prepared, measured.ravel(), np.maximum(noise, LEAST_POWER).ravel(), cells.ravel())
+
+    @property
+    def name(self) -> str:
+        """Of the recording."""
+        return self.prepared.name
+
+    @property
+    def sensors(self) -> int:
+        """Number of sensors."""
+        return len(self.prepared.sensing.sensors)
+
+    def of_motion(self, power: ComplexArray, gains: FloatArray | None = None) -> FloatArray:
+        """Levels (..., m) that these sensors would report of a frame's cross-powers (..., B, 3, 3), noise added."""
+        sensing = self.prepared.sensing
+        transform = sensing.transform if gains is None else gains[:, None] * sensing.transform
+        mix = np.vstack([transform, sensing.channels @ transform]) if sensing.rigid_body else transform
+        orders = np.asarray(power)[..., :FEATURE_ORDERS, :, :].real
+        seen = np.einsum("ci,...bij,cj->...bc", mix, orders, mix, optimize=True)
+        total = np.maximum(seen.reshape(*seen.shape[:-2], -1), 0.0) + self.noise
+        levels: FloatArray = DECIBELS * np.log(total)
+        return levels
+
+    def noise_variance(self) -> FloatArray:
+        """Variance (m,) of the levels by the recording's noise, dB^2."""
+        total = 10.0 ** (0.1 * self.measured)
+        clean = np.maximum(total - self.noise, 0.0)
+        variance: FloatArray = DECIBELS**2 * (self.noise**2 + 2.0 * clean * self.noise) / (self.cells * total**2)
+        return variance
+
+
+@dataclass(frozen=True, eq=False)
+class LevelStatistics:
+    """How the levels of machines in order lie at the speed of a recording.
+
+    Parameters
+    ----------
+    levels : OrderLevels
+    mean : (m,) array
+        dB.
+    deviations : (n, m) array
+        Of entries from the mean at their own speed, dB.
+    above_db : float
+        Root mean square difference of the recording from the mean, above order 20.
+    """
+
+    levels: OrderLevels
+    mean: FloatArray
+    deviations: FloatArray
+    above_db: float
+
+    @property
+    def error_variance(self) -> FloatArray:
+        """Variance (m,) by noise and model, dB^2.
+
+        Sensors and motions are two views of the same errors: each counts as if there were as many independent levels
+        as motions.
+        """
+        sensing = self.levels.prepared.sensing
+        views = 1.0 + len(sensing.sensors) / len(sensing.compared) if sensing.rigid_body else 1.0
+        variance: FloatArray = views * (self.levels.noise_variance() + MODEL_DB**2)
+        return variance
+
+    def usable(self, nominal: FloatArray) -> BoolArray:
+        """Levels (m,) that say something of frame and supports; `nominal` is of the simulated healthy machine."""
+        power = 10.0 ** (0.1 * self.levels.measured)
+        found: BoolArray = (
+            (power > LEAST_SIGNAL * self.levels.noise)
+            & (10.0 ** (0.1 * nominal) > LEAST_SIGNAL * self.levels.noise)
+            & (np.abs(self.mean - nominal) < MOST_SHIFT_DB)
+            & (self.deviations.std(axis=0) < MOST_SCATTER_DB)
+        )
+        return found
+
+    def covariance(self, used: BoolArray, rows: BoolArray | None = None) -> FloatArray:
+        """Covariance of used levels: what machines in order scatter by, the noise, and what no model is free of."""
+        found = self.deviations[:, used] if rows is None else self.deviations[rows][:, used]
+        scatter = found.T @ found / max(1, len(found) - 3)
+        own = len(found) / (len(found) + scatter.shape[0])
+        shrunk = own * scatter + (1.0 - own) * np.diag(np.diag(scatter))
+        return np.asarray(shrunk + np.diag(self.error_variance[used]))
+
+    def p_value(self, distance: float, used: BoolArray, more: FloatArray) -> float:
+        """Share of recordings of machines in order that lie further off than a squared distance.
+
+        Parameters
+        ----------
+        distance : float
+        used : (m,) bool array
+        more : (u, u) array
+            Covariance by numbers and gains that were fitted, zero where none were.
+        """
+        generator = np.random.default_rng(0)
+        count = len(self.deviations)
+        fold = np.arange(count) % FOLDS
+        spread = np.sqrt(self.error_variance[used])
+        found = []
+        for part in range(FOLDS):
+            weight = np.linalg.inv(self.covariance(used, fold != part) + more)
+            drawn = self.deviations[fold == part][:, used]
+            drawn = drawn + spread * generator.normal(size=drawn.shape)
+            found.append(np.einsum("nu,uv,nv->n", drawn, weight, drawn))
+        return float((1 + np.sum(np.concatenate(found) >= distance)) / (1 + count))
+
+
+def class_statistics(catalogue: Catalogue, levels: OrderLevels, label: str) -> LevelStatistics | None:
+    """Statistics of the trusted entries of a hypothesis; None where there are too few."""
+    matrix, prepared = catalogue.matrix, levels.prepared
+    rows = matrix.rows(label, "trusted")
+    if len(rows) < LEAST_ENTRIES:
+        return None
+    power = matrix.cross_power(rows)  # in feature bands, the first of which are the orders
+    seen = levels.of_motion(power)
+    # Levels change smoothly with the speed, which the recording tells: what is left is scatter.
+    off = np.log(np.abs(matrix.table(rows).drive_speed) / prepared.drive_speed)
+    smooth = np.column_stack([np.ones(len(rows)), off, off**2])
+    weights = np.linalg.lstsq(smooth, seen, rcond=None)[0]
+    sensing = prepared.sensing
+    bands = tuple(range(len(prepared.cuts)))
+    features = feature_vector(power, bands, sensing.channels @ sensing.transform, prepared.group_noise)
+    above = slice(FEATURE_ORDERS * len(prepared.channels), None)
+    difference = prepared.features[above] - features[:, above].mean(axis=0)
+    away = float(np.sqrt(np.mean(difference**2)))
+    return LevelStatistics(levels, weights[0], seen - smooth @ weights, away)

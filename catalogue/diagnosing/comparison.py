@@ -1,0 +1,41 @@
+"""How a recording is compared with a catalogue: what its sensors see of an entry, and its own feature vector."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from catalogue.matching.matcher import BoolArray, FloatArray
+from catalogue.matching.observation import Sensing
+from catalogue.signals.features import PreparedMeasurement
+
+__all__ = ["exact_sensing", "measured_levels", "watched"]
+
+LEAST_NOISE_DENSITY = 2e-10
+"""Acceleration noise, (m/s2)^2/Hz, a recording is taken to have at least (1 mm/s2 up to 5 kHz): no simulation and no
+sensor is cleaner, and what lies below says nothing about joints."""
+
+WATCHED_ORDERS = 10
+"""Orders checked one by one, besides the overall distance."""
+
+
+def exact_sensing(prepared: PreparedMeasurement) -> Sensing:
+    """Return how the sensors of a recording see entries, with the recording's own noise and length: what a library of
+    models is asked with, which rounds them itself where it needs to.
+    """
+    sensors = prepared.sensing
+    width = np.diff(prepared.scheme.edges_hz(prepared.drive_speed)[list(prepared.cuts)])
+    least = LEAST_NOISE_DENSITY * width[:, None] * np.sum(sensors.channels**2, axis=1)
+    noise = np.maximum(prepared.group_noise, least)
+    return Sensing(sensors.transform, sensors.channels, prepared.cuts, noise, prepared.group_degrees_of_freedom)
+
+
+def measured_levels(prepared: PreparedMeasurement, sensing: Sensing) -> FloatArray:
+    """Return the feature vector (d,) of a recording, its noise filled up to that of `sensing`."""
+    missing = np.maximum(sensing.noise - prepared.group_noise, 0.0)
+    return sensing.levels(prepared.group_power + missing).ravel()
+
+
+def watched(prepared: PreparedMeasurement) -> BoolArray:
+    """Return which features (d,) are single orders low enough to show foreign forces."""
+    axes = prepared.axes
+    return np.array([axis.single_order and axis.low_order < WATCHED_ORDERS for axis in axes], dtype=bool)

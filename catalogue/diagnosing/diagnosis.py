@@ -1,0 +1,299 @@
+"""From a recording and a catalogue to ranked hypotheses, with how sure, how well they fit, and why."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import get_args
+
+import solver
+from catalogue.diagnosing.answer import (
+    Diagnosis,
+    Effort,
+    EffortSpent,
+    GoodnessOfFit,
+    MatcherIdentity,
+    ModeAsked,
+    ModeUsed,
+    Provenance,
+)
+from catalogue.diagnosing.baseline import fit_baseline
+from catalogue.diagnosing.comparison import exact_sensing, measured_levels, watched
+from catalogue.diagnosing.evidence import (
+    edge_warnings,
+    evidence,
+    hypothesis_shown,
+    number_warnings,
+    rival_of,
+    speed_warnings,
+    suggestions_shown,
+)
+from catalogue.diagnosing.known_machine import KnownMachine
+from catalogue.diagnosing.separation import suggest
+from catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
+from catalogue.diagnosing.verdict import judged
+from catalogue.errors import DiagnosisError
+from catalogue.matching.gaussian import GaussianAlongClearance
+from catalogue.matching.libraries import library_of
+from catalogue.matching.matcher import Matcher
+from catalogue.matching.model_library import ModelLibrary
+from catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from catalogue.measurements.measurement import Measurement
+from catalogue.signals.features import PreparedMeasurement, prepare
+from catalogue.storage.store import Catalogue
+
+__all__ = ["Question", "answer", "diagnose"]
+
+
+CLEAR = 0.99
+"""Probability of the first hypothesis from which on nothing more is suggested."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """How a recording is to be diagnosed.
+
+    Parameters
+    ----------
+    effort : {"fast", "standard", "thorough"}
+        ``fast`` looks the answer up in a model for about this noise, ``standard`` refits what that leaves open to the
+        noise of the recording, ``thorough`` also simulates anew around the most probable hypotheses where that can
+        change the answer.
+    mode : {"auto", "trusted", "robust"}
+        Whether the machine is taken to be as simulated, or to differ from it in whatever the catalogue varies;
+        ``auto`` trusts the model unless it does not explain the recording.
+    coverage : float
+        Probability the candidate set is to hold, in (0, 1).
+    budget : float
+        Seconds that ``thorough`` may simulate, > 0.
+
+    Raises
+    ------
+    DiagnosisError
+        A setting breaks a rule.
+    """
+
+    effort: Effort = "standard"
+    mode: ModeAsked = "auto"
+    coverage: float = 0.95
+    budget: float = 3.5
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.coverage < 1.0:
+            raise DiagnosisError(f"coverage: {self.coverage}: must be between 0 and 1")
+        if not 0.0 < self.budget < math.inf:
+            raise DiagnosisError(f"budget: {self.budget}: must be a finite number of seconds greater than 0")
+        for name, known in (("effort", get_args(Effort)), ("mode", get_args(ModeAsked))):
+            if getattr(self, name) not in known:
+                *first, last = known
+                raise DiagnosisError(f"{name}: {getattr(self, name)}: must be {', '.join(first)} or {last}")
+
+
+def diagnose(
+    measurement: Measurement | MeasuredSpectrum,
+    catalogue: Catalogue,
+    *,
+    speed: float | None = None,
+    effort: Effort = "standard",
+    mode: ModeAsked = "auto",
+    mapping: Mapping[str, str] | None = None,
+    coverage: float = 0.95,
+    budget: float = 3.5,
+    baseline: Measurement | None = None,
+    matcher: Matcher | None = None,
+    library: ModelLibrary | None = None,
+) -> Diagnosis:
+    """Say which joints are worn, by how much, and how sure that is.
+
+    Parameters
+    ----------
+    measurement : Measurement or MeasuredSpectrum
+        Recording of sensors on the frame, or spectra of them.
+    catalogue : Catalogue
+        Of the same machine.
+    speed : float, optional
+        Drive speed, rad/s; estimated from the recording where it is not given.
+    effort, mode, coverage, budget
+        See :class:`Question`.
+    mapping : mapping of str to str, optional
+        Sensor of each column, for columns not named like their sensor.
+    baseline : Measurement, optional
+        Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors.
+    matcher : Matcher, optional
+        In place of the one that `effort` stands for.
+    library : ModelLibrary, optional
+        Keeps what was learned for the next recording; the catalogue's own unless given.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    MeasurementError
+        The recording cannot be compared: no column is a sensor, too short, no drive speed to be found.
+    DiagnosisError
+        A setting breaks a rule, or the catalogue holds too little.
+    """
+    question = Question(effort, mode, coverage, budget)
+    prepared = prepare(measurement, catalogue.machine, mapping, speed, catalogue.scheme)
+    known = None
+    if baseline is not None:
+        in_order = prepare(baseline, catalogue.machine, mapping, None, catalogue.scheme)
+        known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
+    return answer(
+        prepared,
+        measurement.sha256,
+        catalogue,
+        question,
+        mapping=mapping,
+        known=known,
+        suggesting=effort != "fast",
+        matcher=matcher,
+        library=library,
+    )
+
+
+def answer(
+    prepared: PreparedMeasurement,
+    sha256: str,
+    catalogue: Catalogue,
+    question: Question,
+    *,
+    mapping: Mapping[str, str] | None = None,
+    known: KnownMachine | None = None,
+    suggesting: bool = False,
+    matcher: Matcher | None = None,
+    library: ModelLibrary | None = None,
+    without: tuple[str, ...] = (),
+    most: int | None = None,
+) -> Diagnosis:
+    """Diagnose a recording that has been prepared.
+
+    Parameters
+    ----------
+    prepared : PreparedMeasurement
+    sha256 : str
+        Of the recording.
+    catalogue : Catalogue
+        The one it was prepared for.
+    question : Question
+    known : KnownMachine, optional
+        What a recording of the machine in order has shown.
+    suggesting : bool
+        Whether to say what would tell the first hypotheses apart, where they are not.
+    mapping, matcher, library
+        As for :func:`diagnose`.
+    without : tuple of str
+        Hypotheses that are left out.
+    most : int, optional
+        Entries of a hypothesis that are learned from, at most.
+
+    Raises
+    ------
+    DiagnosisError
+        The catalogue holds too little.
+    """
+    library = library or library_of(catalogue)
+    weights = None
+    if known:
+        prepared = known.baseline.corrected(prepared, catalogue.machine)
+        # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
+        if all(step.name != "suspension" for step in prepared.steps):
+            weights = known.weights(catalogue)
+    sensing = exact_sensing(prepared)
+    feature = measured_levels(prepared, sensing)
+    result = library.answer(
+        sensing,
+        feature,
+        watched(prepared),
+        question.effort,
+        question.mode,
+        speed=prepared.drive_speed,
+        matcher=matcher,
+        weights=weights,
+        without=without,
+        most=most,
+    )
+    p_value, verdict = judged(result, question.coverage)
+    trusted_p = result.p_value if result.mode == "trusted" else result.trusted_p_value
+    spent = EffortSpent(simulations=0, generations=0, note="")
+    if question.effort == "thorough" and matcher is None:
+        if verdict == "unknown":
+            spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
+        else:
+            refined = refine(
+                Recorded(feature, sensing, prepared.drive_speed),
+                catalogue,
+                result,
+                result.set(question.coverage).labels,
+                mode=result.mode,
+                settings=Synthesis(budget=question.budget),
+            )
+            result = refined.result
+            spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
+            p_value, verdict = judged(result, question.coverage)
+    candidates = result.set(question.coverage)
+    method = matcher or GaussianAlongClearance()
+    warnings = [
+        *prepared.warnings,
+        *speed_warnings(prepared, catalogue),
+        *edge_warnings(result, catalogue),
+        *result.notes,
+        *(known.baseline.warnings if known else ()),
+        # Entries count by how near they are to the machine's numbers: then some have to be near.
+        *(number_warnings(known.baseline, catalogue) if known and weights is not None else ()),
+    ]
+    unclear = suggesting and verdict != "unknown" and result.best.probability < CLEAR
+    provenance = Provenance(
+        measurement=prepared.name,
+        measurement_sha256=sha256,
+        catalogue_sha256=catalogue.id,
+        machine_sha256=catalogue.machine.content_key,
+        solver_version=solver.__version__,
+        catalogue_solver_version=catalogue.manifest.solver_version,
+        matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
+        recipe=prepared.steps,
+    )
+    asked = [question.effort, question.mode, question.coverage, *([question.budget] * (question.effort == "thorough"))]
+    content = {
+        "id": _digest(
+            [
+                provenance.model_dump(mode="json"),
+                prepared.drive_speed,
+                dict(mapping or {}),
+                asked,
+                # What a sender has said of the file: units, sensitivities, a full scale.
+                list(prepared.notes),
+                known and [known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
+            ]
+        )[:32],
+        "machine": catalogue.machine.name,
+        "catalogue": catalogue.path.name,
+        "drive_speed_rpm": prepared.drive_speed * 30.0 / math.pi,
+        "effort": question.effort,
+        "effort_spent": spent,
+        "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=trusted_p),
+        "verdict": verdict,
+        "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
+        "joint_probabilities": result.joint_probabilities(),
+        "candidate_set": candidates.labels,
+        "coverage": candidates.coverage,
+        "widened": candidates.widened,
+        "goodness_of_fit": GoodnessOfFit(p_value=p_value),
+        "evidence": evidence(prepared, result.best, feature, rival_of(result)),
+        "baseline": known.shown() if known else None,
+        "suggestions": suggestions_shown(suggest(catalogue, prepared, result)) if unclear else (),
+        "warnings": tuple(dict.fromkeys(warnings)),
+        "provenance": provenance,
+    }
+    unsigned = Diagnosis.model_validate({**content, "hash": ""})
+    return unsigned.model_copy(update={"hash": _digest(unsigned.model_dump(mode="json", exclude={"hash"}))})
+
+
+def _digest(content: object) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()

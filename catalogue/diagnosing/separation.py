@@ -1,0 +1,288 @@
+"""What would tell the first hypotheses apart: another sensor, another direction, another speed.
+
+Entries of the catalogue near the clearances in question are looked at through the sensors there are, and through one
+more; how far the hypotheses lie apart in what is then seen, measured in their own scatter, says what is worth doing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import scipy.spatial
+import scipy.stats
+
+from catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
+from catalogue.matching.matcher import HypothesisMatch, MatchResult
+from catalogue.matching.observation import Discrepancy, Sensing, observe
+from catalogue.signals.prepared import PreparedMeasurement
+from catalogue.signals.sensors import free_motions
+from catalogue.storage.feature_bands import LEAST_POWER, joined
+from catalogue.storage.matrix import FeatureMatrix
+from catalogue.storage.store import Catalogue
+from solver.machines.machine import Machine
+from solver.spectra.sensor import rigid_body, sensor_transform
+
+__all__ = ["Suggestion", "suggest"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+#: Hypotheses that are told apart, and the least probability of one that is worth it.
+CONTENDERS = 3
+LEAST_PROBABILITY = 1e-3
+#: Entries of a hypothesis: those within its interval of clearance, but at least and at most so many of the nearest;
+#: each is drawn so often with noise and discrepancies.
+LEAST_ENTRIES = 40
+MOST_ENTRIES = 120
+COPIES = 3
+#: Splits into entries that a direction is learned from and entries it is judged by.
+SPLITS = 4
+#: Standard deviations of what is projected over which the border is blurred: adds a twentieth to the spread.
+BLUR = 0.3
+#: Error from which on something is suggested at all, and the share of it that must go to be worth a word.
+LEAST_ERROR = 1e-3
+LEAST_GAIN = 0.05
+#: Two points [m] that count as one.
+SAME_POINT = 1e-6
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """One thing that could be done, and what it would bring.
+
+    Parameters
+    ----------
+    kind : {"sensor", "direction", "speed"}
+        A sensor of the machine file, or one at another point; another direction where there is a sensor; a recording
+        at another drive speed besides this one.
+    what : str
+        In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm".
+    hypotheses : tuple of str
+        The labels that are told apart.
+    separation_now, separation : float
+        Distance of the hypotheses in standard deviations, as it is and as it would be; of three, what gives the same
+        error.
+    error_now, error : float
+        Share of machines of these hypotheses, at these clearances, that would be taken for another one.
+    """
+
+    kind: Literal["sensor", "direction", "speed"]
+    what: str
+    hypotheses: tuple[str, ...]
+    separation_now: float
+    separation: float
+    error_now: float
+    error: float
+
+
+def suggest(
+    catalogue: Catalogue, prepared: PreparedMeasurement, result: MatchResult, *, count: int = 5
+) -> tuple[Suggestion, ...]:
+    """Rank what would tell the first hypotheses apart.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    prepared : PreparedMeasurement
+        The recording that was matched.
+    result : MatchResult
+        Its answer.
+    count : int
+        Suggestions at most.
+
+    Returns
+    -------
+    tuple of Suggestion
+        Smallest error first; what takes away less than a twentieth of the error is left out. Empty where there is one
+        hypothesis only, or less than one in a thousand is mistaken as it is.
+
+    Notes
+    -----
+    The separation is that of the best linear combination of levels (Fisher's), learned from half of the entries and
+    measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
+    middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
+    two recordings at different speeds to err independently.
+    """
+    contenders = [match for match in result.hypotheses[:CONTENDERS] if match.probability >= LEAST_PROBABILITY]
+    if len(contenders) < 2:
+        contenders = list(result.hypotheses[:2])
+    question = _Question(catalogue, prepared, tuple(contenders))
+    if len(contenders) < 2 or not question.answerable(prepared.drive_speed):
+        return ()
+    now = question.squared_distances(exact_sensing(prepared), prepared.drive_speed)
+    error_now = question.error(now)
+    if error_now < LEAST_ERROR:
+        return ()
+    found = []
+    for kind, what, sensing in _more_sensors(prepared, catalogue.machine):
+        error = question.error(question.squared_distances(sensing, prepared.drive_speed))
+        found.append(question.suggestion(kind, what, error_now, error))
+    for speed in question.other_speeds():
+        there = question.squared_distances(exact_sensing(prepared), speed)
+        found.append(
+            question.suggestion("speed", f"{speed * 30 / math.pi:.4g} rpm", error_now, question.error(now + there))
+        )
+    worth = [each for each in found if each.error < (1.0 - LEAST_GAIN) * each.error_now]
+    return tuple(sorted(worth, key=lambda each: each.error)[:count])
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """Which of these hypotheses is it?"""
+
+    catalogue: Catalogue
+    prepared: PreparedMeasurement
+    contenders: tuple[HypothesisMatch, ...]
+
+    @property
+    def matrix(self) -> FeatureMatrix:
+        return self.catalogue.matrix
+
+    def answerable(self, speed: float) -> bool:
+        """Whether every hypothesis has entries enough at a drive speed [rad/s]."""
+        return all(len(self.matrix.rows(match.label, speed=speed)) >= LEAST_ENTRIES // 2 for match in self.contenders)
+
+    def other_speeds(self) -> list[float]:
+        """Speeds [rad/s] of the catalogue's plan but the one of the recording, those with entries enough."""
+        nominal = abs(self.catalogue.recipe.nominal_drive_speed)
+        speeds = [nominal * factor for factor in self.catalogue.plan.speeds]
+        near = min(speeds, key=lambda speed: abs(math.log(speed / self.prepared.drive_speed)))
+        return [speed for speed in speeds if speed != near and self.answerable(speed)]
+
+    def rows(self, match: HypothesisMatch, speed: float) -> IntArray:
+        """Entries of a hypothesis whose clearances lie within its intervals, or nearest to them."""
+        rows = np.asarray(self.matrix.rows(match.label, speed=speed), dtype=np.int64)
+        table = self.matrix.table(rows)
+        away = np.zeros(len(rows))
+        for estimate in match.clearances:
+            clearance = np.maximum(table.clearance[:, table.joints.index(estimate.joint)], 1e-12)
+            half = max(0.5 * math.log(estimate.high / estimate.low), 1e-3)
+            away = np.maximum(away, np.abs(np.log(clearance / estimate.median)) / half)
+        order = np.argsort(away, kind="stable")
+        keep = int(np.clip(np.sum(away <= 1.0), LEAST_ENTRIES, MOST_ENTRIES))
+        return rows[order[:keep]]
+
+    def squared_distances(self, sensing: Sensing, speed: float) -> FloatArray:
+        """Squared separation of every pair of hypotheses, seen through these sensors at a drive speed."""
+        features, cases = [], []
+        for number, match in enumerate(self.contenders):
+            rows = self.rows(match, speed)
+            copies = np.full(len(rows), COPIES, dtype=np.int64)
+            drawn, entry = observe(self.matrix.packed(rows), sensing, Discrepancy(), copies, number)
+            features.append(drawn)
+            cases.append(entry)
+        pairs = itertools.combinations(range(len(features)), 2)
+        return np.array([_held_out(features[i], cases[i], features[j], cases[j]) for i, j in pairs])
+
+    def error(self, squared: FloatArray) -> float:
+        """Share of machines taken for another one, pairs weighed by how likely both of them are."""
+        probability = [max(match.probability, LEAST_PROBABILITY) for match in self.contenders]
+        weights = np.array([p * q for p, q in itertools.combinations(probability, 2)])
+        return float(weights @ scipy.stats.norm.sf(0.5 * np.sqrt(squared)) / weights.sum())
+
+    def suggestion(
+        self, kind: Literal["sensor", "direction", "speed"], what: str, error_now: float, error: float
+    ) -> Suggestion:
+        apart = [float(2.0 * scipy.stats.norm.isf(value)) for value in (error_now, error)]
+        labels = tuple(match.label for match in self.contenders)
+        return Suggestion(kind, what, labels, apart[0], apart[1], error_now, error)
+
+
+def _held_out(first: FloatArray, first_case: IntArray, second: FloatArray, second_case: IntArray) -> float:
+    """Squared separation along Fisher's direction, learned and measured on different entries.
+
+    The error is counted, with borders a little blurred so that few rows give a smooth number: levels of rattling joints
+    have longer tails than a normal law.
+    """
+    generator = np.random.default_rng(0)
+    found = []
+    for _ in range(SPLITS):
+        learned = [_half(case, generator) for case in (first_case, second_case)]
+        for flip in (False, True):
+            one, two = learned[0] ^ flip, learned[1] ^ flip
+            direction = _fisher(first[one], second[two])
+            border = 0.5 * float((first[one] @ direction).mean() + (second[two] @ direction).mean())
+            a, b = border - first[~one] @ direction, second[~two] @ direction - border
+            blur = BLUR * math.sqrt(max(0.5 * (a.var() + b.var()), 1e-300))
+            found += [scipy.stats.norm.sf(a / blur).mean(), scipy.stats.norm.sf(b / blur).mean()]
+    error = float(np.clip(np.mean(found), 1e-12, 0.5))
+    return float(2.0 * scipy.stats.norm.isf(error)) ** 2
+
+
+def _half(case: IntArray, generator: np.random.Generator) -> npt.NDArray[np.bool_]:
+    """Draw half of the cases; copies of a case stay together."""
+    count = int(case.max()) + 1
+    chosen = generator.permutation(count) < count // 2
+    return np.asarray(chosen[case], dtype=np.bool_)
+
+
+def _fisher(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Direction of the best separation; the covariance is shrunk to its diagonal as far as rows are few."""
+    residual = np.concatenate([first - first.mean(axis=0), second - second.mean(axis=0)])
+    count, size = residual.shape
+    covariance = residual.T @ residual / count
+    own = count / (count + 3.0 * size)
+    diagonal = np.diag(covariance)
+    covariance = own * covariance + (1.0 - own) * np.diag(diagonal) + 1e-6 * diagonal.mean() * np.eye(size)
+    return np.asarray(np.linalg.solve(covariance, second.mean(axis=0) - first.mean(axis=0)), dtype=np.float64)
+
+
+def _sensing(prepared: PreparedMeasurement, machine: Machine, more: FloatArray) -> Sensing:
+    """The sensors of a recording and one more (3,): what they compare, and with what noise."""
+    sensors, scheme = prepared.sensing, prepared.scheme
+    edges = scheme.edges_hz(prepared.drive_speed)
+    own = prepared.floor.band_power(edges, sensors.derivatives)
+    # Vibration from elsewhere: what the motions have more of than independent sensors explain, however many they are.
+    common = np.maximum(prepared.noise_power - own @ (sensors.channels**2).T, 0.0)
+    own = np.maximum(own, LEAST_NOISE_DENSITY * np.diff(edges)[:, None])
+    transform = np.vstack([sensors.transform, more])
+    own = np.hstack([own, np.median(own, axis=1, keepdims=True)])
+    inverse = rigid_body(transform[:, free_motions(machine)]).inverse
+    channels = np.eye(len(transform)) if inverse is None else inverse
+    noise = own @ (channels**2).T
+    if sensors.rigid_body and inverse is not None:
+        noise = noise + common
+    noise = np.maximum(joined(noise, prepared.cuts), LEAST_POWER)
+    return Sensing(transform, channels, prepared.cuts, noise, prepared.group_degrees_of_freedom)
+
+
+def _more_sensors(
+    prepared: PreparedMeasurement, machine: Machine
+) -> Iterator[tuple[Literal["sensor", "direction"], str, Sensing]]:
+    """One more sensor each: those of the machine file that were not used, then x and y at the corners of the frame."""
+    used = [sensor for sensor in machine.sensors if sensor.name in prepared.sensing.sensors]
+    centre = machine.links[machine.frame].cg
+    seen = list(prepared.sensing.transform)
+    candidates: list[tuple[Literal["sensor", "direction"], str, tuple[float, float], tuple[float, float]]] = [
+        ("sensor", sensor.name, sensor.at, sensor.direction)
+        for sensor in machine.sensors
+        if sensor.name not in prepared.sensing.sensors
+    ]
+    points = [*(sensor.at for sensor in used), *_corners(machine)]
+    for at, (axis, direction) in itertools.product(points, (("x", (1.0, 0.0)), ("y", (0.0, 1.0)))):
+        there = any(math.dist(at, sensor.at) < SAME_POINT for sensor in used)
+        text = f"{axis} at ({at[0]:.4g}, {at[1]:.4g}) m"
+        candidates.append(("direction" if there else "sensor", text, at, direction))
+    for kind, what, at, direction in candidates:
+        row = sensor_transform([at], [direction], centre)[0]
+        if not any(min(np.abs(row - other).max(), np.abs(row + other).max()) < SAME_POINT for other in seen):
+            seen.append(row)
+            yield kind, what, _sensing(prepared, machine, row)
+
+
+def _corners(machine: Machine) -> list[tuple[float, float]]:
+    """Corners of the frame, as far as the drawing knows it: the convex hull of all its points."""
+    frame = machine.frame
+    points = [joint.at for joint in machine.joints.values() if frame in joint.links]
+    points += [support.at for support in machine.supports if support.link == frame]
+    points += [sensor.at for sensor in machine.sensors]
+    unique = np.unique(np.array(points, dtype=np.float64).reshape(-1, 2), axis=0)
+    if len(unique) < 3 or np.linalg.matrix_rank(unique - unique.mean(axis=0), tol=SAME_POINT) < 2:
+        return [(float(x), float(y)) for x, y in unique]
+    return [(float(x), float(y)) for x, y in unique[scipy.spatial.ConvexHull(unique).vertices]]

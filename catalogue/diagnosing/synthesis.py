@@ -1,0 +1,269 @@
+"""Analysis by synthesis: simulate anew around the most probable hypotheses, until they fit as well as they can.
+
+A catalogue's draws lie some way off every recording. Around the nearest draws of each hypothesis new cases are drawn,
+the best are kept, and the next ones are drawn where those lie (a cross-entropy search). What counts for a hypothesis is
+how well its best cases fit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from catalogue.building.chunk import chunked, simulate_chunk
+from catalogue.diagnosing.answer import Mode
+from catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
+from catalogue.errors import DiagnosisError
+from catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
+from catalogue.matching.observation import grouped
+from catalogue.matching.population import Population
+from catalogue.plans.entry import Entry, Stratum
+from catalogue.plans.keys import seed_from
+from catalogue.storage.cross_power import pack
+from catalogue.storage.store import Catalogue
+
+__all__ = ["Recorded", "Refined", "Synthesis", "refine"]
+
+
+NORMAL_90 = 1.645
+"""Half the width of a central 90 % interval, in standard deviations."""
+
+LEAST_WIDTH = 0.5
+"""Least width of a clearance's interval, as a part of the catalogue's own: few cases agree by chance, too."""
+
+MOST = 800
+"""Draws of a hypothesis and stratum, at most, that say where new cases may lie."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What simulating anew gave.
+
+    Parameters
+    ----------
+    result : MatchResult
+    simulations, generations : int
+    seconds : float
+    changed : bool
+        Whether another hypothesis is the most probable one now.
+    cut_short : bool
+        Whether the budget ended the search.
+    reason : str
+        What was done, or why nothing was, in words.
+    """
+
+    result: MatchResult
+    simulations: int
+    generations: int
+    seconds: float
+    changed: bool
+    cut_short: bool
+    reason: str
+
+
+def refine(
+    recorded: Recorded,
+    catalogue: Catalogue,
+    result: MatchResult,
+    candidates: Sequence[str],
+    *,
+    mode: Mode = "trusted",
+    settings: Synthesis | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Refined:
+    """Simulate around the most probable hypotheses where that can change the answer.
+
+    Parameters
+    ----------
+    recorded : Recorded
+    catalogue : Catalogue
+    result : MatchResult
+        The catalogue's own answer.
+    candidates : sequence of str
+        Labels of its candidate set.
+    mode : {"trusted", "robust"}
+        In the robust mode the machine's own data are varied, too, as far as the catalogue varies them.
+    settings : Synthesis, optional
+    clock : callable, optional
+        Tells the time in seconds.
+
+    Returns
+    -------
+    Refined
+        The same for the same arguments, unless the budget cuts the search short.
+    """
+    settings = settings or Synthesis()
+    if result.best.probability > settings.certain and len(candidates) <= 1:
+        return _unchanged(result, f"certain already: {result.best.label} has more than {settings.certain:g}")
+    tried = [each for each in result.hypotheses if each.probability >= settings.least][: settings.hypotheses]
+    if len(tried) < 2:
+        return _unchanged(result, "only one hypothesis is probable at all")
+    begin = clock()
+    searches = [_Search.of(recorded, catalogue, match, mode, settings) for match in tried]
+    generation, cut_short, before = 0, False, begin
+    for generation in range(1, settings.generations + 1):
+        _simulate(recorded, catalogue, searches, settings)
+        now = clock()
+        if generation < settings.generations and now - begin + (now - before) > settings.budget:
+            cut_short = True
+            break
+        before = now
+    refined = _combined(recorded, result, searches, settings)
+    changed = refined.best.label != result.best.label
+    count = sum(len(search.scores) for search in searches)
+    said = f"{count} cases around {', '.join(search.match.label for search in searches)} in {generation} generations"
+    if cut_short:
+        said += f", cut short by the budget of {settings.budget:g} s"
+    if changed:
+        said += f": {refined.best.label} in place of {result.best.label}"
+    return Refined(refined, count, generation, clock() - begin, changed, cut_short, said)
+
+
+def _unchanged(result: MatchResult, reason: str) -> Refined:
+    return Refined(result, 0, 0, 0.0, False, False, reason)
+
+
+@dataclass
+class _Search:
+    """One hypothesis: where its cases are drawn, and how well those simulated so far fit."""
+
+    match: HypothesisMatch
+    population: Population
+    generator: np.random.Generator
+    cases: list[Entry]
+    scores: list[float]
+    levels: list[FloatArray]
+
+    @classmethod
+    def of(
+        cls, recorded: Recorded, catalogue: Catalogue, match: HypothesisMatch, mode: Mode, settings: Synthesis
+    ) -> _Search:
+        rows, first = _rows(catalogue, match.label, mode)
+        powers = recorded.sensing.powers(catalogue.matrix.packed(rows))
+        levels = recorded.sensing.levels(powers + recorded.sensing.noise).reshape(len(rows), -1)
+        order = np.argsort(np.mean((levels - recorded.feature) ** 2, axis=1), kind="stable")
+        near = rows[order[: settings.size]]
+        # What is drawn shows in the first draws; reading all of 100 000 cases from their shards takes seconds.
+        wanted = np.union1d(first, near)
+        entries = dict(zip(wanted.tolist(), (entry for entry, _ in catalogue.cases(wanted)), strict=True))
+        seed = seed_from("synthesis", settings.seed, match.label)
+        population = Population.of(list(entries.values()), [entries[row] for row in near.tolist()])
+        return cls(match, population, np.random.default_rng(seed), [], [], [])
+
+    def best(self, count: int) -> list[int]:
+        """Places of the cases that fit best, of those that could be simulated."""
+        order = np.argsort(-np.array(self.scores), kind="stable")[:count]
+        return [int(place) for place in order if np.isfinite(self.scores[place])]
+
+
+def _rows(catalogue: Catalogue, label: str, mode: Mode) -> tuple[IntArray, IntArray]:
+    """Rows of a hypothesis that the search may begin from, and those of its first draws."""
+    strata: tuple[Stratum, ...] = ("trusted",) if mode == "trusted" else ("trusted", "wide")
+    if not any(len(catalogue.matrix.rows(label, stratum)) for stratum in strata):
+        strata = ("trusted", "wide")
+    every, first = (
+        np.concatenate([catalogue.matrix.rows(label, stratum, draws=draws) for stratum in strata])
+        for draws in (None, MOST)
+    )
+    if len(every) < 3:
+        raise DiagnosisError(
+            f"catalogue {catalogue.path}: {len(every)} entries of hypothesis {label}: at least 3 needed"
+        )
+    return every, first
+
+
+def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Search], settings: Synthesis) -> None:
+    """Draw and simulate one generation of all hypotheses, those of one model together."""
+    drawn: list[tuple[_Search, Entry]] = []
+    for search in searches:
+        elite = [search.cases[place] for place in search.best(settings.elite)]
+        for parent, clearances, parameters in search.population.drawn(elite, settings.size, search.generator):
+            speed = np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed)
+            case = Entry.of(
+                catalogue.machine,
+                catalogue.recipe,
+                hypothesis=parent.hypothesis,
+                joints=parent.joints,
+                clearances=clearances,
+                parameters={**parameters, "drive.speed": float(speed)},
+                draw=parent.draw,
+                stratum=parent.stratum,
+                variant=parent.variant,
+            )
+            drawn.append((search, case))
+    found = {}
+    for chunk in chunked(catalogue.machine, catalogue.recipe, [case for _, case in drawn], len(drawn)):
+        for entry, outcome in zip(chunk.entries, simulate_chunk(chunk), strict=True):
+            found[entry.key] = outcome
+    for search, case in drawn:
+        power = found[case.key].power
+        if power is None:
+            score, levels = -np.inf, np.zeros_like(recorded.feature)
+        else:
+            score, levels = _score(recorded, np.asarray(power), settings)
+        search.cases.append(case)
+        search.scores.append(score)
+        search.levels.append(levels)
+
+
+def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[float, FloatArray]:
+    """Log density of the recording given one simulated case, and that case's levels (d,)."""
+    sensing = recorded.sensing
+    clean, noise = sensing.powers(grouped(pack(power[None]), sensing.cuts))[0], sensing.noise
+    levels = sensing.levels(clean + noise).ravel()
+    cells = 0.5 * sensing.degrees_of_freedom[:, None]
+    # Of a level in dB, from the relative variance of the power (see catalogue.observation.observe).
+    scatter = (10.0 / np.log(10.0)) ** 2 * (noise**2 + 2.0 * clean * noise) / (cells * (clean + noise) ** 2)
+    variance = settings.level_db**2 + scatter.ravel()
+    nu = settings.degrees_of_freedom
+    z = (recorded.feature - levels) ** 2 / variance
+    return float(-0.5 * np.sum((nu + 1.0) * np.log1p(z / nu) + np.log(variance))), levels
+
+
+def _combined(recorded: Recorded, result: MatchResult, searches: Sequence[_Search], settings: Synthesis) -> MatchResult:
+    """Share the probability of the simulated hypotheses out anew: the catalogue's times how well their best cases fit.
+
+    Nothing changes where no case of a hypothesis could be simulated.
+    """
+    if not all(search.best(1) for search in searches):
+        return result
+    total = sum(search.match.probability for search in searches)
+    evidence = []
+    for search in searches:
+        scores = np.array([search.scores[place] for place in search.best(settings.elite)])
+        fit = (logsumexp(scores) - np.log(len(scores))) / settings.temperature
+        evidence.append(fit + np.log(search.match.probability))
+    share = np.exp(np.array(evidence) - logsumexp(evidence))
+    anew: Mapping[str, HypothesisMatch] = {
+        search.match.label: _refitted(recorded, search, float(total * part), settings)
+        for search, part in zip(searches, share, strict=True)
+    }
+    matches = [anew.get(match.label, match) for match in result.hypotheses]
+    return replace(result, hypotheses=ranked(matches).hypotheses)
+
+
+def _refitted(recorded: Recorded, search: _Search, probability: float, settings: Synthesis) -> HypothesisMatch:
+    """Clearances of a hypothesis from all of its cases, predicted levels and distance from the best."""
+    scores = np.array(search.scores)
+    weights = np.exp((scores - scores.max()) / settings.clearance_temperature)
+    weights /= weights.sum()
+    estimates = []
+    for found in search.match.clearances:
+        logs = np.log([case.fault[found.joint] for case in search.cases])
+        middle = float(weights @ logs)
+        half = NORMAL_90 * float(np.sqrt(weights @ (logs - middle) ** 2))
+        half = max(half, 0.5 * LEAST_WIDTH * float(np.log(found.high / found.low)))
+        low, median, high = np.exp([middle - half, middle, middle + half])
+        estimates.append(ClearanceEstimate(found.joint, float(median), float(low), float(high)))
+    predicted = np.mean([search.levels[place] for place in search.best(settings.elite)], axis=0)
+    return replace(
+        search.match,
+        probability=probability,
+        clearances=tuple(estimates),
+        distance_db=float(np.sqrt(np.mean((recorded.feature - predicted) ** 2))),
+        predicted=predicted,
+    )

@@ -1,0 +1,123 @@
+"""What curves of hypotheses are worth, by draws they have not learned from: temperatures, tails, and sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import logsumexp
+
+from catalogue.matching.calibration import TEMPERATURES, Tail, fit_shares, fit_temperature, probabilities, row_weights
+from catalogue.matching.conformal import Conformal
+from catalogue.matching.curves import CurveModel, averaged
+from catalogue.matching.matcher import FloatArray, IntArray, TrainingSet
+from catalogue.matching.network import Opinion
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was fitted on held-out draws.
+
+    Parameters
+    ----------
+    temperature : float
+        Of the hypothesis probabilities.
+    clearance_temperatures : tuple of float
+        Of the clearance posteriors of hypotheses with one, two, ... clearances.
+    distances, orders : tuple of Tail
+        Per hypothesis: full-space distance, and mean of the largest watched z.
+    conformal : Conformal
+    doubts : tuple of Tail
+        Per hypothesis: how much rather a machine seems to differ from its file; empty where no network says so.
+    share : float
+        Exponent of a network's opinion beside them, whose own is 1 / `temperature`; 0 where there is none.
+    """
+
+    temperature: float
+    clearance_temperatures: tuple[float, ...]
+    distances: tuple[Tail, ...]
+    orders: tuple[Tail, ...]
+    conformal: Conformal
+    share: float = 0.0
+    doubts: tuple[Tail, ...] = ()
+
+
+def calibrated(
+    pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion | None = None, witness: Opinion | None = None
+) -> Calibration:
+    """Calibrate on pairs of what was learned and what was held out of it, by the network of an opinion, too.
+
+    A witness is the opinion of a network of strata.
+    """
+    evidence: list[FloatArray] = []
+    opinions: list[FloatArray] = []
+    truth: list[IntArray] = []
+    distances: list[list[FloatArray]] = []
+    orders: list[list[FloatArray]] = []
+    doubts: list[list[FloatArray]] = []
+    own: dict[int, list[tuple[FloatArray, IntArray]]] = {}
+    for model, held in pairs:
+        features, index = held.stacked()
+        whitened = features @ model.projection
+        columns = []
+        distances = distances or [[] for _ in held.hypotheses]
+        orders = orders or [[] for _ in held.hypotheses]
+        doubts = doubts or [[] for _ in held.hypotheses]
+        for h, draws in enumerate(held.hypotheses):
+            likelihood = model.log_likelihood(whitened, h)
+            columns.append(averaged(likelihood))
+            curve = likelihood[index == h]
+            distance, order = model.curves[h].surprise(
+                draws.features, curve.argmax(axis=1).astype(np.int64), model.watched
+            )
+            distances[h].append(distance)
+            orders[h].append(order)
+            if witness is not None:
+                doubts[h].append(witness.doubts(draws.features))
+            if draws.log_clearance.shape[1]:
+                place = model.curves[h].grid.index(draws.log_clearance)
+                own.setdefault(draws.log_clearance.shape[1], []).append((curve, place))
+        evidence.append(np.stack(columns, axis=1))
+        if opinion is not None:
+            opinions.append(opinion.log_evidences(features, held.labels))
+        truth.append(index)
+    stacked = np.concatenate(truth)
+    weights = row_weights(stacked)
+    joined = np.concatenate(evidence)
+    if opinions:
+        second = np.concatenate(opinions)
+        first, share = fit_shares(joined, second, stacked, weights)
+        temperature, scaled = 1.0 / first, first * joined + share * second
+    else:
+        temperature, share = fit_temperature(joined, stacked, weights), 0.0
+        scaled = joined / temperature
+    posterior = probabilities(scaled + np.log([draws.prior for draws in held.hypotheses]))
+    return Calibration(
+        temperature,
+        tuple(_clearance_temperature(own.get(k + 1, [])) for k in range(max(own, default=0))),
+        tuple(Tail.of(np.concatenate(values)) for values in distances),
+        tuple(Tail.of(np.concatenate(values)) for values in orders),
+        Conformal.fit(posterior, stacked, weights),
+        share,
+        () if witness is None else tuple(Tail.of(np.concatenate(values)) for values in doubts),
+    )
+
+
+def _clearance_temperature(own: Sequence[tuple[FloatArray, IntArray]]) -> float:
+    """Return the temperature with the least mean -ln density at the true clearance of held-out draws."""
+    if not own:
+        return 1.0
+
+    def loss(log_temperature: float) -> float:
+        scale = float(np.exp(-log_temperature))
+        total = 0.0
+        for curve, place in own:
+            scaled = curve * scale
+            total += float(np.sum(logsumexp(scaled, axis=1) - scaled[np.arange(len(place)), place]))
+        return total
+
+    low, high = np.log(TEMPERATURES)
+    found = minimize_scalar(loss, bounds=(float(low), float(high)), method="bounded", options={"xatol": 1e-2})
+    return float(np.exp(found.x))

@@ -1,0 +1,149 @@
+"""Training sets from catalogues: which entries, seen through which sensors, with what added."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self
+
+import numpy as np
+
+from catalogue.errors import DiagnosisError
+from catalogue.matching.matcher import BoolArray, Draws, FloatArray, IntArray, Mode, TrainingSet
+from catalogue.matching.observation import Discrepancy, Sensing, observe
+from catalogue.matching.spectra import Spectra
+from catalogue.matching.transfer import RandomTransfer
+
+PRIOR_OF_ANOTHER_JOINT = 0.15
+"""How much less likely a hypothesis becomes with every joint beyond the first: joints rarely wear out together."""
+
+WIDE_SHARE = 2.0 / 3.0
+"""Part of the draws of the robust mode that come from machines whose own data are uncertain, where there are such."""
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How a training set is made of a catalogue.
+
+    Parameters
+    ----------
+    mode : {"trusted", "robust"}
+        Whether the model is believed, see :meth:`of`.
+    discrepancy : Discrepancy
+        What is drawn on every copy of an entry.
+    rows : int
+        Rows of a hypothesis, at least: hypotheses with few entries get more copies of each.
+    most : int
+        Entries of a hypothesis that are learned from, at most: the first draws, which fill its range evenly.
+    reach : int
+        Entries of a hypothesis that a refit chooses from, at most: it takes those near the recording.
+    without : tuple of str
+        Hypotheses that are left out.
+    seed : int
+        Of everything drawn.
+    subject : {"hypotheses", "strata"}
+        What a network learns to tell apart: hypotheses, or machines that are as in their file from those that are not.
+    """
+
+    mode: Mode = "trusted"
+    discrepancy: Discrepancy = field(default_factory=Discrepancy)
+    rows: int = 500
+    most: int = 800
+    # Models that are looked up do not depend on it, nor do their keys, which are made of what is shown.
+    reach: int = field(default=8000, repr=False)
+    without: tuple[str, ...] = ()
+    seed: int = 0
+    subject: Literal["hypotheses", "strata"] = field(default="hypotheses", repr=False)
+
+    @classmethod
+    def of(cls, mode: Mode, *, without: tuple[str, ...] = (), most: int | None = None) -> Self:
+        """How each mode learns.
+
+        The trusted one believes the simulation to a decibel and the sensors to 3 %. The robust one learns from machines
+        whose own data are uncertain, too, believes two decibels, and draws flexible modes that the rigid model does not
+        have. With `most`, neither a looked-up model nor a refit sees any but the first draws, as if there were no more.
+        """
+        seen, reach = (cls.most, cls.reach) if most is None else (most, most)
+        if mode == "trusted":
+            return cls(mode, without=without, most=seen, reach=reach)
+        robust = replace(Discrepancy(), level_db=2.0, rigid_level_db=1.0, transfer=RandomTransfer())
+        return cls(mode, robust, rows=800, without=without, most=seen, reach=reach)
+
+
+def prior(joints: tuple[str, ...]) -> float:
+    """Return the weight of a hypothesis before the measurement; singles, healthy and as-new have 1."""
+    return PRIOR_OF_ANOTHER_JOINT ** max(0, len(joints) - 1)
+
+
+def rows_of(matrix: Spectra, label: str, learning: Learning, speed: float | None = None) -> IntArray:
+    """Return the rows of a hypothesis that are learned from, at the stored speed next to `speed` (rad/s)."""
+    trusted = matrix.rows(label, "trusted", draws=learning.most, speed=speed)
+    if learning.mode == "trusted":
+        return trusted if len(trusted) else matrix.rows(label, "wide", draws=learning.most, speed=speed)
+    wide = matrix.rows(label, "wide", draws=round(learning.most * WIDE_SHARE), speed=speed)
+    if len(wide):
+        trusted = trusted[: math.ceil(len(wide) * (1.0 / WIDE_SHARE - 1.0))]
+    return np.concatenate([trusted, wide])
+
+
+def training_set(
+    matrix: Spectra,
+    sensing: Sensing,
+    watched: BoolArray,
+    learning: Learning,
+    *,
+    rows: Mapping[str, IntArray] | None = None,
+    speed: float | None = None,
+    weights: Mapping[str, FloatArray] | None = None,
+) -> TrainingSet:
+    """Turn entries of a catalogue into feature vectors as the sensors would report them.
+
+    Parameters
+    ----------
+    matrix : Spectra
+    sensing : Sensing
+        Of the measurement that is to be compared.
+    watched : ndarray of bool, shape (features,)
+        Features checked one by one, see :class:`TrainingSet`.
+    learning : Learning
+    rows : mapping of str to ndarray of int, optional
+        Rows by hypothesis; only these hypotheses then. Those of :func:`rows_of` unless given.
+    speed : float, optional
+        Drive speed of the measurement, rad/s: which of the stored speeds is learned from, where there are several.
+    weights : mapping of str to ndarray, optional
+        Weights of the rows, by hypothesis.
+
+    Raises
+    ------
+    DiagnosisError
+        The catalogue has no entry, or fewer than three of some hypothesis.
+    """
+    hypotheses = [known for known in matrix.hypotheses if known.label not in learning.without]
+    if rows is not None:
+        hypotheses = [known for known in hypotheses if known.label in rows]
+    if not hypotheses:
+        raise DiagnosisError("catalogue: holds no spectrum yet")
+    edges_hz = np.array(matrix.edges) * abs(matrix.nominal_speed) / (2.0 * math.pi)
+    sets = []
+    for known in hypotheses:
+        chosen = rows_of(matrix, known.label, learning, speed) if rows is None else rows[known.label]
+        if len(chosen) < 3:
+            raise DiagnosisError(f"catalogue: {len(chosen)} entries of hypothesis {known.label}: at least 3 needed")
+        copies = np.full(len(chosen), math.ceil(learning.rows / len(chosen)), dtype=np.int64)
+        # What is drawn for one hypothesis does not depend on which others there are.
+        seed = (learning.seed, zlib.crc32(known.label.encode()))
+        features, entry = observe(matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz)
+        weight = None if weights is None else weights[known.label][entry]
+        log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
+        sets.append(
+            Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior(known.joints), weight)
+        )
+    return TrainingSet(tuple(sets), watched)
+
+
+def _log_clearance(matrix: Spectra, joints: Sequence[str], rows: IntArray) -> FloatArray:
+    columns = [matrix.joints.index(joint) for joint in joints]
+    found: FloatArray = np.log(matrix.clearance(rows)[:, columns])
+    return found

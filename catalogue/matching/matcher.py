@@ -1,0 +1,293 @@
+"""What a matcher is given and what it answers.
+
+A *hypothesis* is a set of joints with clearance ("healthy" is the empty one). A matcher learns from feature vectors of
+simulated machines, each with its hypothesis and its clearances, and answers for a measured feature vector how probable
+every hypothesis is, with which clearance, and whether any of them explains the measurement at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalogue.errors import MatchingError
+from catalogue.matching.conformal import CandidateSet, Conformal
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+HEALTHY = "healthy"
+
+Mode = Literal["trusted", "robust"]
+"""How far a model is believed: as simulated, or with everything that may differ in the real machine."""
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Feature vectors of one hypothesis, as the sensors would report them.
+
+    Parameters
+    ----------
+    label : str
+        Name of the hypothesis.
+    joints : tuple of str
+        Joints with clearance, in the order of the columns of `log_clearance`; empty for the healthy machine.
+    features : ndarray, shape (n, d)
+        Band levels, dB.
+    log_clearance : ndarray, shape (n, k)
+        Natural logarithm of the radial clearances in m; k = len(joints), or 0 where the clearances of a hypothesis
+        are not to be told apart.
+    entry : ndarray of int, shape (n,)
+        Which simulated case the row was made from. Rows of one case differ only in noise, so they stay together
+        whenever rows are held out.
+    prior : float
+        Weight of the hypothesis before the measurement, > 0; only ratios matter.
+    weight : ndarray, shape (n,), optional
+        How much each row counts, > 0; only ratios matter. All count the same unless given.
+    """
+
+    label: str
+    joints: tuple[str, ...]
+    features: FloatArray
+    log_clearance: FloatArray
+    entry: IntArray
+    prior: float = 1.0
+    weight: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.features)
+        if self.features.ndim != 2 or n == 0:
+            raise MatchingError(
+                f"hypothesis {self.label}: features of shape {self.features.shape}: must be (n, d), n > 0"
+            )
+        if self.log_clearance.ndim != 2 or len(self.log_clearance) != n or len(self.entry) != n:
+            raise MatchingError(
+                f"hypothesis {self.label}: clearances and cases must have one row for each of {n} draws"
+            )
+        if self.log_clearance.shape[1] not in (0, len(self.joints)):
+            raise MatchingError(
+                f"hypothesis {self.label}: {self.log_clearance.shape[1]} clearances for joints {self.joints}"
+            )
+        if self.weight is not None and (self.weight.shape != (n,) or not (self.weight > 0.0).all()):
+            raise MatchingError(f"hypothesis {self.label}: weights must be {n} numbers greater than 0")
+        if not self.prior > 0.0:
+            raise MatchingError(f"hypothesis {self.label}: prior {self.prior}: must be greater than 0")
+        if not (np.isfinite(self.features).all() and np.isfinite(self.log_clearance).all()):
+            raise MatchingError(f"hypothesis {self.label}: features and clearances must be finite numbers")
+
+    @property
+    def cases(self) -> int:
+        """Number of different simulated cases behind the rows."""
+        return len(np.unique(self.entry))
+
+    def rows(self, keep: BoolArray) -> Draws:
+        """Return the same hypothesis with only the rows where `keep` is true."""
+        return Draws(
+            self.label,
+            self.joints,
+            self.features[keep],
+            self.log_clearance[keep],
+            self.entry[keep],
+            self.prior,
+            None if self.weight is None else self.weight[keep],
+        )
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights of the rows (n,), of mean 1."""
+        return np.ones(len(self.entry)) if self.weight is None else self.weight / float(self.weight.mean())
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """All hypotheses a matcher is to tell apart.
+
+    Parameters
+    ----------
+    hypotheses : tuple of Draws
+        At least one; labels are unique and feature lengths equal.
+    watched : ndarray of bool, shape (d,)
+        Features checked one by one besides the overall distance: the low orders, where foreign forces show.
+    """
+
+    hypotheses: tuple[Draws, ...]
+    watched: BoolArray
+
+    def __post_init__(self) -> None:
+        labels = [draws.label for draws in self.hypotheses]
+        if not labels or len(set(labels)) != len(labels):
+            raise MatchingError(f"hypotheses {labels}: must be at least one, each with its own label")
+        lengths = {draws.features.shape[1] for draws in self.hypotheses} | {len(self.watched)}
+        if len(lengths) != 1:
+            raise MatchingError(f"feature vectors of lengths {sorted(lengths)}: must all be equal")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the hypotheses, in order."""
+        return tuple(draws.label for draws in self.hypotheses)
+
+    @property
+    def length(self) -> int:
+        """Number of features d."""
+        return len(self.watched)
+
+    @property
+    def cases(self) -> int:
+        """Smallest number of simulated cases behind a hypothesis that has clearances (all, if none has)."""
+        worn = [draws.cases for draws in self.hypotheses if draws.log_clearance.shape[1]]
+        return min(worn or [draws.cases for draws in self.hypotheses])
+
+    def stacked(self) -> tuple[FloatArray, IntArray]:
+        """Return features of all rows (n, d) and the hypothesis index of each row (n,)."""
+        features = np.concatenate([draws.features for draws in self.hypotheses])
+        index = np.repeat(np.arange(len(self.hypotheses)), [len(draws.features) for draws in self.hypotheses])
+        return features, index.astype(np.int64)
+
+
+@dataclass(frozen=True)
+class ClearanceEstimate:
+    """Posterior of one joint's radial clearance, m: median and central 90 % interval."""
+
+    joint: str
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class HypothesisMatch:
+    """One hypothesis against one measurement.
+
+    Parameters
+    ----------
+    label, joints
+        The hypothesis.
+    probability : float
+        Posterior probability among the hypotheses of the training set.
+    clearances : tuple of ClearanceEstimate
+        In the order of `joints`; empty where the hypothesis has none.
+    distance_db : float
+        Root mean square difference between measured and predicted levels, dB.
+    p_value : float
+        Share of held-out draws of this hypothesis that lie further from their prediction, in (0, 1].
+    predicted, spread : ndarray, shape (d,)
+        Expected levels at the best clearance and their standard deviation, dB.
+    """
+
+    label: str
+    joints: tuple[str, ...]
+    probability: float
+    clearances: tuple[ClearanceEstimate, ...]
+    distance_db: float
+    p_value: float
+    predicted: FloatArray
+    spread: FloatArray
+
+
+@dataclass(frozen=True)
+class MatchResult:
+    """Answer of a matcher: hypotheses in falling order of probability (ties in the order of the training set).
+
+    Parameters
+    ----------
+    hypotheses : tuple of HypothesisMatch
+    conformal : Conformal, optional
+        What :meth:`set` goes by; without it a set is the fewest hypotheses whose probabilities add up.
+    mode : {"trusted", "robust"}
+        How the draws it learned from were made.
+    trusted_p_value : float, optional
+        Where the trusted mode was tried first and did not explain the measurement: its p-value.
+    notes : tuple of str
+        What was done, and what is doubtful, in words.
+    network : str, optional
+        SHA-256 of the network whose opinion counted, too.
+    """
+
+    hypotheses: tuple[HypothesisMatch, ...]
+    conformal: Conformal | None = None
+    mode: Mode = "trusted"
+    trusted_p_value: float | None = None
+    notes: tuple[str, ...] = ()
+    network: str | None = None
+
+    @property
+    def best(self) -> HypothesisMatch:
+        """The most probable hypothesis."""
+        return self.hypotheses[0]
+
+    @property
+    def p_value(self) -> float:
+        """P-value of the best fitting hypothesis of the 95 % set: whether any likely cause explains the measurement."""
+        return self.explained(0.95)
+
+    def explained(self, coverage: float) -> float:
+        """Return the largest p-value in the set of a coverage; that of the first hypothesis where the set is empty."""
+        likely = self.set(coverage).labels
+        values = [match.p_value for match in self.hypotheses if match.label in likely]
+        return max(values, default=self.best.p_value)
+
+    def set(self, coverage: float) -> CandidateSet:
+        """Return the hypotheses that hold the truth with probability `coverage`, if it is among them."""
+        if self.conformal is None:
+            return CandidateSet(self.candidate_set(coverage), coverage)
+        probability = np.array([match.probability for match in self.hypotheses])
+        return self.conformal.members([match.label for match in self.hypotheses], probability, coverage)
+
+    def probability(self, label: str) -> float:
+        """Return the probability of the hypothesis `label`; 0 if it is not among them."""
+        return sum(h.probability for h in self.hypotheses if h.label == label)
+
+    def joint_probabilities(self) -> dict[str, float]:
+        """Return for each joint the total probability of the hypotheses it is worn in."""
+        joints = sorted({joint for h in self.hypotheses for joint in h.joints})
+        return {joint: sum(h.probability for h in self.hypotheses if joint in h.joints) for joint in joints}
+
+    def candidate_set(self, coverage: float) -> tuple[str, ...]:
+        """Return the fewest hypotheses whose probabilities add up to `coverage`, most probable first."""
+        chosen: list[str] = []
+        total = 0.0
+        for hypothesis in self.hypotheses:
+            chosen.append(hypothesis.label)
+            total += hypothesis.probability
+            if total >= coverage:
+                break
+        return tuple(chosen)
+
+
+class FittedMatcher(Protocol):
+    """A matcher that has learned a training set."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the hypotheses, in the order of the training set."""
+
+    def posterior(self, features: FloatArray) -> FloatArray:
+        """Return the probabilities (m, hypotheses) of a block of feature vectors (m, d)."""
+
+    def match(self, feature: FloatArray) -> MatchResult:
+        """Return the full answer for one feature vector (d,)."""
+
+
+class Matcher(Protocol):
+    """A way of matching, with its settings."""
+
+    @property
+    def name(self) -> str:
+        """Short name of the method."""
+
+    @property
+    def version(self) -> str:
+        """Changes whenever the same input may give another answer."""
+
+    def fit(self, training: TrainingSet) -> FittedMatcher:
+        """Learn a training set."""
+
+
+def ranked(matches: Sequence[HypothesisMatch], conformal: Conformal | None = None) -> MatchResult:
+    """Sort hypotheses by falling probability; equal ones keep their order."""
+    return MatchResult(tuple(sorted(matches, key=lambda match: -match.probability)), conformal)

@@ -1,0 +1,203 @@
+"""How a network learns a catalogue: simulated recordings of all noises and lengths, in any number.
+
+Entries are few, but what lies between an entry and a recording - noise, gains, discrepancy, modes of the frame - costs
+no simulation. So every entry is seen many times, each time through another recording. One network serves all noises.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from catalogue.matching.calibration import held_out
+from catalogue.matching.learning import Learning, rows_of
+from catalogue.matching.matcher import FloatArray, IntArray
+from catalogue.matching.network import AS_FILED, DIFFERS, Network, density_db
+from catalogue.matching.observation import Sensing, observe
+from catalogue.matching.spectra import Spectra
+from catalogue.plans.entry import Hypothesis, Stratum
+
+__all__ = ["NetworkTraining"]
+
+LEAST_ON_EITHER_SIDE = 2
+"""Cases of a hypothesis that are learned from, and held out, at least."""
+
+FULL_BAND = 5000.0
+"""Bandwidth [Hz] that noise is stated over: half of 10 kHz."""
+
+
+@dataclass(frozen=True)
+class NetworkTraining:
+    """Settings of the training.
+
+    Parameters
+    ----------
+    rows : int
+        Recordings in all, every hypothesis having the same share.
+    blocks : int
+        Different noises and lengths among them.
+    layers : tuple of int
+        Units of the hidden layers.
+    penalty : float
+        On the squares of the weights.
+    epochs, rates : tuple
+        Passes over all recordings, and step size of the Adam optimiser, of each stage.
+    batch : int
+        Recordings a step.
+    noise : tuple of float
+        Sensor noise up to 5 kHz, m/s2 rms, log-uniform.
+    channel_db, tilt_db : float
+        Standard deviation of a channel's noise about that, and of its slope a decade of frequency.
+    lengths : tuple of float
+        Seconds, log-uniform; five revolutions at least.
+    least_cases : int
+        Cases of worn joints, each hypothesis, below which a network learns less than curves know.
+    """
+
+    rows: int = 200_000
+    blocks: int = 80
+    layers: tuple[int, ...] = (256, 256, 128)
+    penalty: float = 1e-3
+    epochs: tuple[int, ...] = (6, 3)
+    rates: tuple[float, ...] = (1e-3, 1e-4)
+    batch: int = 256
+    noise: tuple[float, float] = (3e-3, 1.0)
+    channel_db: float = 2.0
+    tilt_db: float = 3.0
+    lengths: tuple[float, float] = (2.0, 10.0)
+    least_cases: int = 256
+    version: str = "1"
+
+    def enough(self, matrix: Spectra, learning: Learning, speed: float | None) -> bool:
+        """Whether there are cases enough: of worn joints to learn from, of every hypothesis to calibrate on."""
+        counts = []
+        classes = _classes(matrix, learning, speed)
+        for known, rows in classes:
+            apart = int(np.sum(held_out(rows)))
+            if min(apart, len(rows) - apart) < LEAST_ON_EITHER_SIDE:
+                return False
+            if known.joints:
+                counts.append(len(rows))
+        return len(classes) > 1 and min(counts, default=0) >= self.least_cases
+
+    def train(
+        self,
+        matrix: Spectra,
+        sensing: Sensing,
+        learning: Learning,
+        *,
+        speed: float | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Network:
+        """Train a network on all but the cases that calibration holds out.
+
+        Parameters
+        ----------
+        matrix : Spectra
+        sensing : Sensing
+            Its noise and length do not matter.
+        learning : Learning
+        speed : float, optional
+            Drive speed, rad/s: which of the stored speeds is learned.
+        progress : callable, optional
+            Called with the number of steps done and their total.
+
+        Notes
+        -----
+        D. E. Rumelhart, G. E. Hinton, R. J. Williams, Nature 323 (1986) 533; D. P. Kingma, J. Ba, ICLR 2015 (Adam); by
+        scikit-learn. On one thread, so that the same computer trains the same network again.
+        """
+        tell = progress or (lambda done, total: None)
+        total = self.blocks + 10 * len(self.epochs)
+        with threadpool_limits(limits=1, user_api="blas"):
+            inputs, index, noise = self._recordings(matrix, sensing, learning, speed, lambda done: tell(done, total))
+            centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
+            classifier = self._fitted((inputs - centre) / scale, index, lambda s: tell(self.blocks + 10 * s, total))
+        labels = tuple(known.label for known in matrix.hypotheses if known.label not in learning.without)
+        if learning.subject == "strata":
+            labels = (AS_FILED, DIFFERS)
+        weights, biases = ([np.asarray(each, np.float64) for each in part] for part in classifier)
+        if len(labels) == 2:
+            # One output, the second hypothesis against the first.
+            weights[-1], biases[-1] = np.c_[0.0 * weights[-1], weights[-1]], np.r_[0.0 * biases[-1], biases[-1]]
+        wide = (centre.astype(np.float64), scale.astype(np.float64))
+        return Network(labels, *wide, tuple(weights), tuple(biases), *noise)
+
+    def _recordings(
+        self,
+        matrix: Spectra,
+        sensing: Sensing,
+        learning: Learning,
+        speed: float | None,
+        tell: Callable[[int], None],
+    ) -> tuple[FloatArray, IntArray, tuple[float, float]]:
+        """Inputs (n, d + c), class (n,), and the least and largest mean noise, dB."""
+        classes = _classes(matrix, replace(learning, most=learning.reach), speed)
+        chosen = [rows[~held_out(rows)] for _, rows in classes]
+        edges_hz = np.array(matrix.edges) * abs(matrix.nominal_speed) / (2.0 * math.pi)
+        width = np.diff(edges_hz)[: sensing.bands]
+        middle = np.sqrt(np.maximum(edges_hz[:-1], 0.5 * edges_hz[1]) * edges_hz[1:])[: sensing.bands]
+        shortest = max(self.lengths[0], 5.0 * 2.0 * math.pi / abs(matrix.nominal_speed))
+        quiet_db, loud_db = (10.0 * math.log10(each**2 / FULL_BAND) for each in self.noise)
+        own_db = 10.0 * np.log10(np.sum(sensing.channels**2, axis=1))
+        share = max(1, self.rows // self.blocks // len(classes))
+        generator = np.random.default_rng(learning.seed)
+        inputs, index = [], []
+        for block in range(self.blocks):
+            # Noises and lengths in equal steps, so that none is left out.
+            level = quiet_db + (loud_db - quiet_db) * (block + generator.uniform()) / self.blocks
+            slope = self.tilt_db * generator.normal() * np.log10(middle / np.median(middle))
+            channels = own_db + self.channel_db * generator.normal(size=len(own_db))
+            density = 10.0 ** (0.1 * (level + slope[:, None] + channels))
+            seconds = shortest * (self.lengths[1] / self.lengths[0]) ** generator.uniform()
+            freedom = 2.0 * np.maximum(1.0, seconds * width)
+            seen = replace(sensing, noise=density * width[:, None], degrees_of_freedom=freedom)
+            for number, rows in enumerate(chosen):
+                some = generator.choice(rows, share, replace=share > len(rows))
+                copies = np.ones(len(some), np.int64)
+                seed = (learning.seed, block, number)
+                features, _ = observe(matrix.packed(some), seen, learning.discrepancy, copies, seed, edges_hz)
+                noise = np.broadcast_to(density_db(seen.noise, width), (len(features), len(own_db)))
+                inputs.append(np.concatenate([features, noise], axis=1).astype(np.float32))
+                index.append(np.full(len(features), number % 2 if learning.subject == "strata" else number))
+            tell(block + 1)
+        mean = float(np.mean(own_db))
+        return np.concatenate(inputs), np.concatenate(index), (quiet_db + mean, loud_db + mean)
+
+    def _fitted(
+        self, inputs: FloatArray, index: IntArray, tell: Callable[[int], None]
+    ) -> tuple[list[FloatArray], list[FloatArray]]:
+        # Here, not above: the import takes a second, and only the training needs it.
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.neural_network import MLPClassifier
+
+        classifier = MLPClassifier(
+            self.layers, alpha=self.penalty, batch_size=min(self.batch, len(inputs)), random_state=0, warm_start=True
+        )
+        for stage, (epochs, rate) in enumerate(zip(self.epochs, self.rates, strict=True)):
+            classifier.set_params(max_iter=epochs, learning_rate_init=rate)
+            with warnings.catch_warnings():
+                # The number of passes is chosen, not left to a rule of convergence.
+                warnings.simplefilter("ignore", ConvergenceWarning)
+                classifier.fit(inputs, index)
+            tell(stage + 1)
+        return classifier.coefs_, classifier.intercepts_
+
+
+def _classes(matrix: Spectra, learning: Learning, speed: float | None) -> list[tuple[Hypothesis, IntArray]]:
+    """Rows of each class: a hypothesis; or of machines as filed and of others by turns, for each hypothesis."""
+    found = []
+    for known in matrix.hypotheses:
+        if known.label in learning.without:
+            continue
+        if learning.subject == "hypotheses":
+            found.append((known, rows_of(matrix, known.label, learning, speed)))
+            continue
+        strata: tuple[Stratum, ...] = ("trusted", "wide")
+        found += [(known, matrix.rows(known.label, each, draws=learning.most, speed=speed)) for each in strata]
+    return found

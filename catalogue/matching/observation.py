@@ -1,0 +1,241 @@
+"""What the sensors would report of a catalogue entry, with everything the entry does not know.
+
+A catalogue stores clean band powers of the frame's motion. A measurement has sensor noise, sensors whose gains are off
+by some per cent, and a machine that differs from its model in ways that are not modelled. All of that is added here to
+every entry, so that a matcher learns which differences mean nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalogue.errors import DiagnosisError
+from catalogue.matching.matcher import FloatArray, IntArray
+from catalogue.matching.transfer import RandomTransfer
+
+PackedArray = NDArray[np.float32] | NDArray[np.float64]
+
+_UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_REAL = [0, 1, 2, 3, 5, 7]
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """What a model is known not to know.
+
+    Parameters
+    ----------
+    gain : float
+        Standard deviation of a sensor's gain error, relative.
+    level_db : float
+        Standard deviation of a smooth error of the levels, dB.
+    correlation : float
+        Bands over which that error keeps its sign (standard deviation of a Gaussian).
+    noise_level_db : float
+        Standard deviation of the error of a channel's noise floor, dB: floors of silent machines are right to 0.2 dB,
+        those of machines whose joints rattle are too high, by 1 dB in the middle and by 7 to 14 in one of ten.
+    rigid_level_db : float, optional
+        The same in bands up to the lowest flexible mode, where the machine is rigid; `level_db` unless given.
+    transfer : RandomTransfer, optional
+        Flexible modes that the rigid machine does not have.
+    """
+
+    gain: float = 0.03
+    level_db: float = 1.0
+    correlation: float = 3.0
+    noise_level_db: float = 1.5
+    rigid_level_db: float | None = None
+    transfer: RandomTransfer | None = None
+
+    def levels(
+        self, generator: np.random.Generator, shape: tuple[int, int, int], edges_hz: FloatArray | None = None
+    ) -> FloatArray:
+        """Draw smooth errors (n, bands, channels), dB; half of their variance is common to all channels."""
+        n, bands, channels = shape
+        place = np.arange(bands, dtype=float)
+        covariance = np.exp(-0.5 * ((place[:, None] - place[None, :]) / self.correlation) ** 2)
+        factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(bands))
+        common = generator.normal(size=(n, 1, bands)) @ factor.T
+        own = generator.normal(size=(n, channels, bands)) @ factor.T
+        size = np.full(bands, self.level_db)
+        if self.rigid_level_db is not None and self.transfer is not None and edges_hz is not None:
+            size[np.asarray(edges_hz)[1 : bands + 1] <= self.transfer.frequency[0]] = self.rigid_level_db
+        drawn: FloatArray = size[:, None] * np.sqrt(0.5) * np.swapaxes(common + own, 1, 2)
+        return drawn
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """How the frame's motion becomes the levels that are compared.
+
+    Parameters
+    ----------
+    transform : ndarray, shape (s, 3)
+        Sensor signals from the frame's [ax, ay, alpha].
+    channels : ndarray, shape (c, s)
+        Compared channels from sensor signals: the least-squares rigid body, or the identity.
+    cuts : tuple of int, (G + 1,)
+        Group g joins stored bands cuts[g] to cuts[g + 1] - 1.
+    noise : ndarray, shape (G, c)
+        Power of the measurement's own noise in each compared band.
+    degrees_of_freedom : ndarray, shape (G,)
+        Of that power's scatter.
+    """
+
+    transform: FloatArray
+    channels: FloatArray
+    cuts: tuple[int, ...]
+    noise: FloatArray
+    degrees_of_freedom: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.channels.shape[1] != len(self.transform):
+            raise DiagnosisError(f"channels of {self.channels.shape[1]} sensors: {len(self.transform)} are there")
+        if self.noise.shape != (len(self.cuts) - 1, len(self.channels)):
+            raise DiagnosisError(f"noise of shape {self.noise.shape}: must be (bands, channels)")
+        if not (self.noise > 0.0).all():
+            raise DiagnosisError("noise power: must be greater than 0 in every band")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over everything it consists of."""
+        found = hashlib.sha256(repr(self.cuts).encode())
+        for array in (self.transform, self.channels, self.noise, self.degrees_of_freedom):
+            found.update(repr(array.shape).encode())
+            found.update(np.ascontiguousarray(array, np.float64).tobytes())
+        return found.hexdigest()
+
+    @property
+    def bands(self) -> int:
+        """Number of compared bands G."""
+        return len(self.cuts) - 1
+
+    def powers(self, packed: PackedArray, gains: FloatArray | None = None) -> FloatArray:
+        """Return clean channel powers (n, G, c) of frame powers in feature bands, with sensor gains (n, s) if given.
+
+        Parameters
+        ----------
+        packed : ndarray, shape (n, G or more, 9)
+            Cross-powers of :func:`catalogue.storage.cross_power.pack`; bands beyond the compared ones are left out.
+        gains : ndarray, shape (n, s), optional
+        """
+        if gains is None:
+            gains = np.ones((1, len(self.transform)))
+        matrix = np.einsum("cs,ns,sj->ncj", self.channels, gains, self.transform)
+        # A quadratic form in the six real numbers of the upper triangle; imaginary parts cancel.
+        six = packed[:, : self.bands, _REAL].astype(np.float64)
+        form = np.stack([(1.0 if i == j else 2.0) * matrix[..., i] * matrix[..., j] for i, j in _UPPER], axis=1)
+        clean: FloatArray = np.maximum(six @ form, 0.0)
+        return clean
+
+    def levels(self, powers: FloatArray) -> FloatArray:
+        """Return dB levels (..., G, c) of powers, clipped below at the noise."""
+        clipped: FloatArray = 10.0 * np.log10(np.maximum(powers, self.noise))
+        return clipped
+
+
+def grouped(packed: PackedArray, cuts: tuple[int, ...]) -> PackedArray:
+    """Join stored bands (n, B, 9) into feature bands (n, G, 9)."""
+    joined: PackedArray = np.add.reduceat(packed[:, : cuts[-1]], cuts[:-1], axis=1)
+    return joined
+
+
+def rounded_up(values: FloatArray, step_db: float) -> FloatArray:
+    """Round powers up to whole steps of decibels.
+
+    Parameters
+    ----------
+    values : ndarray
+        > 0.
+    step_db : float
+        > 0.
+    """
+    # A value that is a step already stays where it is, whatever the rounding of its logarithm.
+    steps = np.ceil(10.0 * np.log10(values) / step_db - 1e-9)
+    rounded: FloatArray = 10.0 ** (0.1 * step_db * steps)
+    return rounded
+
+
+def rounded_sensing(sensing: Sensing, width: FloatArray, step_db: float) -> Sensing:
+    """Return the sensing that stands for all recordings of about this noise and length.
+
+    The level of each channel's noise is rounded up to whole steps; its course over the bands, relative to white noise,
+    to steps twice as large where it is more than half a decibel off; the length down to whole steps.
+
+    Parameters
+    ----------
+    sensing : Sensing
+    width : ndarray, shape (G or more,)
+        Widths of the feature bands at the machine's own speed, Hz.
+    step_db : float
+        > 0.
+    """
+    width = width[: sensing.bands]
+    seconds = float(np.median(sensing.degrees_of_freedom / (2.0 * width)))
+    shorter = 1.0 / float(rounded_up(np.array(1.0 / seconds), step_db))
+    density = sensing.noise / width[:, None]
+    level = np.median(density, axis=0)
+    course = rounded_up(density / level / 10.0**0.05, 2.0 * step_db)
+    noise = rounded_up(level, step_db) * course * width[:, None]
+    return replace(sensing, noise=noise, degrees_of_freedom=2.0 * np.maximum(1.0, shorter * width))
+
+
+def observe(
+    packed: PackedArray,
+    sensing: Sensing,
+    discrepancy: Discrepancy,
+    copies: IntArray,
+    seed: int | Sequence[int] = 0,
+    edges_hz: FloatArray | None = None,
+) -> tuple[FloatArray, IntArray]:
+    """Draw feature vectors of catalogue entries as a measurement would show them.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (n, G or more, 9)
+        Cross-powers of the frame's motion in feature bands, see :func:`catalogue.storage.cross_power.pack`.
+    sensing : Sensing
+    discrepancy : Discrepancy
+    copies : ndarray of int, shape (n,)
+        How many times each entry is drawn.
+    seed : int or sequence of int
+        The same seed gives the same draws.
+    edges_hz : ndarray, shape (G + 1 or more,), optional
+        Edges of the feature bands, Hz; needed where the discrepancy has transfer functions.
+
+    Returns
+    -------
+    features : ndarray, shape (sum of copies, G * c)
+        dB; band by band, the channels of a band side by side.
+    entry : ndarray of int, shape (sum of copies,)
+        Row of `packed` each was made from.
+
+    Notes
+    -----
+    A band with signal power P and noise power N measured over K independent cells has mean P + N and variance
+    (N^2 + 2 P N) / K: noise alone, and its product with the signal. A gamma law of these moments is drawn.
+    """
+    generator = np.random.default_rng(seed)
+    entry = np.repeat(np.arange(len(packed)), copies)
+    if len(entry) == 0:
+        return np.empty((0, sensing.noise.size)), entry.astype(np.int64)
+    gains = 1.0 + discrepancy.gain * generator.normal(size=(len(entry), len(sensing.transform)))
+    clean = sensing.powers(packed[entry], gains)
+    clean *= 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape, edges_hz))
+    if discrepancy.transfer is not None:
+        if edges_hz is None:
+            raise DiagnosisError("transfer functions: need the edges of the bands in Hz")
+        edges = np.asarray(edges_hz)[: sensing.bands + 1]
+        clean *= discrepancy.transfer.draw(generator, len(entry), edges, clean.shape[2])
+    shift = discrepancy.noise_level_db * generator.normal(size=(len(entry), 1, clean.shape[2]))
+    noise = sensing.noise * 10.0 ** (0.1 * shift)
+    cells = 0.5 * sensing.degrees_of_freedom[None, :, None]
+    mean = clean + noise
+    shape = cells * mean**2 / (noise**2 + 2.0 * clean * noise)
+    measured = generator.gamma(np.minimum(shape, 1e9)) * mean / np.minimum(shape, 1e9)
+    return sensing.levels(measured).reshape(len(entry), -1), entry.astype(np.int64)

@@ -1,0 +1,124 @@
+"""Cases drawn where the best ones lie: the sampling of an analysis by synthesis."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalogue.matching.matcher import BoolArray, FloatArray
+from catalogue.plans.entry import Entry
+from catalogue.plans.parameters import DRIVE_SPEED
+
+__all__ = ["Population"]
+
+Kind = tuple[object, ...]
+
+INFLATION = 1.2
+"""Factor on the spread of the best cases: they are few, and the best one may lie beyond them."""
+
+LEAST_SPREAD = 0.05
+"""Least spread of new cases, as a part of that of the catalogue's draws."""
+
+
+@dataclass(frozen=True)
+class _Space:
+    """Coordinates of cases that differ in numbers only: logarithms of what is always positive, else the numbers."""
+
+    names: tuple[str, ...]
+    logarithmic: BoolArray
+    low: FloatArray
+    high: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of(cls, entries: Sequence[Entry]) -> _Space:
+        names = tuple(name for name in sorted(entries[0].parameters) if name != DRIVE_SPEED)
+        values = _values(entries, names)
+        logarithmic: BoolArray = np.asarray((values > 0.0).all(axis=0), dtype=np.bool_)
+        points = np.where(logarithmic, np.log(np.where(logarithmic, values, 1.0)), values)
+        return cls(names, logarithmic, points.min(axis=0), points.max(axis=0), points.std(axis=0))
+
+    def points(self, entries: Sequence[Entry]) -> FloatArray:
+        values = _values(entries, self.names)
+        found: FloatArray = np.where(self.logarithmic, np.log(np.where(self.logarithmic, values, 1.0)), values)
+        return found
+
+    def case(self, point: FloatArray, joints: int) -> tuple[tuple[float, ...], dict[str, float]]:
+        values = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, point, 0.0)), point).tolist()
+        return tuple(values[:joints]), dict(zip(self.names, values[joints:], strict=True))
+
+
+def _values(entries: Sequence[Entry], names: Sequence[str]) -> FloatArray:
+    return np.array([[*entry.clearances, *(entry.parameters[name] for name in names)] for entry in entries])
+
+
+@dataclass(frozen=True)
+class Population:
+    """Cases of one hypothesis, and where new ones are drawn.
+
+    Parameters
+    ----------
+    spaces : mapping
+        Coordinates by kind of case: contact law, joints with clearance, and what is drawn.
+    start : tuple of Entry
+        Cases of the first generation.
+    """
+
+    spaces: Mapping[Kind, _Space]
+    start: tuple[Entry, ...]
+
+    @classmethod
+    def of(cls, entries: Sequence[Entry], start: Sequence[Entry]) -> Population:
+        """Make it of a catalogue's entries of a hypothesis, beginning with some of them."""
+        kinds: dict[Kind, list[Entry]] = defaultdict(list)
+        for entry in entries:
+            kinds[_kind(entry)].append(entry)
+        return cls({kind: _Space.of(each) for kind, each in kinds.items()}, tuple(start))
+
+    def drawn(
+        self, elite: Sequence[Entry], size: int, generator: np.random.Generator
+    ) -> Iterator[tuple[Entry, tuple[float, ...], dict[str, float]]]:
+        """Yield new cases: a case of their kind, clearances (m), and numbers by path.
+
+        Parameters
+        ----------
+        elite : sequence of Entry
+            The best cases so far; none for the first generation.
+        size : int
+            How many.
+        generator : Generator
+
+        Notes
+        -----
+        Each kind of case gets as many as it has among the best. They are normal around the mean of the best, with
+        their covariance (Rubinstein and Kroese, The Cross-Entropy Method, 2004), inflated, and a least spread in every
+        direction; what falls outside of the catalogue's draws is put on their edge. Where only the drive speed is
+        drawn, all cases are the same: there is one, in the first generation.
+        """
+        if all(not space.low.size for space in self.spaces.values()):
+            size = 0  # all cases are the same one
+        if not elite:
+            for entry in self.start[: max(1, size)]:
+                yield entry, entry.clearances, dict(entry.parameters)
+            return
+        kinds: dict[Kind, list[Entry]] = defaultdict(list)
+        for entry in elite:
+            kinds[_kind(entry)].append(entry)
+        shares = np.cumsum([len(each) for each in kinds.values()]) * size / len(elite)
+        counts = np.diff(np.rint(np.r_[0.0, shares]).astype(np.int64)).tolist()
+        for (kind, parents), count in zip(kinds.items(), counts, strict=True):
+            space = self.spaces[kind]
+            points = space.points(parents)
+            middle = points.mean(axis=0)
+            among = generator.normal(size=(count, len(parents))) @ (points - middle) / np.sqrt(max(1, len(parents) - 1))
+            around = generator.normal(size=(count, points.shape[1])) * LEAST_SPREAD * space.spread
+            for point in np.clip(middle + INFLATION * among + around, space.low, space.high):
+                clearances, parameters = space.case(point, len(parents[0].joints))
+                yield parents[0], clearances, parameters
+
+
+def _kind(entry: Entry) -> Kind:
+    return entry.variant, entry.stratum, entry.joints, tuple(sorted(entry.parameters))

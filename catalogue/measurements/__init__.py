@@ -1,0 +1,1 @@
+"""Recordings and spectra as they come: files, profiles, units, time bases, tacho pulses."""

@@ -1,0 +1,261 @@
+"""A recording that can be trusted: evenly sampled, in SI, every column named, and a list of what was understood."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.channel_units import ChannelUnit
+from catalogue.measurements.file_bytes import decompressed, file_bytes
+from catalogue.measurements.import_profile import ImportProfile, profile_beside
+from catalogue.measurements.measured_columns import understood_columns
+from catalogue.measurements.readers import Limits, RawRecording, known_ending, read_raw
+from catalogue.measurements.time_base import TimeBase, even_time_base
+from catalogue.measurements.waveform import Flaw, inspect_waveform
+from solver.spectra.spectrum import Quantity
+
+SI_UNITS: dict[Quantity, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel of a measurement.
+
+    Parameters
+    ----------
+    name : str
+        Without its unit.
+    unit : str
+        As the file has it; the signal itself is in SI.
+    quantity : {"displacement", "velocity", "acceleration"}
+    """
+
+    name: str
+    unit: str
+    quantity: Quantity
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A recording in SI units.
+
+    Parameters
+    ----------
+    name : str
+        File name, or what the sender called it.
+    sample_rate : float
+        Hz.
+    signal : (n, c) array
+        SI, read-only.
+    channels : tuple of Channel, (c,)
+    warnings : tuple of str
+        What a diagnosis should mention, one line each.
+    import_report : tuple of str
+        Everything that was understood, one line each.
+    sha256 : str
+        Of the bytes as they came, hexadecimal.
+    flaws : tuple of Flaw
+        Clipping, dropouts and offsets that the warnings speak of.
+    turns : (k,) array or None
+        Ends of revolutions of the drive in samples, where a tacho says them.
+    """
+
+    name: str
+    sample_rate: float
+    signal: npt.NDArray[np.float64]
+    channels: tuple[Channel, ...]
+    warnings: tuple[str, ...]
+    import_report: tuple[str, ...]
+    sha256: str
+    flaws: tuple[Flaw, ...] = ()
+    turns: npt.NDArray[np.float64] | None = None
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return len(self.signal) / self.sample_rate
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the channels, (c,)."""
+        return tuple(channel.name for channel in self.channels)
+
+
+def read_measurement(
+    source: str | Path | bytes,
+    *,
+    name: str | None = None,
+    sample_rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    limits: Limits | None = None,
+    profile: ImportProfile | None = None,
+) -> Measurement:
+    """Read a recording from a file or from bytes.
+
+    Parameters
+    ----------
+    source : path or bytes
+        CSV, TSV or TXT, UFF 58 or 58b, WAV, MAT, TDMS, HDF5, NPZ or JSON, plain or gzipped.
+    name : str, optional
+        What to call it; its suffix says what kind of file it is. Needed with bytes.
+    sample_rate : float, optional
+        Hz, for files that neither state it nor have a time column.
+    units : mapping of column name to unit, optional
+        For columns whose label has none; ``*`` for all of them.
+    limits : Limits, optional
+        How much is read.
+    profile : ImportProfile, optional
+        What the file does not say; of a path, the profile that lies beside it unless one is given.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    MeasurementError
+        One line: file, line, column, value, rule.
+    """
+    limits, profile = limits or Limits(), profile or profile_beside(source)
+    raw, sha256 = raw_of(source, name, limits, profile)
+    rate = sample_rate or profile.sample_rate_hz
+    return measurement_of(raw, sample_rate=rate, units=units, limits=limits, sha256=sha256)
+
+
+def raw_of(
+    source: str | Path | bytes, name: str | None, limits: Limits, profile: ImportProfile
+) -> tuple[RawRecording, str]:
+    """Read a file as it is, with what the profile says, and the SHA-256 of its bytes; nothing is judged yet.
+
+    Parameters
+    ----------
+    source, name, limits, profile
+        As for :func:`read_measurement`.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    title = name or ("recording.csv" if isinstance(source, bytes) else Path(source).name)
+    data = source if isinstance(source, bytes) else file_bytes(Path(source), limits)
+    if len(data) > limits.file_bytes:
+        raise MeasurementError(title, rule=f"is larger than {limits.file_bytes / 1e6:g} MB, the most that is read")
+    if data[:2] == b"\x1f\x8b" or title.lower().endswith(".gz"):
+        known_ending(title)  # what is not read anyway need not be unpacked
+    raw = profile.applied(read_raw(decompressed(data, title, limits), title, limits, **profile.table))
+    return raw, hashlib.sha256(data).hexdigest()
+
+
+def measurement_of(
+    raw: RawRecording,
+    *,
+    sample_rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    limits: Limits | None = None,
+    sha256: str = "",
+) -> Measurement:
+    """Judge what a reader (or a caller with arrays) has: units, time base, waveforms.
+
+    Parameters
+    ----------
+    raw : RawRecording
+    sample_rate, units, limits
+        As for :func:`read_measurement`.
+    sha256 : str
+        Of the bytes the recording came from; of its numbers when empty.
+
+    Returns
+    -------
+    Measurement
+
+    Raises
+    ------
+    MeasurementError
+        As :func:`read_measurement`.
+    """
+    limits = limits or Limits()
+    if not np.all(np.isfinite(raw.values)):
+        row, column = np.argwhere(~np.isfinite(raw.values))[0]
+        where, value = raw.line_of(int(row)), raw.values[row, column]
+        raise MeasurementError(raw.source, where, raw.columns[column].name, value, "is not finite")
+    if len(raw.values) < limits.min_samples:
+        rule = f"{len(raw.values)} samples; at least {limits.min_samples} are needed"
+        raise MeasurementError(raw.source, rule=rule)
+    if raw.relative:
+        rule = 'holds fractions of a full scale and does not say which: give full_scale, such as "5 g"'
+        raise MeasurementError(raw.source, None, "full_scale", rule=rule, field="full_scale")
+    understood = understood_columns(raw, dict(units or {}))
+    facts = list(raw.facts)
+    base = _time_base(raw, understood, sample_rate)
+    facts += base.facts
+    warnings = [*raw.warnings, *base.warnings]
+    channels, signals = [], []
+    flaws: list[Flaw] = []
+    for index, (column, unit) in enumerate(zip(raw.columns, understood, strict=True)):
+        label = f"{column.position} {column.label!r}"
+        if unit is None:
+            facts.append(f"{label}: left out")
+            warnings.append(
+                f"column {column.label!r} left out: its unit is not one of displacement, velocity or acceleration"
+            )
+        elif unit.quantity == "time":
+            facts.append(f"{label}: time in {unit.text}")
+        else:
+            quantity = cast(Quantity, unit.quantity)
+            signal = raw.values[:, index] * unit.factor
+            found = inspect_waveform(signal, raw.source, column.name, SI_UNITS[quantity], base.sample_rate)
+            facts.append(f"{label}: {quantity} in {unit.text} = {unit.factor:g} {SI_UNITS[quantity]}; {found.fact}")
+            warnings += found.warnings
+            flaws += found.flaws
+            channels.append(Channel(column.name, unit.text, quantity))
+            signals.append(signal)
+    table = np.column_stack(signals)
+    table.flags.writeable = False
+    return Measurement(
+        name=raw.source,
+        sample_rate=base.sample_rate,
+        signal=table,
+        channels=tuple(channels),
+        warnings=tuple(warnings),
+        import_report=tuple(facts),
+        sha256=sha256 or hashlib.sha256(np.ascontiguousarray(raw.values).tobytes()).hexdigest(),
+        flaws=tuple(flaws),
+        turns=raw.turns,
+    )
+
+
+def _time_base(raw: RawRecording, units: list[ChannelUnit | None], given: float | None) -> TimeBase:
+    if given is not None and not (given > 0 and math.isfinite(given)):
+        raise MeasurementError(
+            raw.source, value=given, rule="sample rate must be positive and finite", field="sample_rate"
+        )
+    times = [i for i, unit in enumerate(units) if unit is not None and unit.quantity == "time"]
+    if len(times) > 1:
+        raise MeasurementError(raw.source, None, raw.columns[times[1]].name, rule="a second time column")
+    stated = {"given": given, "stated in the file": raw.sample_rate}
+    if times:
+        column, unit = raw.columns[times[0]], units[times[0]]
+        assert unit is not None
+        base = even_time_base(raw.values[:, times[0]], unit.factor, raw.source, column.name, raw.line_of)
+        for whose, rate in stated.items():
+            if rate is not None and abs(rate / base.sample_rate - 1.0) > 0.01:
+                rule = f"the time column has {base.sample_rate:.6g} Hz, but the sample rate {whose} is {rate:g} Hz"
+                raise MeasurementError(raw.source, None, column.name, rule=rule, field="sample_rate")
+        return base
+    if given is not None and raw.sample_rate is not None and abs(given / raw.sample_rate - 1.0) > 0.01:
+        rule = f"the sample rate given is {given:g} Hz, the one stated in the file {raw.sample_rate:g} Hz"
+        raise MeasurementError(raw.source, rule=rule, field="sample_rate")
+    rate = given if given is not None else raw.sample_rate
+    if rate is None:
+        rule = "has no time column and states no sample rate: give the sample rate"
+        raise MeasurementError(raw.source, rule=rule, field="sample_rate")
+    whose = "given" if given is not None else "stated in the file"
+    return TimeBase(rate, (f"{len(raw.values)} samples at {rate:g} Hz ({whose}), {len(raw.values) / rate:.4g} s",), ())

@@ -1,0 +1,196 @@
+"""Files of named arrays (MAT, NPZ, HDF5): which of them are times, sample rate, names, units and signals.
+
+Roles go by name alone and are reported; where names leave a choice the file is refused, with the names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+
+_RATES = frozenset(
+    (
+        "fs",
+        "rate",
+        "sr",
+        "samplerate",
+        "samplerate_hz",
+        "samplingrate",
+        "samplefrequency",
+        "samplingfrequency",
+        "sample_rate",
+        "sample_rate_hz",
+        "sampling_rate",
+        "sampling_frequency",
+    )
+)
+_STEPS = frozenset({"dt", "ts", "wf_increment", "increment", "sample_interval"})
+_TIMES = frozenset({"t", "time", "zeit"})
+_FREQUENCIES = frozenset({"f", "freq", "frequency", "frequency_hz"})
+_NAMES = frozenset({"channels", "channel_names", "channelnames", "names", "labels", "columns"})
+_UNITS = frozenset({"unit", "units"})
+#: Prefix that `jointplay simulate` gives sensors.
+_SENSOR = "sensor_"
+
+
+def recording_of(
+    arrays: Mapping[str, Any], units: Mapping[str, str], source: str, limits: Limits, facts: Sequence[str] = ()
+) -> RawRecording:
+    """Make a recording of named arrays.
+
+    Parameters
+    ----------
+    arrays : mapping of str to ndarray, list of str or str
+        Numbers; texts are names or units. Dotted names are members of a structure, whose last part counts.
+    units : mapping of str to str
+        Of arrays, where the file has them beside the arrays.
+    source : str
+        For messages.
+    limits : Limits
+    facts : sequence of str
+        What was understood so far.
+
+    Raises
+    ------
+    MeasurementError
+        Nothing is a signal, or it is not clear what is.
+    """
+    told = list(facts)
+    scalars, texts, large = _sorted_out(arrays, source)
+    rate = _rate(scalars, source, told)
+    ours = {name: array for name, array in large.items() if _last(name).startswith(_SENSOR)}
+    if ours:
+        left = sorted(set(large) - set(ours) - {name for name in large if _last(name) in _TIMES})
+        told += [f"arrays not used: {', '.join(left)}"] if left else []
+        large = {name: array for name, array in large.items() if name not in left}
+    times = [name for name in large if _last(name).lower() in _TIMES]
+    spectral = [name for name in large if _last(name).lower() in _FREQUENCIES]
+    if len(times) + len(spectral) > 1:
+        raise MeasurementError(source, value=", ".join(times + spectral), rule="more than one array is an axis")
+    axis = (times + spectral)[0] if times or spectral else None
+    signals = [name for name in large if name != axis]
+    if not signals:
+        shown = ", ".join(f"{name} {np.shape(array)}" for name, array in arrays.items() if not isinstance(array, str))
+        raise MeasurementError(source, value=shown[:120] or None, rule="holds no array that could be a recording")
+    shaped = {name: _upright(large[name], name, source, told) for name in signals}
+    lengths = {name: len(array) for name, array in shaped.items()}
+    if axis is not None:
+        lengths[axis] = large[axis].size
+    if len(set(lengths.values())) > 1:
+        shown = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise MeasurementError(source, value=shown, rule="arrays of different length: it is not clear which to read")
+    columns, values = _columns(shaped, texts, units, source, told)
+    if axis is not None:
+        unit = units.get(axis)
+        columns.insert(0, RawColumn(axis, _last(axis), unit, f"array {axis}"))
+        values.insert(0, large[axis].reshape(-1))
+    if len(columns) > limits.columns:
+        raise MeasurementError(source, rule=f"{len(columns)} columns; at most {limits.columns} are read")
+    return RawRecording(source, tuple(columns), np.column_stack(values), rate, tuple(told))
+
+
+def _last(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+def _sorted_out(
+    arrays: Mapping[str, Any], source: str
+) -> tuple[dict[str, float], dict[str, list[str]], dict[str, npt.NDArray[np.float64]]]:
+    """Scalars, texts and arrays of numbers; integers and single precision become double."""
+    scalars: dict[str, float] = {}
+    texts: dict[str, list[str]] = {}
+    large: dict[str, npt.NDArray[np.float64]] = {}
+    for name, value in arrays.items():
+        if isinstance(value, str):
+            texts[name] = [value]
+            continue
+        if isinstance(value, list):
+            texts[name] = [str(part) for part in value]
+            continue
+        array = np.asarray(value)
+        if array.dtype.kind in "iuf" and array.size == 1:
+            scalars[name] = float(array.reshape(-1)[0])
+        elif array.dtype.kind == "c":
+            raise MeasurementError(source, None, name, rule="holds complex numbers: not a recording")
+        elif array.dtype.kind in "iuf" and array.size:
+            large[name] = array.astype(np.float64)
+    return scalars, texts, large
+
+
+def _rate(scalars: Mapping[str, float], source: str, told: list[str]) -> float | None:
+    found: dict[str, float] = {}
+    for name, value in scalars.items():
+        last = _last(name).lower()
+        if last in _RATES or last in _STEPS:
+            if not (np.isfinite(value) and value > 0):
+                raise MeasurementError(source, None, name, value, "must be positive and finite")
+            found[name] = value if last in _RATES else 1.0 / value
+    if not found:
+        return None
+    name, rate = next(iter(found.items()))
+    for other, value in found.items():
+        if abs(value / rate - 1.0) > 1e-6:
+            rule = f"states {value:.9g} Hz, but {name} states {rate:.9g} Hz"
+            raise MeasurementError(source, None, other, rule=rule)
+    if abs(rate - round(rate)) < 1e-6 * rate:  # 1 / 0.0001 is 10000.000000000002
+        rate = float(round(rate)) if round(rate) else rate
+    told.append(f"{name}: sample rate {rate:.9g} Hz")
+    return rate
+
+
+def _upright(array: npt.NDArray[np.float64], name: str, source: str, told: list[str]) -> npt.NDArray[np.float64]:
+    """Time along the first axis; the longer side is time."""
+    squeezed = array.reshape([size for size in array.shape if size != 1] or [1])
+    if squeezed.ndim > 2:
+        raise MeasurementError(source, None, name, array.shape, "has more than two dimensions")
+    if squeezed.ndim < 2:
+        return squeezed.reshape(-1, 1)
+    if squeezed.shape[0] < squeezed.shape[1]:
+        told.append(f"{name}: {squeezed.shape[0]} rows of {squeezed.shape[1]}: rows are channels")
+        return squeezed.T
+    return squeezed
+
+
+def _columns(
+    shaped: Mapping[str, npt.NDArray[np.float64]],
+    texts: Mapping[str, list[str]],
+    units: Mapping[str, str],
+    source: str,
+    told: list[str],
+) -> tuple[list[RawColumn], list[npt.NDArray[np.float64]]]:
+    """Columns with names and units from the texts, where those are as many."""
+    total = sum(array.shape[1] for array in shaped.values())
+    names = next((texts[each] for each in texts if _last(each).lower() in _NAMES and len(texts[each]) == total), None)
+    common = next((texts[each] for each in texts if _last(each).lower() in _UNITS and len(texts[each]) in (1, total)),
+                  None)  # fmt: skip
+    if common is not None:
+        told.append(f"units: {', '.join(common)}")
+    for each, words in texts.items():
+        if words is not names and words is not common:
+            told.append(f"{each}: {' '.join(words)[:80]!r}: not used")
+    columns: list[RawColumn] = []
+    values: list[npt.NDArray[np.float64]] = []
+    for name, array in shaped.items():
+        own = [part.strip() for part in units.get(name, "").split(",")] if units.get(name) else []
+        for index in range(array.shape[1]):
+            place = len(columns)
+            plain = _last(name).removeprefix(_SENSOR) if array.shape[1] == 1 else f"{_last(name)}-{index + 1}"
+            title = names[place].strip() if names else plain
+            if len(own) == array.shape[1]:
+                unit: str | None = own[index]
+            else:
+                unit = None if common is None else common[place if len(common) == total else 0].strip() or None
+            columns.append(
+                RawColumn(title, title, unit, f"array {name}" + (f", {index + 1}" if array.shape[1] > 1 else ""))
+            )
+            values.append(array[:, index])
+    twice = {column.name for column in columns if sum(each.name == column.name for each in columns) > 1}
+    if twice:
+        raise MeasurementError(source, None, min(twice), rule="two channels have this name")
+    return columns, values

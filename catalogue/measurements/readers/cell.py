@@ -1,0 +1,121 @@
+"""Reading in a capped process: this side of it. One process waits a caller; it is started when first needed."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.readers.answers import decoded
+from catalogue.measurements.readers.kinds import Kind
+from catalogue.measurements.readers.raw import Limits, RawRecording
+
+#: Waited longer than a file may take before the whole process is given up [s].
+_GRACE = 10.0
+#: It computes little: threads of linear algebra would only take memory.
+_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Cell:
+    """A process that reads files one after the other, each in a child of its own."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner = 0
+        self._lock = threading.Lock()
+
+    def read(self, kind: Kind, data: bytes, source: str, limits: Limits) -> RawRecording:
+        """Read a file.
+
+        Parameters
+        ----------
+        kind : Kind
+        data : bytes
+        source : str
+            What messages call it.
+        limits : Limits
+
+        Raises
+        ------
+        MeasurementError
+            The file cannot be read: what the reader says of it, or that it took too much memory or time, or crashed.
+        """
+        request = {"kind": kind.name, "source": source, "limits": asdict(limits), "bytes": len(data)}
+        with self._lock:
+            process = self._running()
+            assert process.stdin is not None and process.stdout is not None
+            guard = threading.Timer(limits.reader_seconds + _GRACE, self._kill, [process])
+            guard.start()
+            try:
+                process.stdin.write(json.dumps(request).encode() + b"\n")
+                process.stdin.write(data)
+                process.stdin.flush()
+                head = json.loads(process.stdout.readline())
+                body = process.stdout.read(head["bytes"])
+            except (OSError, ValueError):
+                self.close()
+                raise MeasurementError(source, rule=f"{kind.name} file: its reader ended early") from None
+            finally:
+                guard.cancel()
+        return self._judged(kind, head, body, source, limits)
+
+    def _judged(self, kind: Kind, head: dict[str, Any], body: bytes, source: str, limits: Limits) -> RawRecording:
+        ended = head["signal"]
+        if ended == signal.SIGALRM:
+            rule = f"{kind.name} file: takes longer than {limits.reader_seconds:g} s to be read"
+            raise MeasurementError(source, rule=rule)
+        if ended:
+            name = signal.Signals(ended).name
+            raise MeasurementError(source, rule=f"{kind.name} file: is damaged: its reader was ended by {name}")
+        line, _, rest = body.partition(b"\n")
+        try:
+            answer = json.loads(line)
+        except ValueError:
+            raise MeasurementError(source, rule=f"{kind.name} file: its reader gave no answer") from None
+        if "error" in answer:
+            raise MeasurementError(source, *answer["error"])
+        return decoded(answer, rest, source)
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        # A process that was forked off has its parent's pipes, which it must not share.
+        if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
+            root = str(Path(__file__).parents[3])
+            path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "catalogue.measurements.readers.zygote"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**os.environ, **_ENVIRONMENT, "PYTHONPATH": path},
+                start_new_session=True,
+            )
+            self._owner = os.getpid()
+        return self._process
+
+    @staticmethod
+    def _kill(process: subprocess.Popen[bytes]) -> None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """End the process; the next file starts another."""
+        process, self._process = self._process, None
+        if process is not None and self._owner == os.getpid():
+            self._kill(process)
+            for stream in (process.stdin, process.stdout):
+                with contextlib.suppress(OSError):
+                    if stream is not None:
+                        stream.close()
+            process.wait()
+
+
+CELL = Cell()
+atexit.register(CELL.close)

@@ -1,0 +1,268 @@
+"""Tables of numbers as text: CSV and its relatives, as loggers and spreadsheets write them.
+
+Delimiter, decimal sign and encoding are found out; what was found is reported. The numbers are read by numpy's C
+parser; only when that fails is the file read again line by line, to name what is wrong and where.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.channel_units import parse_unit, split_label
+from catalogue.measurements.readers.decimal_table import plain_table
+from catalogue.measurements.readers.dialect import (
+    Dialect,
+    Layout,
+    dialects_of,
+    find_layout,
+    header_fields,
+    header_line,
+    is_comment,
+)
+from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+
+#: Lines looked at for the header and the dialect.
+HEAD_LINES = 400
+
+_RATE = re.compile(r"sampl\w*[ _-]*(rate|freq)|abtast(rate|freq)|\bfs\b|scan[ _-]*rate", re.IGNORECASE)
+_INTERVAL = re.compile(
+    r"sampl\w*[ _-]*(interval|period|time)|abtast(intervall|periode|zeit)|time[ _-]*step|\bdt\b|delta[ _-]*t\b",
+    re.IGNORECASE,
+)
+_VALUE = re.compile(r"(?<![\w.,])(\d+(?:[.,]\d+)*(?:[eE][+-]?\d+)?)\W{0,3}([A-Za-zµμ/]*)")
+
+
+def read_csv(
+    data: bytes,
+    source: str,
+    limits: Limits,
+    *,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    skipped: int = 0,
+    names: Sequence[str] | None = None,
+) -> RawRecording:
+    """Read a table of numbers.
+
+    Parameters
+    ----------
+    data : bytes
+        The file, decompressed.
+    source : str
+        What messages call it.
+    limits : Limits
+    delimiter, decimal : str, optional
+        Found out unless given.
+    skipped : int
+        First lines that are not looked at.
+    names : sequence of str, optional
+        Of all columns: the file needs no header then.
+
+    Returns
+    -------
+    RawRecording
+
+    Raises
+    ------
+    MeasurementError
+        Naming file, line and column: no table, no header, a cell that is not a finite number, rows of different length.
+    """
+    text, encoding = _decode(data, source)
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    head = list(itertools.islice(io.StringIO(text), HEAD_LINES))
+    layout = find_layout(head, dialects_of(delimiter, decimal), skipped)
+    if layout is None:
+        raise _no_table(head, source)
+    if layout.columns > limits.columns:
+        rule = f"{layout.columns} columns; at most {limits.columns} are read"
+        raise MeasurementError(source, layout.first + 1, rule=rule)
+    looked_at = ["\n"] * min(skipped, len(head)) + head[skipped:]
+    if names is not None and header_line(looked_at, layout) is None:
+        labels = [(name, *split_label(name)) for name in names]
+        columns = tuple(RawColumn(*label, f"column {number}") for number, label in enumerate(labels, start=1))
+        header: set[int] = set()
+        if len(columns) != layout.columns:
+            rule = f"the profile names {len(columns)} channels, the file has {layout.columns}"
+            raise MeasurementError(source, layout.first + 1, rule=rule)
+    else:
+        columns, header = _columns(looked_at, layout, source)
+    facts = [f"text in {encoding}, {layout.dialect.words}"]
+    rate, rate_facts, used = _stated_rate(looked_at[: layout.first], layout.dialect, source)
+    facts += rate_facts
+    facts += [
+        f"line {number + 1}: {' '.join(line.split())[:80]!r}: not used"
+        for number, line in enumerate(looked_at[: layout.first])
+        if line.strip() and number not in header and number not in used
+    ]
+    values = _numbers(text, head, layout, columns, source)
+    return RawRecording(source, columns, values, rate, tuple(facts), lambda sample: _line_of(text, layout, sample))
+
+
+def _decode(data: bytes, source: str) -> tuple[str, str]:
+    for mark, encoding, name in ((b"\xef\xbb\xbf", "utf-8-sig", "UTF-8"), (b"\xff\xfe", "utf-16", "UTF-16"),
+                                 (b"\xfe\xff", "utf-16", "UTF-16")):  # fmt: skip
+        if data.startswith(mark):
+            try:
+                return data.decode(encoding), f"{name} with byte order mark"
+            except UnicodeDecodeError:
+                raise MeasurementError(source, rule=f"says it is {name} but is not") from None
+    if b"\x00" in data[:65536]:
+        raise MeasurementError(source, rule="is not a text file: holds bytes of value zero")
+    try:
+        return data.decode("utf-8"), "UTF-8"
+    except UnicodeDecodeError:
+        return data.decode("latin-1"), "Latin-1"
+
+
+def _no_table(head: Sequence[str], source: str) -> MeasurementError:
+    lines = [line for line in head if line.strip()]
+    if not lines:
+        return MeasurementError(source, rule="is empty")
+    for index, line in enumerate(head):
+        cells = [cell for cell in re.split(r"[;\t|\s]+", line.strip()) if cell]
+        if not is_comment(line) and len(cells) > 1 and sum(cell[:1].isdigit() for cell in cells) > len(cells) // 2:
+            shown = " ".join(line.split())[:60]
+            return MeasurementError(source, index + 1, value=shown, rule="no table of numbers begins here or elsewhere")
+    return MeasurementError(source, rule=f"holds no table of numbers in its first {len(head)} lines")
+
+
+def _columns(head: Sequence[str], layout: Layout, source: str) -> tuple[tuple[RawColumn, ...], set[int]]:
+    """Columns from the header, and which lines it is."""
+    index = header_line(head, layout)
+    if index is None:
+        above = _line_above(head, layout.first)
+        if above is not None and not is_comment(head[above]):
+            count = len(header_fields(head[above], layout))
+            raise MeasurementError(
+                source, above + 1, rule=f"the line above the numbers has {count} fields, the numbers {layout.columns}"
+            )
+        rule = "the numbers have no header line with names and units above them"
+        raise MeasurementError(source, layout.first + 1, rule=rule)
+    labels = header_fields(head[index], layout)
+    dialect = layout.dialect
+    numeric = [label for label in labels if dialect.is_cell(label)]
+    if 2 * len(numeric) >= len(labels) and layout.columns > 1:
+        # A line of numbers with one bad cell is no header.
+        position = next((i for i, label in enumerate(labels) if not dialect.is_cell(label)), 0)
+        above = _line_above(head, index)
+        while above is not None and any(map(dialect.is_cell, header_fields(head[above], layout))):
+            above = _line_above(head, above)
+        names = [] if above is None else header_fields(head[above], layout)
+        name = split_label(names[position])[0] if len(names) == len(labels) else str(position + 1)
+        raise MeasurementError(source, index + 1, name, labels[position] or None, _cell_rule(labels[position], dialect))
+    used = {index}
+    if all(parse_unit(label) is not None for label in labels):
+        # A line of units below a line of names.
+        above = _line_above(head, index)
+        names = header_fields(head[above], layout) if above is not None else []
+        if above is None or len(names) != len(labels):
+            raise MeasurementError(source, index + 1, rule="a line of units without a line of names above it")
+        used.add(above)
+        pairs: list[tuple[str, str | None]] = list(zip(names, labels, strict=True))
+        labels = [f"{name} [{unit}]" for name, unit in zip(names, labels, strict=True)]
+    else:
+        pairs = [split_label(label) for label in labels]
+    columns = tuple(
+        RawColumn(label, name, unit, f"column {number}")
+        for number, (label, (name, unit)) in enumerate(zip(labels, pairs, strict=True), start=1)
+    )
+    for column, _ in itertools.groupby(sorted(columns, key=lambda c: c.name), key=lambda c: c.name):
+        same = [c for c in columns if c.name == column]
+        if len(same) > 1:
+            raise MeasurementError(source, index + 1, column, rule=f"name stands over {len(same)} columns")
+    return columns, used
+
+
+def _line_above(head: Sequence[str], index: int) -> int | None:
+    return next((i for i in range(index - 1, -1, -1) if head[i].strip()), None)
+
+
+def _stated_rate(block: Sequence[str], dialect: Dialect, source: str) -> tuple[float | None, list[str], set[int]]:
+    """Sample rate from the lines above the table: "Abtastrate;10000;Hz", "# dt = 0.1 ms"."""
+    rates: dict[int, float] = {}
+    for number, line in enumerate(block):
+        for pattern, inverse in ((_RATE, False), (_INTERVAL, True)):
+            said = pattern.search(line)
+            value = _VALUE.search(line, said.end()) if said else None
+            if value is None:
+                continue
+            plain = _stated_number(value[1], dialect)
+            # A rate without a unit is in Hz wherever people write one; an interval could be anything.
+            unit = parse_unit(value[2] or ("" if inverse else "Hz"))
+            if plain is None or plain <= 0 or unit is None or unit.quantity != ("time" if inverse else "frequency"):
+                continue
+            rates[number] = 1.0 / (plain * unit.factor) if inverse else plain * unit.factor
+    distinct = set(rates.values())
+    if len(distinct) > 1 and max(distinct) > 1.001 * min(distinct):
+        first, second = sorted(rates)[:2]
+        rule = f"sample rate {rates[second]:g} Hz, but {rates[first]:g} Hz in line {first + 1}"
+        raise MeasurementError(source, second + 1, rule=rule)
+    facts = [f"line {number + 1}: sample rate {rate:g} Hz" for number, rate in sorted(rates.items())]
+    return (next(iter(rates.values())) if rates else None), facts, set(rates)
+
+
+def _stated_number(text: str, dialect: Dialect) -> float | None:
+    """Number of a header line, where 10,000 and 10.000 may be ten thousand or ten: the table's decimal sign decides."""
+    thousands = "." if dialect.decimal == "," else ","
+    return Dialect(";", ".").number(re.sub(rf"{re.escape(thousands)}(?=\d{{3}}(\D|$))", "", text).replace(",", "."))
+
+
+def _numbers(
+    text: str, head: Sequence[str], layout: Layout, columns: Sequence[RawColumn], source: str
+) -> npt.NDArray[np.float64]:
+    body = text[sum(len(line) for line in head[: layout.first]) :]
+    delimiter = None if layout.dialect.delimiter == " " else layout.dialect.delimiter
+    plain = body.replace(",", ".") if layout.dialect.decimal == "," else body
+    quick = None if delimiter is None or len(delimiter) > 1 else plain_table(plain, delimiter, layout.columns)
+    if quick is not None:
+        return quick
+    try:
+        values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, comments="#", dtype=np.float64, ndmin=2)
+    except ValueError:
+        values = None
+    if values is None or values.shape[1] != layout.columns or not np.all(np.isfinite(values)):
+        return _numbers_line_by_line(text, layout, columns, source)
+    return values
+
+
+def _numbers_line_by_line(
+    text: str, layout: Layout, columns: Sequence[RawColumn], source: str
+) -> npt.NDArray[np.float64]:
+    rows: list[list[float]] = []
+    for number, fields in _rows(text, layout):
+        if len(fields) != layout.columns:
+            raise MeasurementError(source, number, rule=f"{len(fields)} fields, expected {layout.columns}")
+        row = [layout.dialect.number(field) for field in fields]
+        for value, field, column in zip(row, fields, columns, strict=True):
+            if value is None or not np.isfinite(value):
+                raise MeasurementError(source, number, column.name, field or None, _cell_rule(field, layout.dialect))
+        rows.append([value for value in row if value is not None])
+    return np.asarray(rows, dtype=np.float64)
+
+
+def _cell_rule(field: str, dialect: Dialect) -> str:
+    if not field:
+        return "is empty"
+    return "is not finite" if dialect.is_cell(field) else "is not a number"
+
+
+def _rows(text: str, layout: Layout) -> Iterator[tuple[int, list[str]]]:
+    for number, line in enumerate(io.StringIO(text), start=1):
+        if number > layout.first and line.strip() and not line.lstrip().startswith("#"):
+            yield number, _fields(line, layout.dialect)
+
+
+def _fields(line: str, dialect: Dialect) -> list[str]:
+    return dialect.split(line.split("#", 1)[0].strip("\r\n"))
+
+
+def _line_of(text: str, layout: Layout, sample: int) -> int | None:
+    return next((number for number, _ in itertools.islice(_rows(text, layout), sample, None)), None)

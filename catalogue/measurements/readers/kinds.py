@@ -1,0 +1,120 @@
+"""Kinds of files that are read, told by what they begin with, else by the ending of their name."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import PurePath
+
+from catalogue.errors import MeasurementError
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file read by somebody else's library, in a process of its own.
+
+    Parameters
+    ----------
+    name : str
+        For messages: "WAV".
+    endings : tuple of str
+    module, function : str
+        Of the reader.
+    libraries : tuple of str
+        Modules loaded before the process forks.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    module: str
+    function: str
+    libraries: tuple[str, ...] = ()
+
+
+#: The table of numbers as text is read here, without a process of its own.
+TEXT_ENDINGS = (".csv", ".tsv", ".txt")
+
+FOREIGN = {
+    kind.name: kind
+    for kind in (
+        Kind("UFF", (".uff", ".unv", ".uf", ".58b"), "catalogue.measurements.readers.uff", "read_uff", ("pyuff",)),
+        Kind("WAV", (".wav", ".wave"), "catalogue.measurements.readers.wav", "read_wav", ("soundfile",)),
+        Kind(
+            "MAT", (".mat",), "catalogue.measurements.readers.mat", "read_mat", ("scipy.io", "catalogue.storage.hdf5")
+        ),
+        Kind("TDMS", (".tdms",), "catalogue.measurements.readers.tdms", "read_tdms", ("nptdms",)),
+        Kind(
+            "HDF5",
+            (".h5", ".hdf5", ".hdf"),
+            "catalogue.measurements.readers.hdf5_file",
+            "read_hdf5",
+            ("catalogue.storage.hdf5",),
+        ),
+        Kind("NPZ", (".npz",), "catalogue.measurements.readers.npz", "read_npz", ("numpy",)),
+        Kind("JSON", (".json",), "catalogue.measurements.readers.json_file", "read_json"),
+    )
+}
+
+
+def ending_of(name: str) -> str:
+    """Ending of a file name in small letters; ``.gz`` at its end does not count."""
+    path = PurePath(name)
+    ending = path.suffix.lower()
+    return PurePath(path.stem).suffix.lower() if ending == ".gz" else ending
+
+
+def known_ending(name: str) -> str:
+    """Ending of a file name that a reader has.
+
+    Raises
+    ------
+    MeasurementError
+        When none has it.
+    """
+    ending = ending_of(name)
+    endings = sorted({*TEXT_ENDINGS, *(each for kind in FOREIGN.values() for each in kind.endings)})
+    if ending not in endings:
+        rule = f"kind of file {ending or 'without suffix'!s} is not read; known: {', '.join(endings)}"
+        raise MeasurementError(name, rule=rule)
+    return ending
+
+
+def kind_of(data: bytes, name: str) -> Kind | None:
+    """Kind of a file from its content, or from its name where the content says nothing; None for a table as text.
+
+    Raises
+    ------
+    MeasurementError
+        Neither says it, or they contradict each other.
+    """
+    told = _by_content(data)
+    ending = ending_of(name) if told is not None else known_ending(name)
+    if ending in TEXT_ENDINGS:
+        if told is None or told == "UFF":  # a table may begin with -1
+            return None
+        raise MeasurementError(name, rule=f"ends in {ending}, but is a {told} file: name it so")
+    named = next((kind for kind in FOREIGN.values() if ending in kind.endings), None)
+    if told is None:
+        assert named is not None
+        if named.name in ("JSON", "MAT"):  # JSON and MAT version 4 begin in no way of their own
+            return named
+        raise MeasurementError(name, rule=f"is not a {named.name} file: it does not begin like one")
+    if named is None or named.name == told or (named.name == "MAT" and told == "HDF5"):
+        return named or FOREIGN[told]
+    raise MeasurementError(name, rule=f"ends in {ending}, but is a {told} file: name it so")
+
+
+def _by_content(data: bytes) -> str | None:
+    if data.startswith(b"RIFF") and data[8:12] == b"WAVE":
+        return "WAV"
+    if data.startswith((b"MATLAB 5.0", b"MATLAB 7.3")):
+        return "MAT"
+    if data.startswith(b"TDSm"):
+        return "TDMS"
+    if data.startswith(_HDF5) or data[512:520] == _HDF5:
+        return "HDF5"
+    if data.startswith(b"PK\x03\x04"):
+        return "NPZ"
+    return "UFF" if re.match(rb"\s*-1[ \t]*\r?\n\s*\d", data[:400]) else None

@@ -1,0 +1,70 @@
+"""WAV files. They hold fractions of a full scale that they do not state: it comes from a profile or an option."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+
+_BITS = {"PCM_U8": 8, "PCM_S8": 8, "PCM_16": 16, "PCM_24": 24, "PCM_32": 32}
+
+
+def read_wav(data: bytes, source: str, limits: Limits) -> RawRecording:
+    """Read a WAV file of whole or floating-point numbers; see :data:`catalogue.measurements.readers.raw.Reader`."""
+    declared = frames_declared(data, source)
+    import soundfile
+
+    try:
+        with soundfile.SoundFile(io.BytesIO(data)) as file:
+            if file.channels > limits.columns:
+                raise MeasurementError(source, rule=f"{file.channels} channels; at most {limits.columns} are read")
+            if 8 * file.frames * file.channels > limits.decoded_bytes:
+                rule = f"holds more than {limits.decoded_bytes / 1e6:g} MB, the most that is read"
+                raise MeasurementError(source, rule=rule)
+            values = file.read(dtype="float64", always_2d=True)
+            rate, coding = float(file.samplerate), str(file.subtype)
+    except soundfile.LibsndfileError as error:
+        raise MeasurementError(source, rule=f"is a damaged WAV file: {error.error_string}") from None
+    if coding not in _BITS and coding not in ("FLOAT", "DOUBLE"):
+        raise MeasurementError(source, value=coding, rule="is a lossy coding: levels in it mean nothing")
+    columns = tuple(RawColumn(f"ch{i}", f"ch{i}", None, f"channel {i}") for i in range(1, values.shape[1] + 1))
+    ceiling = 1.0 - 2.0 ** (1 - _BITS[coding]) if coding in _BITS else None
+    return RawRecording(
+        source,
+        columns,
+        np.asarray(values, dtype=np.float64),
+        rate,
+        (f"WAV, {coding.replace('_', ' ')}, {values.shape[1]} channels, {rate:g} Hz",),
+        declared=declared,
+        relative=coding in _BITS,
+        ceiling=ceiling,
+    )
+
+
+def frames_declared(data: bytes, source: str) -> int:
+    """Samples a channel that the file's own header says it holds; the library would take what is left in silence.
+
+    Raises
+    ------
+    MeasurementError
+        It is truncated, or no WAV file.
+    """
+    place, block = 12, 0
+    while place + 8 <= len(data):
+        name, size = struct.unpack_from("<4sI", data, place)
+        if name == b"fmt " and place + 22 <= len(data):
+            block = struct.unpack_from("<H", data, place + 20)[0]
+        if name == b"data":
+            if not block:
+                break
+            here = len(data) - place - 8
+            if size > here:
+                rule = f"is truncated: it declares {size // block} samples, {here // block} are there"
+                raise MeasurementError(source, rule=rule)
+            return int(size // block)
+        place += 8 + size + size % 2
+    raise MeasurementError(source, rule="is a truncated WAV file: it ends before its samples begin")

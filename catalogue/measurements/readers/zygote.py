@@ -1,0 +1,119 @@
+"""The process that foreign readers run in: ``python -m catalogue.measurements.readers.zygote``.
+
+It loads a reader's library once and forks for every file. The child takes limits of memory, time and output before it
+sees the file, and answers in JSON and plain arrays: whatever becomes of it, nothing of it is executed by who asked.
+Requests and answers are a line of JSON with the length of what follows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import warnings
+from importlib import import_module
+from typing import Any, BinaryIO
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.readers.answers import encoded
+from catalogue.measurements.readers.kinds import FOREIGN
+from catalogue.measurements.readers.raw import Limits
+
+#: Beyond the arrays, an answer holds facts; they are short.
+_MORE_OUTPUT = 16_000_000
+
+
+def serve(requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer requests until there are none; each file is read in a child of its own."""
+    while line := requests.readline():
+        asked = json.loads(line)
+        data = requests.read(asked["bytes"])
+        kind, limits = FOREIGN[asked["kind"]], Limits(**asked["limits"])
+        for name in kind.libraries:
+            import_module(name)
+        with tempfile.TemporaryFile() as file:
+            child = os.fork()
+            if child == 0:
+                answer_and_leave(asked, data, limits, file)
+            del data
+            _, status = os.waitpid(child, 0)
+            size = file.seek(0, os.SEEK_END)
+            file.seek(0)
+            head = {"signal": os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0, "bytes": size}
+            answers.write(json.dumps(head).encode() + b"\n")
+            while part := file.read(1 << 20):
+                answers.write(part)
+            answers.flush()
+
+
+def answer_and_leave(asked: dict[str, Any], data: bytes, limits: Limits, file: Any) -> None:
+    """Read one file under limits, write the answer, and end this process."""
+    try:
+        restrict(limits)
+        silence = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silence, 1)
+        os.dup2(silence, 2)  # libraries print whole damaged files
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of libraries; what matters is checked
+            kind = FOREIGN[asked["kind"]]
+            reader = getattr(import_module(kind.module), kind.function)
+            raw = reader(data, asked["source"], limits)
+        write(file, encoded(raw))
+    except MeasurementError as error:
+        write(file, {"error": [error.line, error.column, _plain(error.value), error.rule]})
+    except BaseException as error:  # whatever a library raises at a damaged file is a statement about the file
+        rule = f"is damaged: {type(error).__name__}: {str(error)[:120]}"
+        if _for_want_of_memory(error):
+            rule = f"needs more than {limits.reader_memory / 1e6:g} MB to be read"
+        write(file, {"error": [None, None, None, rule]})
+    finally:
+        with contextlib.suppress(BaseException):
+            file.flush()
+        os._exit(0)
+
+
+def restrict(limits: Limits) -> None:
+    """Limit memory (beyond what is taken now), processor time, size of files; end after the time by the clock."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, limits.reader_seconds)
+    with contextlib.suppress(OSError, ValueError):
+        with open("/proc/self/statm") as counted:
+            taken = int(counted.read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (taken + limits.reader_memory, taken + limits.reader_memory))
+    largest = limits.file_bytes + limits.decoded_bytes + _MORE_OUTPUT
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def write(file: Any, answer: dict[str, Any]) -> None:
+    """Write one line of JSON and the numbers below it, in place of whatever was begun."""
+    file.seek(0)
+    file.truncate()
+    values = answer.pop("values", None)
+    file.write(json.dumps(answer).encode() + b"\n")
+    if values is not None:
+        file.write(memoryview(values).cast("B"))
+
+
+def _for_want_of_memory(error: BaseException | None) -> bool:
+    """Whether a want of memory is at the bottom of it; libraries wrap what they catch."""
+    while error is not None:
+        if isinstance(error, MemoryError):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _plain(value: object) -> object:
+    return value if value is None or isinstance(value, str | int | float) else str(value)[:160]
+
+
+if __name__ == "__main__":
+    answers_to = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not stand among the answers
+    serve(sys.stdin.buffer, answers_to)

@@ -1,0 +1,1 @@
+"""Plans: which hypotheses a catalogue holds, and what is drawn for each of their cases."""

@@ -1,0 +1,185 @@
+"""The cases that a plan asks for: points of space-filling sequences, one sequence a hypothesis and stratum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import accumulate, combinations
+from typing import TYPE_CHECKING
+
+from catalogue.errors import PlanError
+from catalogue.plans.draws import Distribution, log_uniform, unit_draws
+from catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
+from catalogue.plans.keys import seed_from
+from catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, ripple_order
+from catalogue.plans.variants import AS_FILED, LawChoice, Variant, output_load
+from solver.machines.machine import Machine
+
+if TYPE_CHECKING:
+    from catalogue.plans.plan import Plan
+
+__all__ = ["cases_of", "hypotheses_of", "sequences_of"]
+
+
+def hypotheses_of(plan: Plan, machine: Machine) -> tuple[Hypothesis, ...]:
+    """The hypotheses of a plan for a machine: healthy, as-new, singles, pairs, then chosen sets.
+
+    Raises
+    ------
+    PlanError
+        A set that names a joint which is no turning joint; two hypotheses of one name.
+    """
+    turning = tuple(sorted(machine.turning_joints))
+    found: dict[Hypothesis, None] = {}
+    for family in plan.hypotheses:
+        if family == "healthy":
+            found[Hypothesis.of(())] = None
+        elif family == "as-new" and turning:
+            found[Hypothesis.as_new()] = None
+        elif family in ("singles", "pairs"):
+            found |= dict.fromkeys(Hypothesis.of(worn) for worn in combinations(turning, 1 + (family == "pairs")))
+    for i, chosen in enumerate(plan.sets):
+        for joint in chosen:
+            if joint not in turning:
+                rule = f"is no turning joint of machine {machine.name}; these are {', '.join(turning)}"
+                raise PlanError("plan", f"sets.{i}", joint, rule)
+        found[Hypothesis.of(chosen)] = None
+    _check_labels(found, machine.name)
+    return tuple(found)
+
+
+def _check_labels(hypotheses: Iterable[Hypothesis], machine: str) -> None:
+    """Refuse two hypotheses of one name, as of the joints A and B and of a joint whose name is A+B."""
+    known: dict[str, tuple[str, ...]] = {}
+    for hypothesis in hypotheses:
+        if known.setdefault(hypothesis.label, hypothesis.joints) != hypothesis.joints:
+            rule = f"names two hypotheses of machine {machine}: rename a joint"
+            raise PlanError("plan", "hypotheses", hypothesis.label, rule)
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One space-filling sequence of draws.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    stratum : {"trusted", "wide"}
+    with_fits : bool
+        Whether joints that are not worn have the play of new fits.
+    speed : float
+        Factor on the drive speed.
+    count : int
+        Draws.
+    """
+
+    hypothesis: Hypothesis
+    stratum: Stratum
+    with_fits: bool
+    speed: float
+    count: int
+
+
+def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
+    """All sequences of a plan for a machine."""
+    for hypothesis in hypotheses_of(plan, machine):
+        if hypothesis.is_faulty:
+            count = plan.draws.of(len(hypothesis.joints))
+        else:
+            count = plan.draws.as_new if hypothesis == Hypothesis.as_new() else plan.draws.healthy
+        is_as_new = hypothesis == Hypothesis.as_new()
+        further = plan.further_fits(count) if hypothesis.is_faulty else 0
+        strata: tuple[Stratum, ...] = ("trusted", "wide")
+        for stratum in strata:
+            for with_fits, part in ((is_as_new, count), (True, further)):
+                asked = plan.wide.count(part) if stratum == "wide" else part
+                if asked:
+                    yield from (Sequence(hypothesis, stratum, with_fits, speed, asked) for speed in plan.speeds)
+
+
+def cases_of(plan: Plan, machine: Machine) -> Iterator[Entry]:
+    """Every case of a plan, sequence by sequence, then by draw; see :meth:`catalogue.plans.plan.Plan.entries`."""
+    drawing = _Drawing(plan, machine, plan.recipe(machine))
+    for sequence in sequences_of(plan, machine):
+        yield from drawing.entries(sequence)
+
+
+@dataclass
+class _Drawing:
+    """Turns points of the unit cube into cases."""
+
+    plan: Plan
+    machine: Machine
+    recipe: Recipe
+    scatters: dict[tuple[Variant, tuple[str, ...]], Scatter] = field(default_factory=dict)
+
+    def entries(self, sequence: Sequence) -> Iterator[Entry]:
+        plan, hypothesis, stratum = self.plan, sequence.hypothesis, sequence.stratum
+        opened = hypothesis.joints
+        if sequence.with_fits:
+            opened = (*opened, *sorted(joint for joint in self.machine.turning_joints if joint not in opened))
+        spread = plan.spread(self.machine, stratum)
+        if not opened:  # no contact: its numbers, and its law, would make different cases of the same
+            spread = {path: number for path, number in spread.items() if path not in SHARED}
+        laws = plan.law_weights(self.machine) if opened else {AS_FILED.law: 1.0}
+        kinds: list[object] = ["fits"] if sequence.with_fits else []
+        seed = seed_from(plan.seed, hypothesis.label, stratum, *kinds, float(sequence.speed))
+        # Coordinates: clearances, contact law, then what is uncertain in alphabetical order.
+        points = unit_draws(seed, len(opened) + 1 + len(spread), sequence.count)
+        joints = tuple(sorted(opened))
+        for draw, point in enumerate(points.tolist()):
+            sizes = {
+                joint: self._clearance(joint in hypothesis.joints, u) for joint, u in zip(opened, point, strict=False)
+            }
+            variant = self._variant(spread, _choice(laws, point[len(opened)]))
+            scatter = self._scatter(variant, spread, laws)
+            yield Entry.of(
+                self.machine,
+                self.recipe,
+                hypothesis=hypothesis,
+                joints=joints,
+                clearances=tuple(sizes[joint] for joint in joints),
+                parameters=scatter.parameters(point[len(opened) + 1 :], sequence.speed),
+                draw=draw,
+                stratum=stratum,
+                speed=sequence.speed,
+                variant=variant,
+                guarded=plan.guard > 0 and draw % plan.guard == 0,
+            )
+
+    def _clearance(self, is_worn: bool, u: float) -> float:
+        bounds = self.plan.clearance if is_worn else self.plan.fits
+        return log_uniform(bounds.low, bounds.high, u)
+
+    def _variant(self, spread: Mapping[str, Distribution], law: LawChoice) -> Variant:
+        orders = {order for order in map(ripple_order, spread) if order is not None}
+        load = output_load(self.machine) if LOAD in spread else None
+        return Variant(law, tuple(sorted(orders)), load.link if load else "")
+
+    def _scatter(self, variant: Variant, spread: Mapping[str, Distribution], laws: Iterable[LawChoice]) -> Scatter:
+        """What is drawn for a variant; numbers that only contacts of another law have are left out, others refused."""
+        key = (variant, tuple(spread))
+        if key not in self.scatters:
+            numbers = MachineNumbers(variant.machine(self.machine))
+            others = [MachineNumbers(replace(variant, law=law).machine(self.machine)) for law in laws]
+            missing = [path for path in spread if path in SHARED and not _has(numbers, path)]
+            left_out = [path for path in missing if any(_has(other, path) for other in others)]
+            self.scatters[key] = Scatter(numbers, spread, left_out)
+        return self.scatters[key]
+
+
+def _has(numbers: MachineNumbers, path: str) -> bool:
+    try:
+        return bool(numbers.targets(path))
+    except PlanError:
+        return False
+
+
+def _choice(weights: Mapping[LawChoice, float], u: float) -> LawChoice:
+    """The law that a coordinate stands for: each has a part of the unit interval as large as its weight."""
+    total = sum(weights.values())
+    laws = list(weights)
+    for law, end in zip(laws, accumulate(weights.values()), strict=True):
+        if u * total < end:
+            return law
+    return laws[-1]

@@ -1,0 +1,234 @@
+"""Numbers of a machine by path: what stands in the file, and what a draw puts in its place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from catalogue.errors import PlanError
+from catalogue.plans.draws import Distribution
+from catalogue.plans.variants import output_load
+from solver.cases.parameters import SHORTHANDS
+from solver.equations.model import build_model
+from solver.errors import MachineError
+from solver.machines.drives import RotationDrive
+from solver.machines.fields import nearest
+from solver.machines.joints import TurningJoint
+from solver.machines.machine import Machine
+
+__all__ = ["LOAD", "SHARED", "MachineNumbers", "Scatter", "check_drawable", "nominal_drive_speed", "ripple_order"]
+
+SHARED = SHORTHANDS
+"""Short paths that stand for the same number of every turning joint."""
+
+DRIVE_SPEED = "drive.speed"
+LOAD = "load"
+"""Short path of the process load of a machine's output link, N or N m."""
+
+_USUAL = re.compile(r"drive\.speed|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.(contact\..*|pin_radius)")
+"""Numbers that every machine's equations hold."""
+
+_RIPPLE = re.compile(r"ripple\.([1-9][0-9]{0,2})\.(sin|cos)")
+_SUPPORTS = {
+    f"supports.{name}{'.' + axis if axis else ''}": re.compile(rf"supports\.\d+\.{name}{ending}")
+    for name in ("stiffness", "damping")
+    for axis, ending in (("x", r"\.0"), ("y", r"\.1"), ("", ""))
+}
+
+
+def nominal_drive_speed(machine: Machine) -> float:
+    """Drive speed of the machine file [rad/s].
+
+    Raises
+    ------
+    PlanError
+        The drive does not turn, or not at one speed, so spectra cannot be compared by order.
+    """
+    drive = machine.drive
+    speed = drive.speed if isinstance(drive, RotationDrive) else None
+    if isinstance(speed, float) and speed != 0.0:
+        return speed
+    shown = "none" if drive is None else f"kind {drive.kind}"
+    rule = "a catalogue needs a drive of kind rotation with one speed that is not 0"
+    raise PlanError(machine.name, "drive", shown, rule)
+
+
+def ripple_order(path: str) -> int | None:
+    """The order of a short path ``ripple.2.sin``; None for any other path."""
+    match = _RIPPLE.fullmatch(path)
+    return int(match[1]) if match else None
+
+
+@dataclass(frozen=True)
+class Target:
+    """One number that a path of a plan stands for: its path in the machine file, its value there, its share."""
+
+    path: str
+    nominal: float
+    share: float = 1.0
+
+
+class MachineNumbers:
+    """Every number of a machine by its dotted path (``supports.0.stiffness.1``), and short paths for several.
+
+    ``contact.friction`` and its like mean all turning joints that have such a number; ``frame.mass``, ``frame.inertia``
+    the frame; ``supports.stiffness.x`` (``y``; without either, of springs) and ``supports.damping.x`` all supports by
+    one factor; ``load`` the process load, ``ripple.1.sin`` and ``ripple.1.cos`` a term of the drive's ripple, where the
+    variant of the machine has them.
+
+    Parameters
+    ----------
+    machine : Machine
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine, self._name = machine, machine.name
+        self._turning = machine.turning_joints
+        self.by_path: dict[str, float] = dict(_numbers(machine.model_dump(), ""))
+
+    def targets(self, path: str) -> tuple[Target, ...]:
+        """The numbers that `path` of a plan stands for.
+
+        Raises
+        ------
+        PlanError
+            The machine has no such number.
+        """
+        listed = self._short(path) or ([(path, 1.0)] if path in self.by_path else [])
+        if not listed:
+            short = [*SHARED, "frame.mass", "frame.inertia", *_SUPPORTS, LOAD, "ripple.1.sin", "ripple.1.cos"]
+            rule = f"is not a number of machine {self._name}{nearest(path, [*short, *self.by_path])}"
+            raise PlanError("plan", f"uncertain.{path}", None, rule)
+        return tuple(Target(full, self.by_path[full], share) for full, share in listed)
+
+    def nominal(self, path: str) -> float:
+        """The value of a number in the machine file, of several that a short path means the first; 0 without any."""
+        try:
+            return self.targets(path)[0].nominal
+        except PlanError:
+            return 0.0
+
+    def _short(self, path: str) -> list[tuple[str, float]]:
+        order = ripple_order(path)
+        if path in SHARED:
+            listed = [(f"joints.{joint}.{path}", 1.0) for joint in self._turning if self._has(joint, path)]
+        elif path in ("frame.mass", "frame.inertia"):
+            listed = [(f"links.{self._machine.frame}.{path.partition('.')[2]}", 1.0)]
+        elif path in _SUPPORTS:
+            listed = [(full, 1.0) for full in self.by_path if _SUPPORTS[path].fullmatch(full)]
+        elif order is not None and isinstance(self._machine.drive, RotationDrive):
+            terms = [i for i, term in enumerate(self._machine.drive.ripple) if term.order == order]
+            listed = [(f"drive.ripple.{terms[-1 - path.endswith('sin')]}.amplitude", 1.0)] if len(terms) > 1 else []
+        elif path == LOAD and self._machine.loads:
+            listed = self._load()
+        else:
+            listed = []
+        return [(full, share) for full, share in listed if full in self.by_path]
+
+    def _has(self, joint: str, path: str) -> bool:
+        found = self._machine.joints[joint]
+        return isinstance(found, TurningJoint) and found.contact.has(path.rpartition(".")[2])
+
+    def _load(self) -> list[tuple[str, float]]:
+        load, path = output_load(self._machine), f"loads.{len(self._machine.loads) - 1}"
+        if load is None:
+            return []
+        if load.arm:
+            return [(f"{path}.torque", 1.0)]
+        return [(f"{path}.force.{k}", share) for k, share in enumerate(load.direction) if share]
+
+
+def check_drawable(machine: Machine, paths: frozenset[str]) -> None:
+    """Refuse numbers that stand in the machine file, but in no equation: angles, orders, points of tables.
+
+    Raises
+    ------
+    PlanError
+        Names the first of them.
+    """
+    numbers = MachineNumbers(machine)
+    doubtful = tuple(sorted(path for path in paths if path in numbers.by_path and not _USUAL.fullmatch(path)))
+    if doubtful:
+        _check_held(machine, doubtful)
+
+
+@lru_cache(maxsize=256)
+def _check_held(machine: Machine, paths: tuple[str, ...]) -> None:
+    try:
+        build_model(machine, machine.turning_joints, paths)
+    except MachineError as error:
+        raise PlanError("plan", f"uncertain.{error.path}", None, error.rule) from None
+
+
+class Scatter:
+    """What is uncertain about one variant of a machine, resolved once for all draws.
+
+    Parameters
+    ----------
+    numbers : MachineNumbers
+        Of the variant.
+    spread : mapping of str to Distribution
+        What is drawn, by path.
+    left_out : collection of str, optional
+        Paths that this variant does not have, though another one has.
+
+    Raises
+    ------
+    PlanError
+        A path that is no number of the machine.
+    """
+
+    def __init__(
+        self, numbers: MachineNumbers, spread: Mapping[str, Distribution], left_out: Iterable[str] = ()
+    ) -> None:
+        skipped = set(left_out)
+        self._speed = numbers.by_path[DRIVE_SPEED]
+        self._drawn = [
+            (column, path, spread[path], numbers.targets(path))
+            for column, path in enumerate(sorted(spread))
+            if path not in skipped
+        ]
+
+    def parameters(self, point: list[float], speed: float) -> dict[str, float]:
+        """What one draw changes in the machine.
+
+        Parameters
+        ----------
+        point : list of float
+            Coordinates in the unit cube, one a path, in alphabetical order of the paths.
+        speed : float
+            Factor on the drive speed, besides the drawn one.
+
+        Returns
+        -------
+        dict of str to float
+            Numbers by path, SI. A short path of contacts stays one number for all joints if they have the same in the
+            file.
+        """
+        parameters: dict[str, float] = {}
+        for column, path, spread, targets in self._drawn:
+            value = spread.quantile(point[column])
+            together = path in SHARED and (not spread.is_factor or len({target.nominal for target in targets}) == 1)
+            if together:
+                parameters[path] = value * targets[0].nominal if spread.is_factor else value
+                continue
+            for target in targets:
+                parameters[target.path] = value * (target.nominal if spread.is_factor else target.share)
+        if speed != 1.0:
+            parameters[DRIVE_SPEED] = parameters.get(DRIVE_SPEED, self._speed) * speed
+        return parameters
+
+
+def _numbers(value: object, path: str) -> Iterator[tuple[str, float]]:
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield path, float(value)
+        return
+    items: Iterable[tuple[object, object]] = ()
+    if isinstance(value, Mapping):
+        items = value.items()
+    elif isinstance(value, (list, tuple)):
+        items = enumerate(value)
+    for name, item in items:
+        yield from _numbers(item, f"{path}.{name}" if path else str(name))

@@ -1,0 +1,291 @@
+"""Plans: which hypotheses, clearances, speeds and draws a catalogue holds, and how finely each case is computed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from catalogue.errors import PlanError
+from catalogue.plans.cases import cases_of
+from catalogue.plans.draws import Distribution
+from catalogue.plans.entry import Entry, Recipe, Stratum
+from catalogue.plans.keys import content_digest
+from catalogue.plans.parameters import check_drawable, nominal_drive_speed
+from catalogue.plans.plan_parts import Auto, Bands, ClearanceRange, Draws, Fits, Wide
+from catalogue.plans.ranges import default_laws, default_uncertain, default_wide
+from catalogue.plans.variants import LawChoice
+from solver.errors import MachineError
+from solver.machines.fields import Name, Quantity, RuleError, Title, nearest
+from solver.machines.machine import Machine
+from solver.machines.parts import Part
+from solver.machines.refusals import first_error
+from solver.machines.units import FREQUENCY, RATIO, TIME
+from solver.machines.yamlfile import read_tree
+from solver.spectra.sampling import PASS
+
+__all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text", "resolve_plan"]
+
+Family = Literal["healthy", "as-new", "singles", "pairs"]
+
+
+class Plan(Part):
+    """Which cases a catalogue holds.
+
+    Parameters
+    ----------
+    name : str
+        For people.
+    hypotheses : tuple of {"healthy", "as-new", "singles", "pairs"}
+        Families of hypotheses: no clearance at all; play of new fits in every turning joint; one worn joint; two.
+    sets : tuple of tuple of str
+        Further hypotheses: chosen sets of worn joints.
+    draws : Draws
+        Draws of each hypothesis.
+    clearance : ClearanceRange
+        Of worn joints.
+    fits : Fits
+        Play of joints as new.
+    uncertain : mapping of str to Distribution, optional
+        What is uncertain even of a machine whose data can be trusted, by path in the machine file or short path
+        (:class:`~catalogue.plans.parameters.MachineNumbers`); None, or "auto" in a file, is
+        :func:`~catalogue.plans.ranges.default_uncertain`.
+    laws : mapping of {"own", "linear", "hertz"} to float, optional
+        Weights of the contact laws that are drawn; None, or "auto" in a file, is
+        :func:`~catalogue.plans.ranges.default_laws`.
+    wide : Wide
+        Draws of a machine whose own data are uncertain, too.
+    speeds : tuple of float
+        Factors on the machine's drive speed; every hypothesis is drawn at every one of them.
+    guard : int
+        One draw in so many is computed again at accuracy "standard", and the difference kept; 0 for none.
+    seed : int
+        Seed of all draws.
+    accuracy : {"draft", "standard", "reference"}
+        Accuracy of the simulation. For a catalogue, draws are worth more than small steps.
+    sample_rate : float
+        Of the simulated acceleration [Hz].
+    revolutions : float
+        Drive revolutions after the transient, at least.
+    seconds : float
+        Time after the transient at the machine's own drive speed [s], at least.
+    bands : Bands
+        Bands of the stored spectra.
+    """
+
+    name: Title = "unnamed"
+    hypotheses: tuple[Family, ...] = ("healthy", "singles")
+    sets: tuple[Annotated[tuple[Name, ...], Field(min_length=1)], ...] = ()
+    draws: Draws = Draws()
+    clearance: ClearanceRange = ClearanceRange()
+    fits: Fits = Fits()
+    uncertain: Annotated[Mapping[str, Distribution] | None, Auto] = None
+    laws: Annotated[Mapping[LawChoice, Annotated[float, Quantity(RATIO, above=0.0)]] | None, Auto] = None
+    wide: Wide = Wide()
+    speeds: tuple[Annotated[float, Quantity(RATIO, above=0.0)], ...] = (1.0,)
+    guard: Annotated[int, Field(ge=0, le=1_000_000, strict=True)] = 50
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1, strict=True)] = 1
+    accuracy: Literal["draft", "standard", "reference"] = "draft"
+    sample_rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 10_000.0
+    revolutions: Annotated[float, Field(ge=3.0, le=1e5)] = 5.0
+    seconds: Annotated[float, Quantity(TIME, at_least=0.0)] = 2.5
+    bands: Bands = Bands()
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        for name in ("hypotheses", "speeds"):
+            values = getattr(self, name)
+            if not values or len(set(values)) != len(values):
+                raise RuleError("must name at least one, and each once", (name,), list(values))
+        for i, chosen in enumerate(self.sets):
+            if len(set(chosen)) != len(chosen):
+                raise RuleError("must name each joint once", ("sets", i), list(chosen))
+        if self.laws is not None and not self.laws:
+            raise RuleError("must name at least one", ("laws",), {})
+        highest = self.bands.f_max * max(self.speeds)
+        if not self.sample_rate >= highest / PASS:
+            rule = f"must be at least {highest / PASS:g} Hz: bands reach {highest:g} Hz at the highest speed"
+            raise RuleError(rule, ("sample_rate",), self.sample_rate)
+        return self
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """All of the plan as plain data, as it is stored; :func:`parse_plan` reads it back."""
+        content: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
+        return content
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of everything but the name: two plans with the same hash ask for the same cases."""
+        return content_digest({key: value for key, value in self.content.items() if key != "name"})
+
+    def recipe(self, machine: Machine) -> Recipe:
+        """How the entries of this plan are simulated and estimated for `machine`.
+
+        Raises
+        ------
+        PlanError
+            The machine has no drive that turns at a constant speed, so its spectra have no orders.
+        """
+        speed = nominal_drive_speed(machine)
+        revolutions = max(self.revolutions, math.ceil(self.seconds * abs(speed) / (2 * math.pi) - 1e-9))
+        return Recipe(
+            accuracy=self.accuracy,
+            sample_rate=self.sample_rate,
+            revolutions=float(revolutions),
+            orders=self.bands.orders,
+            per_octave=self.bands.per_octave,
+            f_max=self.bands.f_max,
+            nominal_drive_speed=speed,
+        )
+
+    def resolved(self, machine: Machine) -> Plan:
+        """The plan with what it leaves to the machine ("auto") written out; what a catalogue stores."""
+        laws = self.law_weights(machine)
+        wide = self.wide
+        if wide.uncertain is None:
+            wide = wide.model_copy(update={"uncertain": default_wide(machine) if wide.draws else {}})
+        uncertain = default_uncertain(machine, laws) if self.uncertain is None else self.uncertain
+        return self.model_copy(update={"laws": laws, "uncertain": uncertain, "wide": wide})
+
+    def difference(self, other: Plan, machine: Machine) -> str:
+        """What is drawn differently in two plans for a machine, so that their draws do not mix; empty if nothing is."""
+        ours, theirs = self.resolved(machine), other.resolved(machine)
+        if ours.clearance != theirs.clearance:
+            return "clearance"
+        if (ours.fits.low, ours.fits.high) != (theirs.fits.low, theirs.fits.high):
+            return "fits"
+        if ours.laws != theirs.laws:
+            return "laws"
+        strata: tuple[Stratum, ...] = ("trusted", "wide") if ours.wide.draws and theirs.wide.draws else ("trusted",)
+        for stratum in strata:
+            first, second = ours.spread(machine, stratum), theirs.spread(machine, stratum)
+            for path in sorted({*first, *second}):
+                if first.get(path) != second.get(path):
+                    return f"{'wide.' if stratum == 'wide' else ''}uncertain.{path}"
+        return ""
+
+    def law_weights(self, machine: Machine) -> Mapping[LawChoice, float]:
+        """Weights of the contact laws that are drawn."""
+        return default_laws(machine) if self.laws is None else self.laws
+
+    def spread(self, machine: Machine, stratum: Stratum) -> dict[str, Distribution]:
+        """What is uncertain in a stratum, by path."""
+        plan = self.resolved(machine)
+        assert plan.uncertain is not None
+        assert plan.wide.uncertain is not None
+        return {**plan.uncertain, **plan.wide.uncertain} if stratum == "wide" else dict(plan.uncertain)
+
+    def further_fits(self, draws: int) -> int:
+        """How many draws with fits in the joints that are not worn go with `draws` of a faulty hypothesis."""
+        return math.ceil(self.fits.in_faulty * draws - 1e-9)
+
+    def entries(self, machine: Machine) -> tuple[Entry, ...]:
+        """Every case of this plan for `machine`: by hypothesis, stratum, speed, then by draw.
+
+        Draw i of a hypothesis, stratum and speed is point i of one space-filling sequence over clearances, contact law
+        and all that is uncertain; it does not depend on what else the plan asks for. So a plan with more draws or
+        hypotheses contains the cases of the smaller one, and any number of first draws covers everything evenly.
+
+        Raises
+        ------
+        PlanError
+            A path of `uncertain` that the machine does not have or cannot vary; a set with a joint that it does not
+            have; a machine without a constant drive speed.
+        """
+        plan = self.resolved(machine)
+        strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
+        for stratum in strata:
+            check_drawable(machine, frozenset(plan.spread(machine, stratum)))
+        return tuple({entry.key: entry for entry in cases_of(plan, machine)}.values())  # without scatter, draws repeat
+
+
+def parse_plan(content: str | Mapping[str, object], source: str = "plan") -> Plan:
+    """Read a plan from YAML or JSON text, or from a tree that was read already.
+
+    Parameters
+    ----------
+    content : str or mapping
+        The plan; what it leaves out has the defaults of :class:`Plan`.
+    source : str
+        What messages call it: a file's name.
+
+    Raises
+    ------
+    PlanError
+        For the first thing that is wrong: file, dotted path, value, rule in one line.
+    """
+    try:
+        tree = read_tree(content, source) if isinstance(content, str) else dict(content)
+        return Plan.model_validate(tree)
+    except MachineError as error:
+        raise PlanError(source, error.path, error.value, error.rule) from None
+    except ValidationError as error:
+        first = first_error(error, tree, source)
+        raise PlanError(source, first.path, first.value, first.rule.replace("Input should be", "must be")) from None
+
+
+def load_plan(path: str | Path) -> Plan:
+    """Read a plan file (YAML or JSON).
+
+    Raises
+    ------
+    PlanError
+        When the file cannot be read, or as :func:`parse_plan`.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise PlanError(str(path), "", None, f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise PlanError(str(path), "", None, "is not a text file in UTF-8") from None
+    return parse_plan(text, str(path))
+
+
+def preset_names() -> tuple[str, ...]:
+    """Names of the plans that come with the program, from the smallest to the largest."""
+    return ("quick", "standard", "thorough")
+
+
+def preset_text(name: str) -> str:
+    """A shipped plan as the text of its file.
+
+    Raises
+    ------
+    PlanError
+        When there is none of that name.
+    """
+    if name not in preset_names():
+        raise PlanError("", "", name, f"is not a shipped plan{nearest(name, preset_names())}")
+    return (resources.files("catalogue") / "plans" / f"{name}.yaml").read_text(encoding="utf-8")
+
+
+def preset(name: str) -> Plan:
+    """A shipped plan.
+
+    Raises
+    ------
+    PlanError
+        When there is none of that name.
+    """
+    return parse_plan(preset_text(name), f"{name}.yaml")
+
+
+def resolve_plan(name_or_path: str | Path) -> Plan:
+    """A shipped plan by its name, or a plan file by its path; an existing file wins.
+
+    Raises
+    ------
+    PlanError
+        When it is neither, or as :func:`parse_plan`.
+    """
+    text = str(name_or_path)
+    if text in preset_names() and not Path(text).is_file():
+        return preset(text)
+    if not Path(text).exists():
+        raise PlanError("", "", text, f"is neither a file nor a shipped plan{nearest(text, preset_names())}")
+    return load_plan(text)

@@ -1,0 +1,73 @@
+"""A plan in words: what it asks for of a machine, before it is built."""
+
+from __future__ import annotations
+
+from catalogue.plans.cases import sequences_of
+from catalogue.plans.plan import Plan
+from solver.machines.machine import Machine
+
+__all__ = ["plan_lines"]
+
+
+def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
+    """What a plan asks for, line by line.
+
+    Parameters
+    ----------
+    plan : Plan
+    machine : Machine
+
+    Returns
+    -------
+    tuple of str
+        Name and hash, hypotheses with their draws, ranges, laws, what is uncertain, how cases are computed.
+
+    Raises
+    ------
+    PlanError
+        The plan does not fit the machine.
+    """
+    plan = plan.resolved(machine)
+    recipe = plan.recipe(machine)
+    kinds: dict[str, list[str]] = {}
+    cases = {"trusted": 0, "wide": 0}
+    for sequence in sequences_of(plan, machine):
+        worn = len(sequence.hypothesis.joints)
+        kind = sequence.hypothesis.label if not worn else {1: "single", 2: "pair"}.get(worn, f"{worn} joints")
+        labels = kinds.setdefault(kind, [])
+        if sequence.hypothesis.label not in labels:
+            labels.append(sequence.hypothesis.label)
+        cases[sequence.stratum] += sequence.count
+    hypotheses = ", ".join(kind if labels == [kind] else f"{len(labels)} of a {kind}" for kind, labels in kinds.items())
+    draws = ", ".join(f"{name.replace('_', '-')} {count}" for name, count in plan.draws.model_dump().items())
+    more = f" + {plan.fits.in_faulty:g} x with fits in the other joints" if plan.fits.in_faulty else ""
+    laws = ", ".join(f"{law} {weight:g}" for law, weight in (plan.laws or {}).items())
+    lines = [
+        f"plan {plan.name}, {plan.hash[:12]}: {sum(cases.values())} cases "
+        f"({cases['trusted']} trusted, {cases['wide']} wide)",
+        f"hypotheses: {hypotheses}",
+        f"draws: {draws}{more}",
+        f"clearance: worn {_um(plan.clearance.low, plan.clearance.high)}, fits {_um(plan.fits.low, plan.fits.high)}",
+        f"contact laws: {laws}",
+        f"uncertain: {_listed(plan, machine, wide=False)}",
+    ]
+    if plan.wide.draws:
+        lines.append(f"uncertain in the wide draws, too: {_listed(plan, machine, wide=True)}")
+    if plan.speeds != (1.0,):
+        lines.append(f"speeds: {', '.join(f'x {speed:g}' for speed in plan.speeds)}")
+    guard = f"; one draw in {plan.guard} again at standard" if plan.guard and plan.accuracy != "standard" else ""
+    signal = f"{recipe.sample_rate:g} Hz, {recipe.revolutions:g} revolutions"
+    lines.append(f"computed: {plan.accuracy}{guard}; {signal}; seed {plan.seed}")
+    return tuple(lines)
+
+
+def _listed(plan: Plan, machine: Machine, *, wide: bool) -> str:
+    trusted = plan.spread(machine, "trusted")
+    shown = trusted
+    if wide:
+        shown = {path: spread for path, spread in plan.spread(machine, "wide").items() if trusted.get(path) != spread}
+    return ", ".join(f"{path} {spread}" for path, spread in shown.items()) or "nothing"
+
+
+def _um(low: float, high: float) -> str:
+    return f"{1e6 * low:g}-{1e6 * high:g} um"

@@ -1,0 +1,110 @@
+"""What is uncertain about a machine unless a plan says otherwise; ranges follow from the machine's own numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from catalogue.plans.draws import Distribution
+from catalogue.plans.parameters import MachineNumbers
+from catalogue.plans.variants import LawChoice, output_load
+from solver.machines.joints import TurningJoint
+from solver.machines.machine import Machine
+from solver.machines.parts import Damper, Mount, Spring
+
+__all__ = ["default_laws", "default_uncertain", "default_wide"]
+
+#: Standard deviation of the logarithm of contact stiffness and damping. The contact law is drawn, so they need not
+#: stand for it; see "What is uncertain" in docs/catalogue.md for what was compared.
+STIFFNESS_SCATTER = 0.4
+DAMPING_SCATTER = 0.4
+
+#: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
+HYSTERESIS = (0.3, 30.0)
+
+#: Speed ripple of the first two orders, relative.
+RIPPLE = 3e-3
+RIPPLE_ORDERS = (1, 2)
+
+#: Largest process load, as a multiple of the weight of the moving links.
+LOAD_WEIGHTS = 2.5
+#: Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat.
+WEIGHT = 9.81
+
+
+def default_laws(machine: Machine) -> dict[LawChoice, float]:
+    """Contact laws that are drawn, with their weights: the machine's own, and the other one of linear and Hertzian."""
+    contacts = [joint.contact.law for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
+    return {"own": 1.0, "hertz" if "linear" in contacts else "linear": 1.0}
+
+
+def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict[str, Distribution]:
+    """What is not known even of a machine whose data can be trusted: speed, and everything about contacts.
+
+    Parameters
+    ----------
+    machine : Machine
+    laws : mapping of str to float
+        Contact laws that are drawn.
+
+    Returns
+    -------
+    dict of str to Distribution
+        By path, see :class:`~catalogue.plans.parameters.MachineNumbers`.
+    """
+    contacts = [joint.contact for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
+    known = {contact.law for contact in contacts} | set(laws)
+    found = {
+        "drive.speed": Distribution(factor_uniform=(0.97, 1.03)),
+        "contact.friction": Distribution(uniform=(0.01, 0.15)),
+        "contact.stiffness": Distribution(lognormal=STIFFNESS_SCATTER),
+    }
+    if any(getattr(joint, "pin_radius", 0.0) > 0 for joint in machine.joints.values()):
+        found["pin_radius"] = Distribution(factor_uniform=(0.9, 1.1))
+    if "linear" in known:
+        found["contact.damping"] = Distribution(lognormal=DAMPING_SCATTER)
+    if "hertz" in known:
+        found["contact.hysteresis"] = Distribution(loguniform=HYSTERESIS)
+    asked = [contact.restitution for contact in contacts if contact.restitution is not None]
+    if asked:
+        low, high = max(0.05, min(asked) - 0.25), min(1.0, max(asked) + 0.25)
+        found["contact.restitution"] = Distribution(uniform=(low, high))
+    return found
+
+
+def default_wide(machine: Machine) -> dict[str, Distribution]:
+    """What else is not known of a machine whose data cannot be trusted: frame, supports, load, ripple of the drive.
+
+    Supports have one common factor each for x and y: a single loose mount stays outside of all draws.
+
+    Returns
+    -------
+    dict of str to Distribution
+        By path, see :class:`~catalogue.plans.parameters.MachineNumbers`.
+    """
+    factors = {
+        "frame.mass": Distribution(factor_uniform=(0.8, 1.2)),
+        "frame.inertia": Distribution(factor_uniform=(0.8, 1.2)),
+        "supports.stiffness": Distribution(factor_uniform=(0.7, 1.3)),
+        "supports.damping": Distribution(factor_loguniform=(0.5, 2.0)),
+    }
+    numbers = MachineNumbers(machine).by_path
+    kinds = {type(support) for support in machine.supports}
+    found = {
+        f"frame.{name}": factors[f"frame.{name}"]
+        for name in ("mass", "inertia")
+        if numbers.get(f"links.{machine.frame}.{name}")
+    }
+    for name, single in (("stiffness", Spring), ("damping", Damper)):
+        if Mount in kinds:
+            found |= {f"supports.{name}.{axis}": factors[f"supports.{name}"] for axis in "xy"}
+        if single in kinds:
+            found[f"supports.{name}"] = factors[f"supports.{name}"]
+    load = output_load(machine)
+    if load is not None:
+        moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
+        largest = float(f"{LOAD_WEIGHTS * WEIGHT * moving * (load.arm or 1.0):.3g}")
+        found["load"] = Distribution(uniform=(-largest, largest))
+    for order in RIPPLE_ORDERS:
+        spread = Distribution(uniform=(-RIPPLE / order, RIPPLE / order))
+        found |= {f"ripple.{order}.sin": spread, f"ripple.{order}.cos": spread}
+    return found

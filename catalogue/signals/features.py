@@ -1,0 +1,299 @@
+"""From a recording to what is compared: one recipe, whose steps are named, ordered and kept with the result."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_speed
+from catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from catalogue.measurements.measurement import Measurement
+from catalogue.measurements.tacho import track_of, usual_speed
+from catalogue.plans.parameters import nominal_drive_speed
+from catalogue.signals.hum import SteadyLine, remove_hum
+from catalogue.signals.noise import NoiseFloor, noise_floor
+from catalogue.signals.prepared import PreparedMeasurement
+from catalogue.signals.recipe_steps import RecipeStep
+from catalogue.signals.resampling import WANDER, at_mean_speed
+from catalogue.signals.sensors import SensorMap, map_sensors, without_columns
+from catalogue.signals.spectrum_features import prepare_spectrum
+from catalogue.signals.steadiness import LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
+from catalogue.storage.feature_bands import FEATURE_ORDERS, FeatureAxis, feature_axes, feature_vector, usable_cuts
+from solver.machines.machine import Machine
+from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS, band_matrix
+from solver.spectra.bands import BandScheme
+
+__all__ = [
+    "FEATURE_ORDERS",
+    "FeatureAxis",
+    "PreparedMeasurement",
+    "feature_axes",
+    "feature_vector",
+    "prepare",
+    "usable_cuts",
+]
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Revolutions below which a recording is refused, and warned of.
+MIN_REVOLUTIONS = 3.0
+FEW_REVOLUTIONS = 10.0
+#: Factor on the noise power of compared channels, as it follows from independent sensors, from which on they are not
+#: taken to be independent (0.5 dB; chance makes a tenth of one).
+ALIKE = 1.12
+#: Deviation from the nominal speed that is warned of.
+FAR_FROM_NOMINAL = 0.05
+#: Wander, relative, that is warned of: the course is followed, but a machine that turns so unevenly is hardly steady.
+MUCH_WANDER = 0.015
+
+#: Difference of a given speed from the one in the recording, relative, up to which they agree.
+GIVEN_AGREES = 0.005
+
+
+def prepare(
+    measurement: Measurement | MeasuredSpectrum,
+    machine: Machine,
+    mapping: Mapping[str, str] | None = None,
+    speed: float | None = None,
+    scheme: BandScheme | None = None,
+) -> PreparedMeasurement:
+    """Make a recording ready to be compared.
+
+    Parameters
+    ----------
+    measurement : Measurement or MeasuredSpectrum
+    machine : Machine
+        Gives sensors, frame and nominal drive speed.
+    mapping : mapping of column to sensor, optional
+    speed : float, optional
+        Mean drive speed [rad/s] where it is known; estimated otherwise.
+    scheme : BandScheme, optional
+        The catalogue's; the default is that of the machine's nominal speed.
+
+    Returns
+    -------
+    PreparedMeasurement
+
+    Raises
+    ------
+    MeasurementError
+        No column matches a sensor, the recording is shorter than three revolutions, does not reach order 20, or its
+        speed cannot be found.
+    """
+    if isinstance(measurement, MeasuredSpectrum):
+        return prepare_spectrum(measurement, machine, mapping, speed, scheme)
+    nominal = nominal_drive_speed(machine)
+    rate = measurement.sample_rate
+    if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):
+        raise MeasurementError(measurement.name, value=speed, rule="drive speed must be finite and not zero")
+    by_pulses = measurement.turns if speed is None else None
+    expected = speed or (nominal if by_pulses is None else usual_speed(by_pulses, rate))
+    _refuse_short(measurement.name, measurement.duration, expected, allowance=0.1 if speed is None else 0.0)
+
+    sensing, sensor_step = _sensors(measurement, machine, mapping)
+    warnings = [*measurement.warnings, *sensing.warnings]
+    first, last, part_step, doubt = _steady_part(measurement, sensing, expected)
+    signal = measurement.signal[first:last, list(sensing.columns)]
+    warnings += doubt
+
+    if by_pulses is not None:
+        track, doubt = track_of(by_pulses, rate, first, last, measurement.name), []
+    else:
+        track, doubt = _track(signal, rate, nominal, speed, measurement.name)
+    estimate = track.estimate
+    warnings += doubt
+    revolutions = _refuse_short(measurement.name, len(signal) / rate, estimate.speed)
+    turn = estimate.speed / (2.0 * math.pi)
+    if 0.5 * rate < (FEATURE_ORDERS + 0.5) * turn:
+        rule = f"sample rate {rate:g} Hz: does not reach order {FEATURE_ORDERS} of a drive at {turn:.4g} Hz"
+        raise MeasurementError(measurement.name, rule=rule)
+
+    cleaned = remove_hum(signal, rate, track)
+    wander = float(np.max(np.abs(track.speed / track.speed.mean() - 1.0)))
+    floor = noise_floor(cleaned.signal, rate, measurement.name, turn=turn, wander=wander)
+    resampled = wander > WANDER
+    even = at_mean_speed(cleaned.signal, rate, track) if resampled else cleaned.signal
+    scheme = scheme or BandScheme.for_drive(nominal)
+    derivatives = sensing.derivatives if any(sensing.derivatives) else None
+    bands = band_matrix(even, rate, estimate.speed, scheme, channels=sensing.sensors, derivatives=derivatives)
+    edges = scheme.edges_hz(estimate.speed)
+    cuts = usable_cuts(scheme, estimate.speed, rate)
+    if round(revolutions) < FEW_REVOLUTIONS:
+        warnings.append(f"only {revolutions:.1f} revolutions: results are less certain below {FEW_REVOLUTIONS:g}")
+    if abs(estimate.speed / abs(nominal) - 1.0) > FAR_FROM_NOMINAL:
+        warnings.append(
+            f"drive speed {60 * turn:.4g} rpm is far from the nominal {abs(nominal) * 30 / math.pi:.4g} rpm"
+        )
+    if wander > MUCH_WANDER:
+        warnings.append(f"drive speed wanders by {100 * wander:.2g} %: results are less certain")
+    if cuts[-1] < scheme.count:
+        warnings.append(
+            f"sample rate {rate:g} Hz: bands above {edges[cuts[-1]]:.4g} Hz are not compared"
+            f" (the catalogue goes to {edges[-1]:.4g} Hz)"
+        )
+    steps = (
+        sensor_step,
+        part_step,
+        RecipeStep(
+            name="drive speed",
+            version="2",
+            parameters={"search_range": SEARCH_RANGE},
+            found=_speed_note(estimate, wander),
+        ),
+        RecipeStep(name="hum", version="1", parameters={}, found=_lines_note(cleaned.lines)),
+        RecipeStep(name="noise floor", version="2", parameters={}, found=_floor_note(floor, sensing)),
+        RecipeStep(
+            name="angular resampling",
+            version="1",
+            parameters={"from_wander": WANDER},
+            found=f"wander {100 * wander:.2g} %: " + ("sampled anew at the mean speed" if resampled else "not needed"),
+        ),
+        RecipeStep(
+            name="bands",
+            version="1",
+            parameters={"window_revolutions": WINDOW_REVOLUTIONS, "hop_revolutions": HOP_REVOLUTIONS},
+            found=f"{bands.segments} windows; {', '.join(sensing.compared)} in {len(cuts) - 1} bands"
+            f" up to {edges[cuts[-1]]:.4g} Hz",
+        ),
+    )
+    notes = [*measurement.import_report, steps[2].found]
+    notes += [
+        f"steady line at {line.frequency:.2f} Hz taken out, amplitude up to {line.amplitude.max():.2g}"
+        for line in cleaned.lines
+    ]
+    noise = floor.band_power(edges, sensing.derivatives) @ (sensing.channels**2).T
+    if len(set(sensing.derivatives)) == 1:
+        # Vibration from elsewhere moves the whole frame: it is alike in all sensors, and does not average out.
+        alike = noise_floor(cleaned.signal @ sensing.channels.T, rate, measurement.name, turn=turn, wander=wander)
+        power = alike.band_power(edges, sensing.derivatives[:1] * len(sensing.channels))
+        noise = np.where(power > ALIKE * noise, power, noise)
+    return PreparedMeasurement(
+        name=measurement.name,
+        sensing=sensing,
+        speed=estimate,
+        revolutions=revolutions,
+        sensor_bands=bands,
+        noise_power=noise,
+        floor=floor,
+        lines=cleaned.lines,
+        cuts=cuts,
+        warnings=tuple(warnings),
+        notes=tuple(notes),
+        steps=steps,
+    )
+
+
+def _sensors(
+    measurement: Measurement, machine: Machine, mapping: Mapping[str, str] | None
+) -> tuple[SensorMap, RecipeStep]:
+    """Sensors to be used: those with clipping or dropouts are left out where the others see as much."""
+    sensing = map_sensors(measurement, machine, mapping)
+    names = measurement.channel_names
+    left_out: list[int] = []
+    for column in sensing.columns:
+        if any(flaw.channel == names[column] and flaw.kind != "offset" for flaw in measurement.flaws):
+            without = without_columns(sensing, machine, [column])
+            if without is not None:
+                sensing, left_out = without, [*left_out, column]
+    found = f"columns {', '.join(names[column] for column in sensing.columns)} as {', '.join(sensing.sensors)}"
+    if left_out:
+        text = f"left out, as the others see as much of the frame: {', '.join(names[column] for column in left_out)}"
+        sensing = dataclasses.replace(sensing, warnings=(*sensing.warnings, text))
+        found += f"; {text}"
+    return sensing, RecipeStep(
+        name="sensors", version="2", parameters={"compared": ", ".join(sensing.compared)}, found=found
+    )
+
+
+def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> tuple[int, int, RecipeStep, list[str]]:
+    """Samples to be used: the longest part without a dropout, of that the steady part; and what there is to say."""
+    used = {measurement.channel_names[column] for column in sensing.columns}
+    dropouts = sorted(
+        (flaw.first, flaw.last) for flaw in measurement.flaws if flaw.kind == "dropout" and flaw.channel in used
+    )
+    first, last = 0, len(measurement.signal)
+    findings = []
+    if dropouts:
+        # One channel's may lie within another's.
+        ends = [0, *itertools.accumulate((end for _, end in dropouts), max)]
+        starts = [*(start for start, _ in dropouts), last]
+        gaps = list(zip(ends, starts, strict=True))
+        start, end = max(gaps, key=lambda gap: gap[1] - gap[0])
+        if (end - start) / measurement.sample_rate * abs(speed) / (2.0 * math.pi) >= 1.1 * MIN_REVOLUTIONS:
+            first, last = start, end
+            rate = measurement.sample_rate
+            findings.append(f"only {first / rate:.3g} to {last / rate:.3g} s are used: the rest holds dropouts")
+    stretch = steady_stretch(measurement.signal[first:last, list(sensing.columns)], measurement.sample_rate, speed)
+    findings += stretch.findings
+    first, last = first + stretch.first, first + stretch.last
+    rate = measurement.sample_rate
+    step = RecipeStep(
+        name="steady part",
+        version="1",
+        parameters={"speed_deviation": SPEED_DEVIATION, "level_deviation_db": LEVEL_DEVIATION_DB},
+        found="; ".join([f"{first / rate:.4g} to {last / rate:.4g} s of {measurement.duration:.4g} s", *findings]),
+    )
+    return first, last, step, findings
+
+
+def _speed_note(estimate: SpeedEstimate, wander: float) -> str:
+    rpm = estimate.speed * 30.0 / math.pi
+    if estimate.given:
+        return f"drive speed {rpm:.6g} rpm, as given"
+    share = 100 * estimate.uncertainty / estimate.speed
+    return f"drive speed {rpm:.6g} rpm +- {share:.2g} %, found in the recording; wander {100 * wander:.2g} %"
+
+
+def _lines_note(lines: tuple[SteadyLine, ...]) -> str:
+    return "taken out: " + (", ".join(f"{line.frequency:.2f} Hz" for line in lines) or "none found")
+
+
+def _floor_note(floor: NoiseFloor, sensing: SensorMap) -> str:
+    rms = ", ".join(f"{value:.2g}" for value in floor.rms)
+    text = f"rms to half the sample rate {rms}, white"
+    if floor.coloured:
+        standing = [
+            f"{name} {low:.4g} to {high:.4g} Hz +{10 * math.log10(factor):.0f} dB"
+            for name, row in zip(sensing.sensors, floor.excess, strict=True)
+            for low, high, factor in zip(floor.edges[:-1], floor.edges[1:], row, strict=True)
+            if factor > 1.0
+        ]
+        text += f" but for {', '.join(standing)}"
+    return text
+
+
+def _refuse_short(name: str, duration: float, speed: float, allowance: float = 0.0) -> float:
+    """Revolutions in so many seconds; refused when there are less than three even with the allowance."""
+    revolutions = duration * abs(speed) / (2.0 * math.pi)
+    if revolutions * (1.0 + allowance) < MIN_REVOLUTIONS:
+        rule = f"{duration:.4g} s are {revolutions:.2f} revolutions; at least {MIN_REVOLUTIONS:g} are needed"
+        raise MeasurementError(name, rule=rule)
+    return revolutions
+
+
+def _track(
+    signal: FloatArray, rate: float, nominal: float, speed: float | None, source: str
+) -> tuple[SpeedTrack, list[str]]:
+    """Course of the speed, and what makes a given one doubtful.
+
+    A given mean is kept; its course still tells hum from orders, where one can be found.
+    """
+    if speed is None:
+        return track_speed(signal, rate, nominal, source), []
+    given = SpeedEstimate(abs(speed), 0.0, True)
+    steady = SpeedTrack(np.array([0.0]), np.array([abs(speed)]), given)
+    try:
+        track = track_speed(signal, rate, speed, source)
+    except MeasurementError:
+        return steady, []
+    found = track.estimate.speed
+    if abs(found / abs(speed) - 1.0) > GIVEN_AGREES:
+        told, seen = (each * 30.0 / math.pi for each in (abs(speed), found))
+        return steady, [f"drive speed {told:.5g} rpm is given, but the orders in the recording are of {seen:.5g} rpm"]
+    return dataclasses.replace(track, estimate=given), []

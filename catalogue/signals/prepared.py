@@ -1,0 +1,150 @@
+"""A recording as it is compared with a catalogue: band powers of its sensors, their noise, and the feature vector.
+
+Features are levels in dB: orders 1 to 20, one order wide each, then third octaves to 4 kHz, of x, y and theta (or of
+the sensors there are), clipped below at the noise of the band.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.errors import MeasurementError
+from catalogue.measurements.drivespeed import SpeedEstimate
+from catalogue.signals.hum import SteadyLine
+from catalogue.signals.noise import NoiseFloor
+from catalogue.signals.recipe_steps import RecipeStep
+from catalogue.signals.sensors import SensorMap
+from catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, joined
+from solver.spectra.band_power import BandMatrix, transform_power
+from solver.spectra.bands import BandScheme
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedMeasurement:
+    """A recording as it is compared with a catalogue.
+
+    Parameters
+    ----------
+    name : str
+    sensing : SensorMap
+        Columns, sensors, and how they make the compared channels.
+    speed : SpeedEstimate
+    revolutions : float
+        Drive revolutions in the part that is used.
+    sensor_bands : BandMatrix
+        Cross-powers (B, s, s) of the sensors, as accelerations.
+    noise_power : (B, c) array
+        Power of the recording's own noise in every band of the compared channels.
+    floor : NoiseFloor
+        Of the used columns, as recorded.
+    lines : tuple of SteadyLine
+        Hum that was taken out.
+    cuts : tuple of int, (G + 1,)
+        Feature band ``g`` joins bands ``cuts[g]`` to ``cuts[g + 1] - 1``; only bands the sample rate covers.
+    warnings : tuple of str
+        Of the import and of the preparation.
+    notes : tuple of str
+        What was understood and done, without alarm.
+    steps : tuple of RecipeStep
+        What was done, in order.
+    """
+
+    name: str
+    sensing: SensorMap
+    speed: SpeedEstimate
+    revolutions: float
+    sensor_bands: BandMatrix
+    noise_power: FloatArray
+    floor: NoiseFloor
+    lines: tuple[SteadyLine, ...]
+    cuts: tuple[int, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    steps: tuple[RecipeStep, ...]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Compared channels, (c,)."""
+        return self.sensing.compared
+
+    @property
+    def drive_speed(self) -> float:
+        """Mean drive speed [rad/s]."""
+        return self.speed.speed
+
+    @property
+    def scheme(self) -> BandScheme:
+        """Bands, in orders of the drive."""
+        return self.sensor_bands.scheme
+
+    @cached_property
+    def power(self) -> ComplexArray:
+        """Cross-powers of the compared channels, (B, c, c)."""
+        return transform_power(self.sensor_bands.power, self.sensing.channels)
+
+    @property
+    def group_power(self) -> FloatArray:
+        """Power in each feature band, (G, c), noise included."""
+        auto = np.ascontiguousarray(np.diagonal(self.power, axis1=-2, axis2=-1).real)
+        return joined(auto, self.cuts)
+
+    @property
+    def group_noise(self) -> FloatArray:
+        """Noise power in each feature band, (G, c)."""
+        return np.maximum(joined(self.noise_power, self.cuts), LEAST_POWER)
+
+    @property
+    def group_degrees_of_freedom(self) -> FloatArray:
+        """Degrees of freedom of the noise power in each feature band, (G,)."""
+        return joined(self.sensor_bands.degrees_of_freedom[:, None], self.cuts)[:, 0]
+
+    @property
+    def features(self) -> FloatArray:
+        """Feature vector, (G * c,), dB; see :func:`feature_vector`."""
+        return feature_vector(self.power, self.cuts, noise=self.group_noise)
+
+    @property
+    def axes(self) -> tuple[FeatureAxis, ...]:
+        """What each number of the feature vector is, (G * c,)."""
+        return feature_axes(self.scheme, self.cuts, self.channels, self.drive_speed)
+
+    def with_gains(self, gains: Mapping[str, float]) -> PreparedMeasurement:
+        """Return the recording as sensors of the right gain would have made it.
+
+        Parameters
+        ----------
+        gains : mapping of sensor to float
+            What each multiplies accelerations by, 1 where it is right; > 0. Sensors that are not in this recording are
+            ignored.
+
+        Raises
+        ------
+        MeasurementError
+            A gain is not a positive number.
+        """
+        factor = np.array([float(gains.get(sensor, 1.0)) for sensor in self.sensing.sensors])
+        if not (np.isfinite(factor).all() and (factor > 0).all()):
+            raise MeasurementError(self.name, value=dict(gains), rule="sensor gains must be positive and finite")
+        power = self.sensor_bands.power / np.outer(factor, factor)
+        floor = dataclasses.replace(self.floor, density=self.floor.density / factor**2)
+        edges, squared = self.scheme.edges_hz(self.drive_speed), (self.sensing.channels**2).T
+        before, after = (each.band_power(edges, self.sensing.derivatives) @ squared for each in (self.floor, floor))
+        shown = {name: float(value) for name, value in zip(self.sensing.sensors, factor, strict=True)}
+        found = ", ".join(f"{name} {100 * (value - 1):+.1f} %" for name, value in shown.items())
+        return dataclasses.replace(
+            self,
+            sensor_bands=dataclasses.replace(self.sensor_bands, power=power),
+            noise_power=after
+            * (self.noise_power / np.maximum(before, 1e-300)),  # what sensors have in common changes like their own
+            floor=floor,
+            steps=(*self.steps, RecipeStep(name="gains", version="1", parameters=shown, found=f"divided out: {found}")),
+        )

@@ -1,0 +1,107 @@
+"""Where the index of a catalogue is: a file beside the shards, or a database that several computers reach."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+from catalogue.errors import CatalogueFileError
+from catalogue.storage.database import database_url
+from catalogue.storage.directory import CatalogueDirectory, publish
+from catalogue.storage.index import LOCAL, Index
+
+__all__ = ["IndexLocation"]
+
+_NAME = "index.json"
+
+
+@dataclass(frozen=True)
+class IndexLocation:
+    """The index of one catalogue.
+
+    Parameters
+    ----------
+    source : Path or str
+        Its file, or the URL of its database, without password.
+    instance : str
+        Which catalogue of that database.
+    password : str, optional
+        Of the database; never stored.
+    """
+
+    source: Path | str
+    instance: str = LOCAL
+    password: str | None = field(default=None, repr=False)
+
+    @classmethod
+    def of(cls, directory: CatalogueDirectory) -> Self:
+        """Where the index is according to the catalogue's folder.
+
+        Raises
+        ------
+        CatalogueFileError
+            The note that says so cannot be read.
+        """
+        path = directory.root / _NAME
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            return cls(str(content["url"]), str(content["instance"]))
+        except FileNotFoundError:
+            return cls(directory.index)
+        except (OSError, ValueError, KeyError, TypeError):
+            rule = "does not say where the index is: delete it, and name the database by --index"
+            raise CatalogueFileError(path, rule) from None
+
+    @classmethod
+    def settled(cls, directory: CatalogueDirectory, url: str | None, *, alone: bool) -> Self:
+        """Where the index is to be; a URL given is remembered in the folder.
+
+        Parameters
+        ----------
+        directory : CatalogueDirectory
+        url : str or None
+            Of a database; None for the one remembered, or a file.
+        alone : bool
+            Whether nobody else uses the catalogue; else its index stays where it is.
+
+        Raises
+        ------
+        CatalogueFileError
+            The URL is none, or another builder uses the index where it is.
+        """
+        old = cls.of(directory)
+        if url is None:
+            return old
+        wanted = database_url(url)
+        plain = wanted._replace(password=None).render_as_string(hide_password=False)
+        password = str(wanted.password) if wanted.password is not None else None
+        if old.source == plain:
+            return cls(plain, old.instance, password)
+        if not alone:
+            raise CatalogueFileError(directory.root, f"is being built with the index {old.source}: name no other")
+        new = cls(plain, str(uuid.uuid4()), password)
+        content = {"url": plain, "instance": new.instance}
+        new.open().close()  # refuses before it is remembered
+        publish(directory.root / _NAME, (json.dumps(content, indent=1) + "\n").encode())
+        return new
+
+    @property
+    def is_file(self) -> bool:
+        """Whether it is the file in the catalogue's folder."""
+        return isinstance(self.source, Path)
+
+    def open(self) -> Index:
+        """Open it.
+
+        Raises
+        ------
+        CatalogueFileError
+            As :class:`~catalogue.storage.index.Index`.
+        """
+        if self.password is None or isinstance(self.source, Path):
+            return Index(self.source, self.instance)
+        url = database_url(self.source).set(password=self.password)
+        return Index(url.render_as_string(hide_password=False), self.instance)

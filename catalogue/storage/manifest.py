@@ -1,0 +1,214 @@
+"""The manifest: what a catalogue is of, and whether a build may go on in its folder."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Self
+
+import solver
+from catalogue.errors import CatalogueFileError, CatalogueMismatchError, PlanError
+from catalogue.plans.entry import Recipe
+from catalogue.plans.keys import content_digest
+from catalogue.plans.parameters import MachineNumbers
+from catalogue.plans.plan import Plan, parse_plan
+from catalogue.storage.directory import CatalogueDirectory, publish
+from catalogue.storage.hdf5 import SCHEMA_VERSION
+from catalogue.storage.seal import Seal, root_hash
+from catalogue.storage.shard import ShardHeader
+from solver.errors import MachineError
+from solver.machines.machine import Machine, parse_machine
+
+__all__ = ["Manifest", "package_versions", "this_platform"]
+
+_FORMAT = "jointplay catalogue"
+_PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of Python and of the packages that shape simulated numbers."""
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in _PACKAGES}}
+
+
+def this_platform() -> str:
+    """System and processor of this computer: sums round alike where both are alike."""
+    from llvmlite import binding
+
+    return f"{platform.platform()}, {binding.get_host_cpu_name()}"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What stands in ``manifest.json``.
+
+    Parameters
+    ----------
+    machine_content : str
+        Canonical JSON of the machine.
+    recipe : Recipe
+        How every entry is computed.
+    plan : Plan
+        The plan that last added to the catalogue.
+    solver_version : str
+    versions : mapping of str to str
+        Python and packages at the first build.
+    platform : str
+        Computer and system of the first build.
+    created : str
+        RFC 3339, UTC.
+    seal : Seal, optional
+        What it consisted of at the end of the last build or check; None before the first.
+    """
+
+    machine_content: str
+    recipe: Recipe
+    plan: Plan
+    solver_version: str
+    versions: Mapping[str, str]
+    platform: str
+    created: str
+    seal: Seal | None = None
+
+    @classmethod
+    def of(cls, machine: Machine, plan: Plan) -> Self:
+        """The manifest of a new catalogue."""
+        return cls(
+            machine_content=machine.canonical_json(),
+            recipe=plan.recipe(machine),
+            plan=plan,
+            solver_version=solver.__version__,
+            versions=package_versions(),
+            platform=this_platform(),
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+
+    @classmethod
+    def of_shard(cls, header: ShardHeader, created: str) -> Self:
+        """The manifest that fits a shard, for one that was lost."""
+        return cls(
+            machine_content=header.machine,
+            recipe=header.recipe,
+            plan=parse_plan(header.plan, "plan of a shard"),
+            solver_version=header.solver_version,
+            versions=header.versions,
+            platform="not known",
+            created=created,
+        )
+
+    @classmethod
+    def read(cls, directory: CatalogueDirectory) -> Self:
+        """Read the manifest of a catalogue.
+
+        Raises
+        ------
+        CatalogueFileError
+            There is none, or it cannot be understood.
+        CatalogueMismatchError
+            It has another schema version.
+        """
+        path = directory.manifest
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            rule = "is not a catalogue: it has no manifest.json"
+            raise CatalogueFileError(directory.root, rule) from None
+        except (OSError, ValueError) as error:
+            raise CatalogueFileError(path, f"cannot be read as JSON ({error})") from None
+        if not isinstance(content, dict) or content.get("format") != _FORMAT:
+            raise CatalogueFileError(path, "is not the manifest of a catalogue")
+        if content.get("schema_version") != SCHEMA_VERSION:
+            found = content.get("schema_version")
+            rule = f"has schema version {found}; this program reads and writes {SCHEMA_VERSION}"
+            raise CatalogueMismatchError(directory.root, rule)
+        try:
+            if content.pop("checksum") != content_digest(content):
+                raise ValueError("it does not match its checksum")
+            seal = content["seal"]
+            return cls(
+                machine_content=parse_machine(content["machine"], str(path)).canonical_json(),
+                recipe=Recipe.from_content(content["recipe"]),
+                plan=parse_plan(content["plan"], str(path)),
+                solver_version=str(content["solver_version"]),
+                versions=dict(content["versions"]),
+                platform=str(content["platform"]),
+                created=str(content["created"]),
+                seal=None if seal is None else Seal.from_plain(seal),
+            )
+        except (KeyError, TypeError, ValueError, MachineError, PlanError) as error:
+            raise CatalogueFileError(path, f"is damaged ({error})") from None
+
+    def to_json(self) -> bytes:
+        """As it is written, with a checksum over everything else in it."""
+        content: dict[str, Any] = {
+            "format": _FORMAT,
+            "schema_version": SCHEMA_VERSION,
+            "machine_key": self.machine.content_key,
+            "recipe": self.recipe.content,
+            "plan": self.plan.content,
+            "plan_hash": self.plan.hash,
+            "band_edges_orders": list(self.recipe.scheme.edges),
+            "solver_version": self.solver_version,
+            "versions": dict(self.versions),
+            "platform": self.platform,
+            "created": self.created,
+            "machine": json.loads(self.machine_content),
+            "seal": None if self.seal is None else self.seal.plain,
+        }
+        content["checksum"] = content_digest(content)
+        return (json.dumps(content, indent=1) + "\n").encode()
+
+    def write(self, directory: CatalogueDirectory) -> None:
+        """Write the manifest; the old one stays until the new one is complete."""
+        publish(directory.manifest, self.to_json())
+
+    def root_of(self, shards: tuple[str, ...]) -> str:
+        """Root hash of the catalogue if it consists of these shards (names, sorted)."""
+        return root_hash(SCHEMA_VERSION, self.machine.content_key, self.recipe.content, shards)
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The machine; its links and joints are in alphabetical order."""
+        return parse_machine(self.machine_content, "machine of the catalogue")
+
+    def header(self, plan: Plan) -> ShardHeader:
+        """What a shard written now says of itself."""
+        return ShardHeader(
+            machine=self.machine_content,
+            recipe=self.recipe,
+            plan=plan.content,
+            solver_version=self.solver_version,
+            versions=package_versions(),
+        )
+
+    def check_accepts(self, machine: Machine, plan: Plan, where: Path) -> None:
+        """Refuse what must not be mixed into this catalogue.
+
+        Raises
+        ------
+        CatalogueMismatchError
+            Another machine, solver version, setting of the computation, or scatter of the uncertain numbers.
+        """
+        if machine.content_key != self.machine.content_key:
+            raise CatalogueMismatchError(where, f"is a catalogue of another machine: {self._difference(machine)}")
+        if self.solver_version != solver.__version__:
+            rule = f"was built by solver {self.solver_version}, this is {solver.__version__}: build into another folder"
+            raise CatalogueMismatchError(where, rule)
+        self.recipe.check_same(plan.recipe(machine), str(where))
+        different = self.plan.difference(plan, machine)
+        if different:
+            raise CatalogueMismatchError(where, f"was drawn with another {different}: build into another folder")
+
+    def _difference(self, machine: Machine) -> str:
+        if machine.name != self.machine.name:
+            return f"{self.machine.name}, not {machine.name}"
+        ours, theirs = MachineNumbers(self.machine).by_path, MachineNumbers(machine).by_path
+        for path in sorted({*ours, *theirs}):
+            if ours.get(path) != theirs.get(path):
+                return f"{machine.name} with {path} {ours.get(path, 'missing')}, not {theirs.get(path, 'missing')}"
+        return f"{machine.name} with other names or kinds of parts"

@@ -1,0 +1,276 @@
+"""Checking a catalogue against its checksums, and making its index agree with its files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from catalogue.errors import CatalogueFileError, CatalogueMismatchError
+from catalogue.storage.directory import CatalogueDirectory, sha256_of
+from catalogue.storage.hdf5 import decode_shard
+from catalogue.storage.index import EntriesPresentError, Index
+from catalogue.storage.location import IndexLocation
+from catalogue.storage.manifest import Manifest
+from catalogue.storage.matrix_files import MappedColumns
+from catalogue.storage.sealing import seal
+from catalogue.storage.shard import OK, Shard, ShardHeader
+from catalogue.storage.shard_checks import check_shard
+
+__all__ = ["Finding", "VerifyReport", "reindex", "verify"]
+
+
+_NONE = np.empty((0, 0, 0), np.float32)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that was not in order.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What was wrong.
+    action : str
+        What was done about it.
+    """
+
+    path: Path
+    what: str
+    action: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.what}; {self.action}"
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """What a check found.
+
+    Parameters
+    ----------
+    shards, entries, failed : int
+        Sound shards, entries in them, and those of the entries whose status is not ok.
+    findings : tuple of Finding
+        What was wrong; empty for a catalogue in order. Everything in it has been repaired or put aside.
+    lost_entries : int
+        Entries that the index knew and no sound shard holds; building again computes them.
+    """
+
+    shards: int
+    entries: int
+    failed: int
+    findings: tuple[Finding, ...]
+    lost_entries: int
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing was wrong."""
+        return not self.findings
+
+
+def verify(directory: str | Path) -> VerifyReport:
+    """Check every shard and every entry of a catalogue, and repair its index and its manifest from the shards.
+
+    A shard that does not match its checksum, cannot be read, belongs elsewhere, or holds numbers that cannot be, is
+    moved to ``quarantine``; nothing is deleted but the leftovers of interrupted writing.
+
+    Parameters
+    ----------
+    directory : str or Path
+        The catalogue's folder.
+
+    Returns
+    -------
+    VerifyReport
+
+    Raises
+    ------
+    CatalogueFileError
+        There is no catalogue, or its files cannot be read or written.
+    CatalogueMismatchError
+        It has another schema version.
+    CatalogueBusyError
+        A build is running there.
+    """
+    return _checked_alone(directory, again=False)
+
+
+def reindex(directory: str | Path) -> VerifyReport:
+    """Throw the index and the feature matrix of a catalogue away and make them again from its shards.
+
+    Everything is checked on the way, as by :func:`verify`, whose parameters, results and errors these are.
+    """
+    return _checked_alone(directory, again=True)
+
+
+def _checked_alone(directory: str | Path, *, again: bool) -> VerifyReport:
+    layout = CatalogueDirectory(Path(directory))
+    if not layout.manifest.exists() and not layout.shards.is_dir():
+        raise CatalogueFileError(layout.root, "is not a catalogue: it has no manifest.json and no shards")
+    with layout.locked():
+        return _Check(layout, again=again).run()
+
+
+class _Check:
+    """One check under way."""
+
+    def __init__(self, layout: CatalogueDirectory, *, again: bool) -> None:
+        self._layout, self._again = layout, again
+        self._findings: list[Finding] = []
+        self._header: ShardHeader | None = None
+
+    def run(self) -> VerifyReport:
+        leftovers = self._layout.remove_temporaries()
+        if leftovers:
+            self._note(self._layout.root, f"{leftovers} unfinished files of an interrupted build", "deleted")
+        manifest = self._manifest()
+        if self._again:
+            self._forget()
+        sound: dict[str, Shard] = {}
+        sizes: dict[str, int] = {}
+        for name in self._layout.shard_names():
+            path = self._layout.shard(name)
+            try:
+                content = path.read_bytes()
+                manifest = self._checked(name, path, content, manifest, sound, sizes)
+            except OSError as error:
+                raise CatalogueFileError(path, f"cannot be read ({error.strerror or error})") from error
+        if manifest is None:
+            raise CatalogueFileError(self._layout.manifest, "is missing, and no shard tells what it should say")
+        lost = self._repair_index(sound, sizes)
+        self._repair_matrix(manifest, tuple(sorted(sound)))
+        keys = {key: status for shard in sound.values() for key, status in zip(shard.key, shard.status, strict=True)}
+        failed = sum(status != OK for status in keys.values())
+        return VerifyReport(len(sound), len(keys), failed, tuple(self._findings), lost)
+
+    def _forget(self) -> None:
+        """Throw away what is made from the shards."""
+        location = IndexLocation.of(self._layout)
+        if location.is_file:
+            for ending in ("", "-wal", "-shm"):
+                Path(f"{self._layout.index}{ending}").unlink(missing_ok=True)
+        else:
+            with location.open() as index:
+                index.remove_shards(list(index.shards()))
+        self._layout.remove_folder(self._layout.matrices)
+
+    def _note(self, path: Path, what: str, action: str) -> None:
+        self._findings.append(Finding(path, what, action))
+
+    def _manifest(self) -> Manifest | None:
+        """The manifest; None if it must be made again from a shard."""
+        path = self._layout.manifest
+        try:
+            return Manifest.read(self._layout)
+        except CatalogueMismatchError:
+            raise
+        except CatalogueFileError as error:
+            if path.exists():
+                aside = self._layout.move_to_quarantine(path)
+                self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
+            return None
+
+    def _checked(
+        self,
+        name: str,
+        path: Path,
+        content: bytes,
+        manifest: Manifest | None,
+        sound: dict[str, Shard],
+        sizes: dict[str, int],
+    ) -> Manifest | None:
+        """Sort one shard into the sound ones or out of the way; the first sound one stands in for a lost manifest."""
+        try:
+            if sha256_of(content) != name:
+                raise CatalogueFileError(path, "does not match its checksum")
+            shard = decode_shard(content, path)
+            check_shard(shard, path)
+            if manifest is None:
+                manifest = Manifest.of_shard(shard.header, datetime.now(UTC).isoformat(timespec="seconds"))
+                manifest.write(self._layout)
+                self._note(self._layout.manifest, "was missing or damaged", "made again from the shards")
+            header = shard.header
+            if (header.machine, header.recipe) != (manifest.machine_content, manifest.recipe):
+                raise CatalogueFileError(path, "belongs to another machine or other settings")
+        except CatalogueFileError as error:
+            aside = self._layout.move_to_quarantine(path)
+            self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
+        else:
+            # What follows asks for the table only; spectra, and a machine for every shard, would not fit into memory.
+            self._header = self._header or header
+            sound[name] = replace(shard, header=self._header, power=_NONE, spread_db=_NONE)
+            sizes[name] = len(content)
+        return manifest
+
+    def _repair_index(self, sound: dict[str, Shard], sizes: dict[str, int]) -> int:
+        """Make the index say what the sound shards hold; returns how many entries it knew that are nowhere now."""
+        path, location = self._layout.index, IndexLocation.of(self._layout)
+        is_new = location.is_file and not path.exists()
+        index: Index | None = None
+        try:
+            index = location.open()
+            if not is_new and not index.is_sound():
+                raise CatalogueFileError(path, "is a damaged database")
+        except CatalogueFileError as error:
+            if not location.is_file:
+                raise
+            if index is not None:
+                index.close()
+            aside = self._layout.move_to_quarantine(path)
+            self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}, made again from the shards")
+            index, is_new = location.open(), True
+        else:
+            if is_new and sound and not self._again:
+                self._note(path, "is missing", "made again from the shards")
+        with index:
+            known, before = index.shards(), index.places()
+            gone = sorted(set(known) - set(sound))
+            for name in gone:
+                if not self._was_noted(name):
+                    self._note(self._layout.shard(name), "is missing", "its entries were taken out of the index")
+            new = sorted(set(sound) - set(known))
+            wrong = [name for name in sound if name in known and not _agrees(name, sound[name], before)]
+            if new and not (is_new or self._again):
+                self._note(path, f"did not know {len(new)} shards", "entered them")
+            if wrong:
+                self._note(path, f"did not agree with {len(wrong)} shards", "entered them again")
+            index.remove_shards([*gone, *wrong])
+            for name in sorted([*new, *wrong]):
+                self._enter(index, name, sizes, sound)
+            return len(set(before) - set(index.places()))
+
+    def _enter(self, index: Index, name: str, sizes: dict[str, int], sound: dict[str, Shard]) -> None:
+        """Enter a shard, or put it aside if another one holds some of its entries."""
+        try:
+            index.add_shard(name, sizes[name], sound[name])
+        except EntriesPresentError as error:
+            path = self._layout.shard(name)
+            del sound[name]
+            aside = self._layout.move_to_quarantine(path)
+            self._note(path, str(error), f"moved to {aside.relative_to(self._layout.root)}")
+
+    def _repair_matrix(self, manifest: Manifest, names: tuple[str, ...]) -> None:
+        """Make the matrix and the seal say what the sound shards hold."""
+        path = self._layout.matrix(manifest.root_of(names))
+        try:
+            columns = MappedColumns.open(self._layout, manifest.root_of(names))
+            if columns is not None:
+                columns.check()
+            elif manifest.seal is not None and manifest.seal.names == names and not self._again:
+                self._note(path, "is missing", "made again from the shards")
+        except CatalogueFileError as error:
+            self._note(error.path, error.rule.split(":")[0], "made again from the shards")
+        seal(self._layout, manifest, lambda: names)
+
+    def _was_noted(self, name: str) -> bool:
+        return any(finding.path == self._layout.shard(name) for finding in self._findings)
+
+
+def _agrees(name: str, shard: Shard, places: dict[str, tuple[str, int]]) -> bool:
+    """Whether the index has every entry of a shard there, or in another shard that holds it, too."""
+    return all(key in places and (places[key][0] != name or places[key][1] == i) for i, key in enumerate(shard.key))
