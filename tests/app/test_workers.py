@@ -90,10 +90,11 @@ def test_a_worker_that_dies_is_replaced() -> None:
 
 def test_a_process_that_does_not_even_start_is_ended() -> None:
     async def story() -> None:
+        before = set(multiprocessing.active_children())  # workers of services that other tests share
         pool = WorkerPool(1, 4, 60.0)
         try:
             starting = asyncio.create_task(pool.run(pid))
-            while not (started := [each for each in multiprocessing.active_children() if "Spawn" in each.name]):
+            while not (started := set(multiprocessing.active_children()) - before):
                 await asyncio.sleep(0)
             (process,) = (each.pid for each in started if each.pid is not None)
             os.kill(process, signal.SIGSTOP)
