@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -223,13 +225,23 @@ def configure(connection: Any, _record: object) -> None:
     What is committed is on the disk (FULL): an answer that says "stored" outlives a loss of power.
     """
     connection.isolation_level = None  # transactions begin as `begin` says, not as the driver guesses
-    for pragma in (
-        "journal_mode = WAL",
-        "foreign_keys = ON",
-        f"busy_timeout = {WAIT_S * 1000:.0f}",
-        "synchronous = FULL",
-    ):
+    connection.execute(f"PRAGMA busy_timeout = {WAIT_S * 1000:.0f}")
+    write_ahead(connection)
+    for pragma in ("foreign_keys = ON", "synchronous = FULL"):
         connection.execute(f"PRAGMA {pragma}")
+
+
+def write_ahead(connection: Any) -> None:
+    """Let a file be written ahead; that wants a new file alone, and does not wait for it as statements do."""
+    until = time.monotonic() + WAIT_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.01)
 
 
 def begin(connection: Connection) -> None:
