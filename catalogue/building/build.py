@@ -27,7 +27,7 @@ from solver.simulation.simulate import check_assembly
 
 __all__ = ["BuildReport", "Progress", "build"]
 
-CHUNK_SIZE = 128
+CHUNK_SIZE = 256
 """Cases of a chunk: what a killed build loses at most for each worker, and what compiling a model is spread over."""
 
 LEASE = 60.0

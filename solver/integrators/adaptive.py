@@ -21,6 +21,7 @@ from solver.integrators.control import (
     SHORTEST,
     STALLED,
     accepted,
+    after_switch,
     arrival,
     next_step,
     refused,
@@ -39,6 +40,7 @@ Structured = NDArray[Any]
 
 _accepted, _arrival, _next_step, _refused = (inlined(rule) for rule in (accepted, arrival, next_step, refused))
 _remember, _shortened, _switch_part = (inlined(rule) for rule in (remember, shortened, switch_part))
+_after_switch = inlined(after_switch)
 
 
 @inlined
@@ -59,19 +61,40 @@ def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Arra
 
 
 @inlined
-def _first_switch(w: Array, contacts: int, rows: Rows, lane: int, step: float, old: Array) -> tuple[int, float]:
-    """Contact that begins or ceases to push first within the step, and the part of the step at which; -1 for none."""
-    event, part = -1, 1.0
+def _first_switch(
+    w: Array, contacts: int, rows: Rows, lane: int, step: float, precision: float, shortest: float, old: Array
+) -> tuple[int, float]:
+    """Contact that begins or ceases to push first within the step (-1 for none), and the shorter step to it, or 0.
+
+    0 only where no contact needs a shorter one: what has switched by then has done so at the end of the step.
+    """
+    event, first, shorter = -1, 1.0, 0.0
     for j in range(contacts):
+        at = j * LANES + lane
+        pushing = w[rows.touching * LANES + at] > 0.5
+        switch, approach = w[rows.switch * LANES + at], w[rows.approach * LANES + at]
         where = _switch_part(
-            w[(rows.touching + j) * LANES + lane] > 0.5,
-            old[2, j, lane], w[(rows.switch + j) * LANES + lane],
-            old[0, j, lane], w[(rows.penetration + j) * LANES + lane],
-            old[1, j, lane], w[(rows.approach + j) * LANES + lane], step,
+            pushing, old[2, j, lane], switch, old[0, j, lane], w[rows.penetration * LANES + at],
+            old[1, j, lane], approach, step,
         )  # fmt: skip
-        if where <= 1.0 and (event < 0 or where < part):
-            event, part = j, where
-    return event, part
+        if where <= 1.0:
+            wanted = _shortened(step, where, pushing, switch, approach, precision, shortest)
+            if wanted > 0.0 and (shorter == 0.0 or wanted < shorter):
+                event, shorter = j, wanted
+            elif shorter == 0.0 and (event < 0 or where < first):
+                event, first = j, where
+    return event, shorter
+
+
+@inlined
+def _switch(w: Array, contacts: int, rows: Rows, lane: int, event: int) -> bool:
+    """Let the contact of the event push or cease to, with those that switched at the same time; whether it pushes."""
+    for j in range(contacts):
+        at = j * LANES + lane
+        pushes = w[rows.touching * LANES + at] > 0.5
+        if j == event or pushes != (w[rows.switch * LANES + at] > 0.0):
+            w[rows.touching * LANES + at] = 0.0 if pushes else 1.0
+    return bool(w[(rows.touching + event) * LANES + lane] > 0.5)
 
 
 @inlined
@@ -169,26 +192,21 @@ def integrate(
             mine.over = 0
             event = -1
             if accept:
-                event, part = _first_switch(w, contacts, rows, lane, step, old)
-                if event >= 0:
-                    at = event * LANES + lane
-                    pushing = w[rows.touching * LANES + at] > 0.5
-                    switch, approach = w[rows.switch * LANES + at], w[rows.approach * LANES + at]
-                    shorter = _shortened(step, part, pushing, switch, approach, case.precision, shortest)
-                    if shorter > 0.0:
-                        accept = False
-                        mine.natural, mine.h = max(mine.natural, step), shorter
+                event, shorter = _first_switch(w, contacts, rows, lane, step, case.precision, shortest, old)
+                if shorter > 0.0:
+                    accept = False
+                    mine.natural, mine.h = max(mine.natural, step), shorter
             else:
                 smooth = project != 0 and not _any_contact(w, contacts, rows, lane)
-                mine.h, mine.uncut, mine.uncut_error, over = _refused(
+                mine.h, mine.uncut, mine.uncut_error, over, restore = _refused(
                     step, e, jammed, w[rows.growth * LANES + lane], case.tolerance, mine.forced, smooth, mine.uncut,
                     mine.uncut_error,
                 )  # fmt: skip
                 mine.over = over
                 mine.forced += over
                 mine.natural = mine.h
-                # Near a loss of rank it is the drift of the closures that spoils the accelerations.
-                mine.since = PROJECT_EVERY
+                if restore:
+                    mine.since = PROJECT_EVERY
             tired = mine.trials > case.most_trials
             if not accept:
                 for i in range(2 * n):
@@ -212,7 +230,7 @@ def integrate(
             if last > mine.sample:
                 record(
                     w, rows.kept, rows.dense, n, lane, mine.begin, t, step, mine.sample, last, mine.slot, channels,
-                    interval, records.oversampling, records.head, velocities, coordinates, accelerations, rows.memory,
+                    interval, records.head, velocities, coordinates, accelerations, rows.memory,
                     memories,
                 )  # fmt: skip
                 mine.sample = last
@@ -223,16 +241,18 @@ def integrate(
             for i in range(n):
                 w[(rows.slopes + i) * LANES + lane] = w[(rows.last_slopes + i) * LANES + lane]
             _remember_contacts(w, contacts, rows, lane, old)
+            natural = 0.0
             if event >= 0:
-                pushes = w[(rows.touching + event) * LANES + lane]
-                w[(rows.touching + event) * LANES + lane] = 1.0 - pushes
+                pushes = _switch(w, contacts, rows, lane, event)
+                natural, mine.pressed = _after_switch(mine.natural, mine.pressed, pushes)
                 cursor[STALE] = 1
             _remember_impacts(w, rows, remembering, lane)
-            if step >= mine.uncut:
+            # Refusals in a contact say nothing of the closures.
+            if mine.uncut > 0.0 and (step >= mine.uncut or _any_contact(w, contacts, rows, lane)):
                 mine.uncut = 0.0
-            natural = mine.natural if event >= 0 else 0.0
             mine.natural = 0.0
-            growth = w[rows.growth * LANES + lane]
+            growth = w[rows.growth * LANES + lane] * mine.root
+            mine.root = w[rows.root * LANES + lane] if event < 0 else 1.0
             mine.h = _next_step(step, case.first_step, growth, natural, case.longest_step, now, mine.end)
             mine.since += 1
         if project != 0 and restore_closures(project, w, n, lanes, saved):

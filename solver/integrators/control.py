@@ -85,32 +85,47 @@ def switch_part(
     step : float
         s.
     """
-    if pushing:
-        if s1 < 0.0:
-            return s0 / (s0 - s1) if s0 > 0.0 else 0.5
-        return 2.0
-    # Also where both ends are open but the pair came near and went: it may have touched in between.
-    if not (s1 > 0.0 or r0 > 0.0 > r1):
-        return 2.0
-    if p0 >= 0.0:
-        if s1 > 0.0:  # still inside after its force had gone: pressed in again
-            return s0 / (s0 - s1) if s0 < 0.0 else 0.5
-        return 2.0
-    # The cubic through penetrations and rates at both ends: where it first becomes positive.
+    # The cubic through penetrations and rates at both ends.
     d0, d1 = step * r0, step * r1
     a = 2 * p0 - 2 * p1 + d0 + d1
     b = -3 * p0 + 3 * p1 - 2 * d0 - d1
-    low, high = 0.0, 2.0
-    for i in range(1, 9):
-        x = i / 8
-        if p0 + x * (d0 + x * (b + x * a)) > 0.0:
-            low, high = (i - 1) / 8, x
-            break
-    if high > 1.0:
-        return high
-    for _ in range(30):
+    lag, sign = 0.0, 1.0
+    low, high = 0.0, 1.0
+    if pushing:
+        if s1 >= 0.0:
+            return 2.0
+        if s0 <= 0.0:
+            return 0.0
+        # Damping lets go before the penetration ends: p + lag p', with the lag that the end of the step shows.
+        lag, sign = (s1 - p1) / d1 if d1 != 0.0 else 0.0, -1.0
+        if p0 + lag * d0 <= 0.0:
+            return s0 / (s0 - s1)
+    elif p0 >= 0.0:
+        # Still inside after its force had gone. Pressed in again, unless it left and came in anew, on the other side
+        # say: then the step is to end outside first, where what it remembers is forgotten.
+        if s1 <= 0.0:
+            return 2.0
+        for i in range(1, 8):
+            x = i / 8
+            if p0 + x * (d0 + x * (b + x * a)) < 0.0:
+                return x
+        return s0 / (s0 - s1) if s0 < 0.0 else 0.0
+    else:
+        # Also where both ends are open but the pair came near and went: it may have touched in between.
+        if not (s1 > 0.0 or r0 > 0.0 > r1):
+            return 2.0
+        high = 2.0
+        for i in range(1, 9):
+            x = i / 8
+            if p0 + x * (d0 + x * (b + x * a)) > 0.0:
+                low, high = (i - 1) / 8, x
+                break
+        if high > 1.0:
+            return high
+    for _ in range(24):
         middle = 0.5 * (low + high)
-        if p0 + middle * (d0 + middle * (b + middle * a)) > 0.0:
+        value = p0 + middle * (d0 + middle * (b + middle * a)) + lag * (d0 + middle * (2 * b + 3 * middle * a))
+        if sign * value > 0.0:
             high = middle
         else:
             low = middle
@@ -139,14 +154,32 @@ def shortened(
     if met or step <= 1e3 * shortest or abs(part - 1.0) <= 1e-9:
         return 0.0
     speed = abs(approach) + 1e-12
-    return max(min(0.999 * step, part * step + PAST * precision / speed), 0.001 * step)
+    # Never nearly the same step again: a slow approach must not make it creep.
+    past = min(PAST * precision / speed, 0.5 * (1.0 - part) * step)
+    return max(part * step + past, 0.001 * step)
+
+
+def after_switch(natural: float, pressed: float, pushes: bool) -> tuple[float, float]:
+    """Step to go on with after a switch, and the step to keep for the next contact, s.
+
+    Parameters
+    ----------
+    natural : float
+        Step that error control asked for before the switch, s.
+    pressed : float
+        What was kept: the one it asked for at the end of the contact before, s.
+    pushes : bool
+        Whether the contact pushes from now on.
+    """
+    # The step of a free flight is far too long for a contact, and refused time and again.
+    return (min(natural, pressed), pressed) if pushes else (natural, natural)
 
 
 def refused(
     step: float, e: float, jammed: bool, growth: float, tolerance: float, forced: int, smooth: bool, uncut: float,
     uncut_error: float,
-) -> tuple[float, float, float, bool]:  # fmt: skip
-    """What follows a step that its error forbids: next step, the two numbers kept, whether it steps over noise.
+) -> tuple[float, float, float, bool, bool]:  # fmt: skip
+    """What follows a step that its error forbids.
 
     Parameters
     ----------
@@ -158,15 +191,21 @@ def refused(
         Whether there are closures that can lose their rank, and no contact pushes.
     uncut, uncut_error : float
         Kept from refusal to refusal: step at which they began, s (0 for none), and its error.
+
+    Returns
+    -------
+    (float, float, float, bool, bool)
+        Next step, s; the two numbers kept; whether it steps over noise; whether the closures are to be restored: near
+        a loss of rank it is their drift that spoils the accelerations.
     """
     shorter = step * max(SHRINK, growth) if e < math.inf and not jammed else 0.1 * step
     if uncut == 0.0 or e * uncut * uncut < uncut_error * step * step:
-        return shorter, step, e, False
+        return shorter, step, e, False, smooth
     bearable = max(BEARABLE_PART, BEARABLE / tolerance)
     patient = e < math.inf and not jammed and forced < MOST_FORCED
     if smooth and patient and step <= NOISY_CUT * uncut and uncut_error < min(e, bearable):
-        return uncut, 0.0, uncut_error, True  # step over what shorter steps make worse
-    return shorter, uncut, uncut_error, False
+        return uncut, 0.0, uncut_error, True, True  # step over what shorter steps make worse
+    return shorter, uncut, uncut_error, False, True
 
 
 def next_step(
@@ -176,8 +215,11 @@ def next_step(
 
     Parameters
     ----------
-    step, first, growth
-        As in :func:`refused`; after a step short enough for its error to be noise the growth is not asked.
+    step, first
+        As in :func:`accepted`.
+    growth : float
+        Next step in parts of this one, as the errors of this step and of the one before want it; not asked after a
+        step short enough for its error to be noise.
     natural : float
         Step that error control asked for before a contact shortened it, s; 0 where none did.
     longest : float

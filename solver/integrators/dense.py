@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from solver.compiler.compiled import compiled, inlined
 from solver.compiler.ir import LANES
-from solver.integrators.lanes import GROUP
+from solver.integrators.lanes import GROUP, PHASES
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -30,6 +30,44 @@ def samples_until(now: float, begin: float, interval: float, first: int, count: 
     return max(first, min(last, count))
 
 
+_INDEX = ir.IntType(32)
+_VECTOR = ir.VectorType(ir.DoubleType(), GROUP)
+
+
+def _picked(builder: Any, vector: Any, places: list[int]) -> Any:
+    """Elements of a vector."""
+    return builder.shuffle_vector(
+        vector, ir.Constant(_VECTOR, ir.Undefined), ir.Constant(ir.VectorType(_INDEX, len(places)), places)
+    )
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    """Pointer to the elements of an array."""
+    return context.make_array(kind)(context, builder, array).data
+
+
+def _stored(builder: Any, vector: Any, target: Any, where: Any) -> None:
+    place = builder.bitcast(builder.gep(target, [where]), vector.type.as_pointer())
+    builder.store(vector, place, align=8)
+
+
+def _samples(
+    builder: Any, formula: Callable[[Any, Any, Any, list[Any]], Any], source: Any, at: Any, start: Any, x0: Any, dx: Any
+) -> Any:
+    """Vector instructions for a group of samples; see :func:`_group`."""
+
+    def all_of(scalar: Any) -> Any:
+        one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(_INDEX, 0))
+        return _picked(builder, one, [0] * GROUP)
+
+    rows = [builder.add(at, at.type(LANES * k)) for k in range(4)]
+    numbers = [all_of(builder.load(builder.gep(source, [row]))) for row in rows]
+    ramp = ir.Constant(_VECTOR, [float(k) for k in range(GROUP)])
+    x = builder.fadd(all_of(x0), builder.fmul(ramp, all_of(dx), ("contract",)), ("contract",))
+    y = builder.fsub(ir.Constant(_VECTOR, [1.0] * GROUP), x)
+    return formula(builder, x, y, [all_of(start), *numbers])
+
+
 def _group(formula: Callable[[Any, Any, Any, list[Any]], Any]) -> Any:
     """Compiled code that writes one group of samples: ``(w, at, out, where, start, scale, x0, dx)``.
 
@@ -40,23 +78,14 @@ def _group(formula: Callable[[Any, Any, Any, list[Any]], Any]) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         work, at, out, where, start, scale, x0, dx = arguments
-        vector = ir.VectorType(ir.DoubleType(), GROUP)
-        spread = ir.Constant(ir.VectorType(ir.IntType(32), GROUP), [0] * GROUP)
-
-        def all_of(scalar: Any) -> Any:
-            one = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-            return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), spread)
-
-        source = context.make_array(signature.args[0])(context, builder, work).data
-        rows = [builder.add(at, at.type(LANES * k)) for k in range(4)]
-        numbers = [all_of(builder.load(builder.gep(source, [row]))) for row in rows]
-        ramp = ir.Constant(vector, [float(k) for k in range(GROUP)])
-        x = builder.fadd(all_of(x0), builder.fmul(ramp, all_of(dx), ("contract",)), ("contract",))
-        y = builder.fsub(ir.Constant(vector, [1.0] * GROUP), x)
-        value = builder.fmul(formula(builder, x, y, [all_of(start), *numbers]), all_of(scale), ("contract",))
-        target = context.make_array(signature.args[2])(context, builder, out).data
-        place = builder.bitcast(builder.gep(target, [where]), vector.as_pointer())
-        builder.store(value, place, align=8)
+        source, target = (_data(context, builder, signature.args[i], each) for i, each in ((0, work), (2, out)))
+        value = _samples(builder, formula, source, at, start, x0, dx)
+        factor = _picked(
+            builder,
+            builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scale, ir.Constant(_INDEX, 0)),
+            [0] * GROUP,
+        )
+        _stored(builder, builder.fmul(value, factor, ("contract",)), target, where)
         return context.get_dummy_value()
 
     def typed(
@@ -89,10 +118,28 @@ def _slope(builder: Any, x: Any, y: Any, c: list[Any]) -> Any:
 _write_values, _write_slopes = _group(_value), _group(_slope)
 
 
+def _in_turn(typing_context: Any, w: Any, at: Any, out: Any, even: Any, odd: Any, start: Any, x0: Any, dx: Any) -> Any:
+    """A group of values as :func:`_group` has it: the even ones to ``out.flat[even:]``, the odd ones to ``[odd:]``."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        work, at, out, even, odd, start, x0, dx = arguments
+        source, target = (_data(context, builder, signature.args[i], each) for i, each in ((0, work), (2, out)))
+        value = _samples(builder, _value, source, at, start, x0, dx)
+        for place, where in enumerate((even, odd)):
+            _stored(builder, _picked(builder, value, list(range(place, GROUP, PHASES))), target, where)
+        return context.get_dummy_value()
+
+    whole, real = types.int64, types.float64
+    return types.void(w, whole, out, whole, whole, real, real, real), generate
+
+
+_write_in_turn: Any = intrinsic(_in_turn)
+
+
 @inlined
 def record(
     w: Array, kept: int, dense: int, n: int, lane: int, begin: float, t: float, step: float, first: int, last: int,
-    slot: int, channels: Integers, interval: float, oversampling: int, head: int, velocities: Array,
+    slot: int, channels: Integers, interval: float, head: int, velocities: Array,
     coordinates: Array, accelerations: Array, memory: int, memories: Array,
 ) -> None:  # fmt: skip
     """Write the samples `first` ... `last` - 1, which lie within the step.
@@ -113,27 +160,27 @@ def record(
         Place in the records.
     memory : int
         Row of the first contact's memory.
-    channels, interval, oversampling, head, velocities, coordinates, accelerations, memories
+    channels, interval, head, velocities, coordinates, accelerations, memories
         See :class:`solver.integrators.lanes.Records`; one by one, because compiled code counts references of every
         array it takes out of a tuple.
     """
     count = channels.size
     scale = 1.0 / step
     x0, dx = (begin - t) * scale, interval * scale
-    wide = oversampling * dx
+    wide = PHASES * dx
     motion = coordinates.shape[0] > 0
-    # Integer divisions are dear: these two serve all phases. Phase k begins at the first whole number of turns from
-    # which its samples are not before `first`, and ends likewise.
-    whole, rest = first // oversampling, first % oversampling
-    end, over = last // oversampling, last % oversampling
-    low, high = whole + (rest > 0), end + (over > 0)
+    low, high = (first + 1) // PHASES, (last + 1) // PHASES
     for r in range(count):
         start = w[(kept + n + channels[r]) * LANES + lane]
         at = (dense + 4 * (count + r)) * LANES + lane
-        for phase in range(oversampling):
-            row = ((slot * count + r) * oversampling + phase) * velocities.shape[3] + head
-            for s in range(whole + (phase < rest), end + (phase < over), GROUP):
-                _write_values(w, at, velocities, row + s, start, 1.0, x0 + phase * dx + s * wide, wide)
+        long = velocities.shape[3]
+        even = (slot * count + r) * PHASES * long + head + first // PHASES
+        odd = even + long
+        if first % PHASES == 1:
+            even, odd = odd, even + 1
+        for s in range(0, last - first, GROUP):
+            past = s // PHASES
+            _write_in_turn(w, at, velocities, even + past, odd + past, start, x0 + (first + s) * dx, dx)
         if motion:
             row = (slot * count + r) * coordinates.shape[2]
             for s in range(low, high, GROUP):

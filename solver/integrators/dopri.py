@@ -35,6 +35,8 @@ _DENSE = (
 _COUNT = len(_STAGES)
 #: Least error that step sizes are taken from.
 _LEAST_ERROR = 1e-10
+#: Least 16th root of an error, of 1e-4: after a step that could not be longer the next but one is not to be too short.
+_LEAST_ROOT = 0.5623
 #: Coefficients of the dense output of one quantity, beside its value at the start.
 DENSE_ROWS = 4
 
@@ -59,7 +61,7 @@ class StepRows:
     @staticmethod
     def count(size: int, contacts: int, recorded: int) -> int:
         """Rows needed."""
-        return 4 * contacts + 5 + _COUNT * size + (_COUNT - 2) * size + 2 * DENSE_ROWS * recorded
+        return 4 * contacts + 6 + _COUNT * size + (_COUNT - 2) * size + 2 * DENSE_ROWS * recorded
 
     @property
     def touching(self) -> int:
@@ -107,9 +109,14 @@ class StepRows:
         return self.pace + self.layout.stride
 
     @property
+    def root(self) -> int:
+        """16th root of the error, which holds back the step after the next (see ``docs/solver.md``)."""
+        return self.strictness + self.layout.stride
+
+    @property
     def slopes(self) -> int:
         """Accelerations of the seven stages, n rows each; the first holds those at the start of the step."""
-        return self.strictness + self.layout.stride
+        return self.root + self.layout.stride
 
     @property
     def stage_velocities(self) -> int:
@@ -141,12 +148,14 @@ def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) 
     return total
 
 
-def _growth(block: Block, error: str) -> str:
-    """SAFETY error^(-3/16): roots are single instructions, and 3/16 is near enough to the 1/5 of the theory."""
+def _growth(block: Block, error: str) -> tuple[str, str]:
+    """SAFETY error^(-3/16), and error^(1/16): roots are single instructions, and 3/16 is near enough to 1/5."""
     root = block.call("maxnum", error, block.constant(_LEAST_ERROR))
     for _ in range(4):
         root = block.call("sqrt", root)
-    return block.div(block.constant(SAFETY), block.mul(block.mul(root, root), root))
+    return block.div(block.constant(SAFETY), block.mul(block.mul(root, root), root)), block.call(
+        "maxnum", root, block.constant(_LEAST_ROOT)
+    )
 
 
 def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = None) -> str:
@@ -196,7 +205,9 @@ def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = No
     error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace)))
     error = block.mul(block.mul(error, h), block.load(rows.strictness))
     block.store(rows.error, error)
-    block.store(rows.growth, _growth(block, error))
+    growth, root = _growth(block, error)
+    block.store(rows.growth, growth)
+    block.store(rows.root, root)
     size = block.constant(0.0)
     for row in (*z, *v):
         size = block.add(size, block.call("fabs", block.load(row)))

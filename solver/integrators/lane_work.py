@@ -37,6 +37,7 @@ def load(
         mine.case, mine.slot, mine.fresh = c, free[cursor[FREE]], 1
         mine.begin = mine.t = case.begin
         mine.h, mine.natural = CAUTION * case.first_step, 0.0
+        mine.pressed, mine.root = np.inf, 1.0
         mine.uncut, mine.over = 0.0, 0
         mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
         for i in range(2 * n):

@@ -19,6 +19,8 @@ Structured = NDArray[Any]
 
 #: Samples are written in groups of so many, beyond the end of a step: what is too many is overwritten by the next one.
 GROUP = 8
+#: Velocities are recorded so many times as often as the rest, the first of every so many together, then the second.
+PHASES = 2
 #: Cases whose records are kept: eight in hand, and as many that have ended and wait to be taken.
 SLOTS = 2 * LANES
 
@@ -35,13 +37,15 @@ CASE = np.dtype(
 )  # fmt: skip
 
 #: A lane: time of the first sample, of the last, time, step to try, step that error control asked for before a contact
-#: shortened it, s; step at which refusals for error began, s (0 for none), that error, 1 where the next trial is that
-#: step again; case in hand (-1 for none) and the place of its records; 1 until its first step; next sample; trial
-#: steps; accepted steps since closures were restored, and at the noise of the error estimate; corrections in a row that
-#: did not restore closures, and the sample when they last held.
+#: shortened it, the same at the end of the last contact, s; 16th root of the error of the last step; step at which
+#: refusals for error began, s (0 for none), that error, 1 where the next trial is that step again; case in hand (-1 for
+#: none) and the place of its records; 1 until its first step; next sample; trial steps; accepted steps since closures
+#: were restored, and at the noise of the error estimate; corrections in a row that did not restore closures, and the
+#: sample when they last held.
 LANE = np.dtype(
     [
         ("begin", np.float64), ("end", np.float64), ("t", np.float64), ("h", np.float64), ("natural", np.float64),
+        ("pressed", np.float64), ("root", np.float64),
         ("uncut", np.float64), ("uncut_error", np.float64), ("over", np.int64),
         ("case", np.int64), ("slot", np.int64), ("fresh", np.int64), ("sample", np.int64), ("trials", np.int64),
         ("since", np.int64), ("forced", np.int64), ("lost", np.int64), ("held_at", np.int64),
@@ -59,6 +63,7 @@ class Rows(NamedTuple):
     approach: int
     error: int
     growth: int
+    root: int
     size: int
     pace: int
     strictness: int
@@ -96,11 +101,9 @@ class Records(NamedTuple):
         Coordinates.
     interval : float
         Time between samples of the velocity, s.
-    oversampling : int
-        Coordinates and accelerations are recorded at every so many samples.
     head : int
         Places left free before the first velocity of each phase.
-    velocities : (slots, r, oversampling, head + reduced samples + GROUP) array
+    velocities : (slots, r, PHASES, head + reduced samples + GROUP) array
         By phase, see :func:`solver.spectra.sampling.phases`.
     coordinates, accelerations : (slots, r, reduced samples + GROUP) arrays
         With no slots where they are not wanted.
@@ -110,7 +113,6 @@ class Records(NamedTuple):
 
     channels: Integers
     interval: float
-    oversampling: int
     head: int
     velocities: Array
     coordinates: Array
@@ -178,7 +180,6 @@ def idle_lanes(n: int, contacts: int, remembering: Integers, slots: int) -> Lane
 def empty_records(
     channels: Integers,
     interval: float,
-    oversampling: int,
     head: int,
     slots: int,
     samples: int,
@@ -186,7 +187,7 @@ def empty_records(
     motion: bool,
 ) -> Records:
     """Records for `slots` cases of up to `samples` samples; without `motion` of their velocities alone."""
-    reduced = (slots if motion else 0, len(channels), -(-samples // oversampling) + GROUP)
-    velocities = np.zeros((slots, len(channels), oversampling, head + reduced[2]))
+    reduced = (slots if motion else 0, len(channels), -(-samples // PHASES) + GROUP)
+    velocities = np.zeros((slots, len(channels), PHASES, head + reduced[2]))
     remembered = np.zeros((reduced[0], memories, reduced[2]))
-    return Records(channels, interval, oversampling, head, velocities, np.zeros(reduced), np.zeros(reduced), remembered)
+    return Records(channels, interval, head, velocities, np.zeros(reduced), np.zeros(reduced), remembered)

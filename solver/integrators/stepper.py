@@ -20,6 +20,7 @@ from solver.integrators.control import (
     SHORTEST,
     STALLED,
     accepted,
+    after_switch,
     arrival,
     next_step,
     refused,
@@ -36,12 +37,13 @@ from solver.integrators.kernel_functions import Compile, Function, kernel_functi
 #: the machine moves by its own size, first and longest step, samples wanted, trial steps after which it counts as
 #: stalled, penetration within which the instant of a switch must be met.
 BEGIN, TOLERANCE, PACE, FIRST, LONGEST, SAMPLES, MOST, PRECISION = range(8)
-#: Kept: how it ended, time, trial step, that step before a switch shortened it, samples, trial and accepted steps,
-#: accepted steps since closures were restored, forced steps, corrections of closures not believed one after the other,
-#: samples when closures last held, step at which refusals for error began (0 for none), that error, 1 where the next
-#: trial is that step again; then switch, penetration and approach of every contact.
-OUTCOME, NOW, STEP, NATURAL, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED, UNBELIEVED, HELD_AT = range(8, 19)
-UNCUT, UNCUT_ERROR, OVER, BEFORE = range(19, 23)
+#: Kept: how it ended, time, trial step, that step before a switch shortened it, the same at the end of the last
+#: contact, 16th root of the last error, samples, trial and accepted steps, accepted steps since closures were restored,
+#: forced steps, corrections of closures not believed one after the other, samples when closures last held, step at
+#: which refusals for error began (0 for none), that error, 1 where the next trial is that step again; then switch,
+#: penetration and approach of every contact.
+OUTCOME, NOW, STEP, NATURAL, PRESSED, ROOT, SAMPLE, TRIALS, ACCEPTED, SINCE, FORCED = range(8, 19)
+UNBELIEVED, HELD_AT, UNCUT, UNCUT_ERROR, OVER, BEFORE = range(19, 25)
 
 
 Array = NDArray[np.float64]
@@ -87,13 +89,14 @@ def case_functions(
     n, contacts, channels = layout.size, rows.contacts, len(rows.recorded)
     time_at, step_at, z_at, a_at, kept = layout.time, layout.step, layout.z, layout.a, layout.scratch
     touching, switch, penetration, approach = rows.touching, rows.switch, rows.penetration, rows.approach
-    error_at, growth_at, size_at = rows.error, rows.growth, rows.size
+    error_at, growth_at, root_at, size_at = rows.error, rows.growth, rows.root, rows.size
     pace_at, strictness_at = rows.pace, rows.strictness
     slopes, last, dense = rows.slopes, rows.last_slopes, rows.dense
     memory, memories_count = layout.memory, len(remembering)
     contact_of = remembering or (0,)  # a tuple of nothing has no type for a compiler
     allowed, arrive, following, after_refusal = (compiled(rule) for rule in (accepted, arrival, next_step, refused))
     remember_contact, shorten, switched_at = (compiled(rule) for rule in (remember, shortened, switch_part))
+    switched_to = compiled(after_switch)
 
     @compiled
     def remember_contacts(w: Array) -> None:
@@ -120,6 +123,7 @@ def case_functions(
     @compiled
     def begin(w: Array, s: Array) -> None:
         s[OUTCOME], s[NOW], s[STEP] = RUNNING, s[BEGIN], CAUTION * s[FIRST]
+        s[PRESSED], s[ROOT] = np.inf, 1.0
         w[pace_at], w[strictness_at] = s[PACE], 1.0 / s[TOLERANCE]
         prepare(w)
         w[time_at] = s[NOW]
@@ -131,17 +135,31 @@ def case_functions(
         settle(w, s)
 
     @compiled
-    def switched(w: Array, s: Array, step: float) -> tuple[int, float]:
-        """The contact that switches first within an acceptable step (-1: none), and at which part of it."""
-        event, part = -1, 1.0
+    def first_switch(w: Array, s: Array, step: float, shortest: float) -> tuple[int, float]:
+        """The contact that switches first within an acceptable step (-1: none), and the shorter step to it, or 0."""
+        event, first, shorter = -1, 1.0, 0.0
         for j in range(contacts):
+            pushing = w[touching + j] > 0.5
             where = switched_at(
-                w[touching + j] > 0.5, s[BEFORE + j], w[switch + j], s[BEFORE + contacts + j], w[penetration + j],
+                pushing, s[BEFORE + j], w[switch + j], s[BEFORE + contacts + j], w[penetration + j],
                 s[BEFORE + 2 * contacts + j], w[approach + j], step,
             )  # fmt: skip
-            if where <= 1.0 and (event < 0 or where < part):
-                event, part = j, where
-        return event, part
+            if where <= 1.0:
+                wanted = shorten(step, where, pushing, w[switch + j], w[approach + j], s[PRECISION], shortest)
+                if wanted > 0.0 and (shorter == 0.0 or wanted < shorter):
+                    event, shorter = j, wanted
+                elif shorter == 0.0 and (event < 0 or where < first):
+                    event, first = j, where
+        return event, shorter
+
+    @compiled
+    def switch_over(w: Array, event: int) -> bool:
+        """Let the contact of the event push or cease to, with those that switched then; whether it pushes."""
+        for j in range(contacts):
+            pushes = w[touching + j] > 0.5
+            if j == event or pushes != (w[switch + j] > 0.0):
+                w[touching + j] = 0.0 if pushes else 1.0
+        return bool(w[touching + event] > 0.5)
 
     @compiled
     def record(
@@ -210,16 +228,20 @@ def case_functions(
             s[OUTCOME] = OK
             return
         remember_contacts(w)
+        natural = 0.0
         if event >= 0:
-            w[touching + event] = 1.0 - w[touching + event]
+            pushes = switch_over(w, event)
+            natural, s[PRESSED] = switched_to(s[NATURAL], s[PRESSED], pushes)
             settle(w, s)
         else:
             go_on(w, s, last)
-        if step >= s[UNCUT]:
+        # Refusals in a contact say nothing of the closures.
+        if s[UNCUT] > 0.0 and (step >= s[UNCUT] or any_contact(w)):
             s[UNCUT] = 0.0
-        natural = s[NATURAL] if event >= 0 else 0.0
         s[NATURAL] = 0.0
-        s[STEP] = following(step, s[FIRST], w[growth_at], natural, s[LONGEST], now, end)
+        growth = w[growth_at] * s[ROOT]
+        s[ROOT] = w[root_at] if event < 0 else 1.0
+        s[STEP] = following(step, s[FIRST], growth, natural, s[LONGEST], now, end)
         s[SINCE] += 1.0
 
     @compiled
@@ -254,18 +276,13 @@ def case_functions(
             s[OVER] = 0.0
             event = -1
             if good:
-                event, part = switched(w, s, step)
-                if event >= 0:
-                    pushing, shortest = w[touching + event] > 0.5, SHORTEST * (abs(s[NOW]) + interval)
-                    shorter = shorten(
-                        step, part, pushing, w[switch + event], w[approach + event], s[PRECISION], shortest
-                    )
-                    if shorter > 0.0:
-                        good = False
-                        s[NATURAL], s[STEP] = max(s[NATURAL], step), shorter
+                event, shorter = first_switch(w, s, step, SHORTEST * (abs(s[NOW]) + interval))
+                if shorter > 0.0:
+                    good = False
+                    s[NATURAL], s[STEP] = max(s[NATURAL], step), shorter
             else:
                 smooth = constrained and not any_contact(w)
-                shorter, uncut, uncut_error, over = after_refusal(
+                shorter, uncut, uncut_error, over, due = after_refusal(
                     step, e, jammed, w[growth_at], s[TOLERANCE], int(s[FORCED]), smooth, s[UNCUT], s[UNCUT_ERROR]
                 )
                 s[STEP], s[UNCUT], s[UNCUT_ERROR] = shorter, uncut, uncut_error
@@ -273,8 +290,8 @@ def case_functions(
                     s[OVER] = 1.0
                     s[FORCED] += 1.0
                 s[NATURAL] = s[STEP]
-                # Near a loss of rank it is the drift of the closures that spoils the accelerations.
-                s[SINCE] = PROJECT_EVERY
+                if due:
+                    s[SINCE] = PROJECT_EVERY
             if good:
                 s[ACCEPTED] += 1.0
                 size = w[size_at]

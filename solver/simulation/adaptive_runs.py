@@ -70,7 +70,7 @@ def _rows(kernel: Kernel, model: Model, recorded: tuple[int, ...]) -> Rows:
     return Rows(
         kept=layout.scratch // LANES, touching=rows.touching // LANES, switch=rows.switch // LANES,
         penetration=rows.penetration // LANES, approach=rows.approach // LANES, error=rows.error // LANES,
-        growth=rows.growth // LANES, size=rows.size // LANES, pace=rows.pace // LANES,
+        growth=rows.growth // LANES, root=rows.root // LANES, size=rows.size // LANES, pace=rows.pace // LANES,
         strictness=rows.strictness // LANES,
         slopes=rows.slopes // LANES, last_slopes=rows.last_slopes // LANES, dense=rows.dense // LANES,
         parameters=layout.p // LANES, memory=layout.memory // LANES, jam=kernel.jam,
@@ -97,7 +97,7 @@ def adaptive_runs(
     channels, interval = np.array(recorded, dtype=np.int64), 1 / (settings.sample_rate * OVERSAMPLING)
     head, most = sampling.head(OVERSAMPLING), int(queue.cases["samples"].max())
     motion = settings.motion or settings.links
-    records = empty_records(channels, interval, OVERSAMPLING, head, slots, most, len(model.remembering), motion)
+    records = empty_records(channels, interval, head, slots, most, len(model.remembering), motion)
     work, rows = kernel.work_array(), _rows(kernel, model, tuple(recorded))
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from solver.cases.history import Settings, Status
 from solver.cases.preparation import Prepared
+from solver.integrators.lanes import PHASES
 from solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
 #: Recorded samples per sample asked for; at least 2 so that nothing folds below 0.4 of the sample rate.
-OVERSAMPLING = 2
+OVERSAMPLING = PHASES
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 PASS, STOP = 0.4, 0.6
 _ATTENUATION_DB = 90.0
 #: Results computed together: they, and the values they need, stay in the first cache.
-_BLOCK = 512
+_BLOCK = 1024
 
 
 @cache

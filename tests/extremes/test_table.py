@@ -52,6 +52,24 @@ def never_gained(tree: Tree, fault: Fault) -> float:
     return float(np.diff(rest).max()) / scale
 
 
+def _gains(tree: Tree, fault: Fault) -> list[float]:
+    """The same for twelve torques of the drive that differ a little."""
+    torque = tree["drive"]["torque"]
+    drives = ({**tree["drive"], "torque": torque * (1 + 0.01 * k)} for k in range(12))
+    return [never_gained({**tree, "drive": drive}, fault) for drive in drives]
+
+
+def mostly_never_gained(tree: Tree, fault: Fault) -> float:
+    """Its median."""
+    return float(np.median(_gains(tree, fault)))
+
+
+def hardly_gained(tree: Tree, fault: Fault) -> float:
+    """The largest of them. A step that ends just past a reversal of strong friction can have a small error estimate and
+    a large error: of 200 torques this happened in 2 (8e-7 at most), and under another rule for steps in 5 (1.4e-6)."""
+    return max(_gains(tree, fault))
+
+
 def as_ideal(tree: Tree, fault: Fault) -> float:
     """Distance of the frame's motion from the ideal machine's, m."""
     settings = {"duration": 0.1, "sample_rate": 5000, "rtol": 1e-9}
@@ -156,7 +174,8 @@ ROWS = [
     Row("contact friction 1.0", never_gained, 1e-10, lossless(damping=300.0, friction=1.0), TWO),
     Row("contact friction 1.0, frame without springs", free_flight, 1e-10,
         framed({}, tree_of("slider-crank", friction=1.0), supports=[]), TWO),
-    Row("sliding friction 1.0", never_gained, 3e-11, rubbing(1.0)),
+    Row("sliding friction 1.0", mostly_never_gained, 3e-11, rubbing(1.0)),
+    Row("sliding friction 1.0, any torque", hardly_gained, 3e-6, rubbing(1.0)),
     Row("sliding friction 1.0, worn", never_gained, 3e-11, rubbing(1.0), TWO),
     Row("drive at 1 rpm", as_slow_motion, 1e-15, at_speed(1 * RPM)),
     Row("drive at 1 rpm, worn", sag, 1e-6, at_speed(1 * RPM), WORN),

@@ -117,6 +117,14 @@ def _write_values(w: Work, at: int, out: Work, where: int, start: float, scale: 
     out.reshape(-1)[where : where + GROUP] = scale * (start + x * (c2 + y * (c3 + x * (c4 + y * c5))))
 
 
+def _write_in_turn(w: Work, at: int, out: Work, even: int, odd: int, start: float, x0: float, dx: float) -> None:
+    """A group of samples of the dense output, in turn to two places."""
+    group = np.zeros(GROUP)
+    _write_values(w, at, group, 0, start, 1.0, x0, dx)
+    flat = out.reshape(-1)
+    flat[even : even + GROUP // 2], flat[odd : odd + GROUP // 2] = group[::2], group[1::2]
+
+
 def _write_slopes(w: Work, at: int, out: Work, where: int, start: float, scale: float, x0: float, dx: float) -> None:
     """A group of samples of its derivative."""
     c2, c3, c4, c5 = w[at : at + 4]
@@ -158,6 +166,7 @@ def uncompiled(trials: int) -> Iterator[None]:
         put(adaptive, "call", _call)
         put(lane_work, "call", _call)
         put(dense, "_write_values", _write_values)
+        put(dense, "_write_in_turn", _write_in_turn)
         put(dense, "_write_slopes", _write_slopes)
         put(runs, "_adaptive_kernel", _kernel)
         put(runs, "queue_of", _queue)
