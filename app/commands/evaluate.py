@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from app.commands.build import processors
-from app.commands.parameters import Names, existing_catalogue, json_option, print_json, refuse_given
+from app.commands.parameters import Names, Quantity, existing_catalogue, json_option, print_json, refuse_given
 from app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
@@ -31,6 +31,13 @@ PROTOCOLS = "matched, noisy, hard, model-error, other-cause, as-new, pairs, trip
     metavar="NAME,...",
     help=f"Kinds of recordings: {PROTOCOLS}; one error or cause as model-error-a ... model-error-all, "
     "other-cause-half-mount ...",
+)
+@click.option(
+    "--noise",
+    type=Quantity("ACCELERATION", positive=False),
+    metavar='"0.1 m/s2"',
+    help="Noise (rms) in place of the protocol's: of the frame in x and y, theta in proportion; of each sensor where "
+    "the protocol has it there.",
 )
 @click.option("--count", default=120, show_default=True, type=click.IntRange(1, 100_000), help="Recordings a protocol.")
 @click.option("--seed", default=1, show_default=True, type=int, help="Of everything drawn.")
@@ -86,6 +93,7 @@ PROTOCOLS = "matched, noisy, hard, model-error, other-cause, as-new, pairs, trip
 def command(
     catalogue: Path,
     protocols: list[str],
+    noise: float | None,
     count: int,
     seed: int,
     methods: list[str],
@@ -107,6 +115,7 @@ def command(
         refuse_given(("draws", "accuracies", "workers"), "means something with --sweep only")
     elif len(protocols) > 1:
         raise click.UsageError(f"--protocol: {', '.join(protocols)}: --sweep takes one")
+    from catalogue.evaluation.protocols import protocols_of, with_noise
     from catalogue.evaluation.recordings import Recordings
     from catalogue.evaluation.study import evaluate, setups_of
     from catalogue.storage.store import Catalogue
@@ -114,6 +123,9 @@ def command(
 
     opened = Catalogue.open(existing_catalogue(catalogue))
     setups = setups_of(methods, efforts, modes)
+    wanted = protocols_of(protocols)
+    if noise is not None:
+        wanted = tuple(with_noise(protocol, noise) for protocol in wanted)
     kept = Recordings(cache_directory().parent / "recordings")
     with ProgressLine("diagnosing", "recordings") as line:
         if sweep:
@@ -123,7 +135,7 @@ def command(
                 opened,
                 draws,
                 accuracies,
-                protocols[0],
+                wanted[0] if len(wanted) == 1 else protocols[0],  # a group is refused by its name
                 count,
                 seed,
                 setups=setups,
@@ -133,7 +145,7 @@ def command(
                 progress=line.show,
             )
         else:
-            found = evaluate(opened, protocols, count, seed, setups=setups, recordings=kept, progress=line.show)
+            found = evaluate(opened, wanted, count, seed, setups=setups, recordings=kept, progress=line.show)
     if plot is not None:
         from app.figures.evaluation_plots import plot_evaluation
 

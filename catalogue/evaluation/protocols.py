@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -12,7 +13,7 @@ from catalogue.evaluation.differences import DIFFERENCES
 from catalogue.plans.entry import Hypothesis
 from catalogue.storage.store import Catalogue
 
-__all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "protocols_of"]
+__all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "protocols_of", "with_noise"]
 
 Kind = Literal["listed", "singles", "as-new", "pairs", "triples"]
 
@@ -151,3 +152,28 @@ def protocols_of(names: Sequence[str | Protocol]) -> tuple[Protocol, ...]:
         for each in GROUPS.get(name, (name,)):
             found[each] = PROTOCOLS[each]
     return tuple(found.values())
+
+
+def with_noise(protocol: Protocol, noise: float) -> Protocol:
+    """Return a protocol with so much noise, and named so.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    noise : float
+        Rms, m/s2: of the frame's x and y where the protocol has vibration from elsewhere, with theta in proportion;
+        else of each sensor.
+
+    Raises
+    ------
+    DiagnosisError
+        A number that is no noise.
+    """
+    if not 0.0 <= noise < math.inf:
+        raise DiagnosisError(f"noise: {noise:g} m/s2: must be a finite number, at least 0")
+    name = f"{protocol.name}, {noise:g} m/s2"
+    if protocol.sensor_noise or not max(protocol.frame_noise[:2]):
+        return replace(protocol, name=name, sensor_noise=noise)
+    x, y, theta = protocol.frame_noise
+    factor = noise / max(x, y)
+    return replace(protocol, name=name, frame_noise=(factor * x, factor * y, factor * theta))

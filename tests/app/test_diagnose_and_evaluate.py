@@ -178,6 +178,17 @@ def test_a_sweep_refuses_several_protocols(protocols: str, text: str, shelf: Pat
     assert_refused(invoke(*arguments, "--sweep", "--protocol", protocols), 2, text)
 
 
+def test_noise_takes_the_place_of_the_protocols(shelf: Path) -> None:
+    arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--count", "4", "--protocol", "hard,noisy"]
+    result = invoke(*arguments, "--noise", "20 mm/s2", "--json")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    hard, noisy = (row["protocol"] for row in found["rows"])
+    assert (hard["name"], hard["frame_noise"], hard["sensor_noise"]) == ("hard, 0.02 m/s2", [0.02, 0.02, 0.1], 0.0)
+    assert (noisy["name"], noisy["frame_noise"], noisy["sensor_noise"]) == ("noisy, 0.02 m/s2", [0, 0, 0], 0.02)
+    assert_refused(invoke(*arguments, "--noise=-1 m/s2"), 2, "noise: -1 m/s2: must be a finite number, at least 0")
+
+
 def test_diagnose_refuses_a_budget_that_is_not_spent(shelf: Path, recording: Path) -> None:
     result = invoke("diagnose", recording, "--catalogue", shelf / "slider-crank", "--budget", "1 s")
     assert_refused(result, 2, "--budget: means something with --effort thorough only")
