@@ -241,10 +241,10 @@ def integrate(
             for i in range(n):
                 w[(rows.slopes + i) * LANES + lane] = w[(rows.last_slopes + i) * LANES + lane]
             _remember_contacts(w, contacts, rows, lane, old)
-            natural = 0.0
+            natural, longest = 0.0, case.longest_step
             if event >= 0:
-                pushes = _switch(w, contacts, rows, lane, event)
-                natural, mine.pressed = _after_switch(mine.natural, mine.pressed, pushes)
+                natural, pushes = mine.natural, _switch(w, contacts, rows, lane, event)
+                mine.pressed, longest = _after_switch(natural, step, mine.pressed, longest, pushes)
                 cursor[STALE] = 1
             _remember_impacts(w, rows, remembering, lane)
             # Refusals in a contact say nothing of the closures.
@@ -253,7 +253,7 @@ def integrate(
             mine.natural = 0.0
             growth = w[rows.growth * LANES + lane] * mine.root
             mine.root = w[rows.root * LANES + lane] if event < 0 else 1.0
-            mine.h = _next_step(step, case.first_step, growth, natural, case.longest_step, now, mine.end)
+            mine.h = _next_step(step, case.first_step, growth, natural, longest, now, mine.end)
             mine.since += 1
         if project != 0 and restore_closures(project, w, n, lanes, saved):
             cursor[STALE] = 1

@@ -76,6 +76,8 @@ def switch_part(
 ) -> float:  # fmt: skip
     """Part of a step at which a contact begins or ceases to push; 2 where it does not.
 
+    Where a pin that was inside left and came in anew within the step, a part at which it is outside, or near that.
+
     Parameters
     ----------
     pushing : bool
@@ -89,16 +91,20 @@ def switch_part(
     d0, d1 = step * r0, step * r1
     a = 2 * p0 - 2 * p1 + d0 + d1
     b = -3 * p0 + 3 * p1 - 2 * d0 - d1
-    lag, sign = 0.0, 1.0
-    low, high = 0.0, 1.0
+    lag0 = lag1 = 0.0
+    low, high, sign = 0.0, 1.0, 1.0
     if pushing:
         if s1 >= 0.0:
-            return 2.0
+            # Out on one side and in on the other: both ends, gone on with straight, are outside in between.
+            return p0 / -d0 if d0 < 0.0 < d1 and p0 / -d0 + p1 / d1 < 1.0 else 2.0
         if s0 <= 0.0:
             return 0.0
-        # Damping lets go before the penetration ends: p + lag p', with the lag that the end of the step shows.
-        lag, sign = (s1 - p1) / d1 if d1 != 0.0 else 0.0, -1.0
-        if p0 + lag * d0 <= 0.0:
+        # Damping lets go before the penetration ends: p + lag p'. The lag of a linear contact is constant, that of
+        # hysteresis goes with the penetration.
+        lag1 = (s1 - p1) / d1 if d1 != 0.0 else 0.0
+        lag0 = (s0 - p0) / d0 if d0 < 0.0 else lag1
+        sign = -1.0
+        if p0 + lag0 * d0 <= 0.0:
             return s0 / (s0 - s1)
     elif p0 >= 0.0:
         # Still inside after its force had gone. Pressed in again, unless it left and came in anew, on the other side
@@ -109,7 +115,9 @@ def switch_part(
             x = i / 8
             if p0 + x * (d0 + x * (b + x * a)) < 0.0:
                 return x
-        return s0 / (s0 - s1) if s0 < 0.0 else 0.0
+        part = s0 / (s0 - s1) if s0 < 0.0 else 0.0
+        # A small clearance crossed at speed shows in no cubic, and the straight line hardly shortens the step.
+        return min(part, 0.5) if r0 < 0.0 < r1 else part
     else:
         # Also where both ends are open but the pair came near and went: it may have touched in between.
         if not (s1 > 0.0 or r0 > 0.0 > r1):
@@ -122,10 +130,12 @@ def switch_part(
                 break
         if high > 1.0:
             return high
-    for _ in range(24):
+    rise = (lag1 - lag0) / (p1 - p0) if p1 != p0 else 0.0
+    for _ in range(30):
         middle = 0.5 * (low + high)
-        value = p0 + middle * (d0 + middle * (b + middle * a)) + lag * (d0 + middle * (2 * b + 3 * middle * a))
-        if sign * value > 0.0:
+        p = p0 + middle * (d0 + middle * (b + middle * a))
+        lag = lag0 + rise * (p - p0)
+        if sign * (p + lag * (d0 + middle * (2 * b + 3 * middle * a))) > 0.0:
             high = middle
         else:
             low = middle
@@ -159,20 +169,24 @@ def shortened(
     return max(part * step + past, 0.001 * step)
 
 
-def after_switch(natural: float, pressed: float, pushes: bool) -> tuple[float, float]:
-    """Step to go on with after a switch, and the step to keep for the next contact, s.
+def after_switch(
+    natural: float, step: float, pressed: float, longest: float, pushes: bool
+) -> tuple[float, float]:  # fmt: skip
+    """What a switch leaves: the step to keep for the next contact, and the longest one that may follow, s.
 
     Parameters
     ----------
-    natural : float
-        Step that error control asked for before the switch, s.
+    natural, step : float
+        Step that error control asked for before the switch, and the one that ended at it, s.
     pressed : float
-        What was kept: the one it asked for at the end of the contact before, s.
+        What was kept: the step at the end of the contact before, s.
+    longest : float
+        Longest step of the case, s.
     pushes : bool
         Whether the contact pushes from now on.
     """
     # The step of a free flight is far too long for a contact, and refused time and again.
-    return (min(natural, pressed), pressed) if pushes else (natural, natural)
+    return (pressed, min(longest, pressed)) if pushes else (max(natural, step), longest)
 
 
 def refused(

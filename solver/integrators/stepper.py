@@ -228,10 +228,10 @@ def case_functions(
             s[OUTCOME] = OK
             return
         remember_contacts(w)
-        natural = 0.0
+        natural, longest = 0.0, s[LONGEST]
         if event >= 0:
-            pushes = switch_over(w, event)
-            natural, s[PRESSED] = switched_to(s[NATURAL], s[PRESSED], pushes)
+            natural, pushes = s[NATURAL], switch_over(w, event)
+            s[PRESSED], longest = switched_to(natural, step, s[PRESSED], longest, pushes)
             settle(w, s)
         else:
             go_on(w, s, last)
@@ -241,7 +241,7 @@ def case_functions(
         s[NATURAL] = 0.0
         growth = w[growth_at] * s[ROOT]
         s[ROOT] = w[root_at] if event < 0 else 1.0
-        s[STEP] = following(step, s[FIRST], growth, natural, s[LONGEST], now, end)
+        s[STEP] = following(step, s[FIRST], growth, natural, longest, now, end)
         s[SINCE] += 1.0
 
     @compiled
