@@ -91,7 +91,7 @@ def switch_part(
     d0, d1 = step * r0, step * r1
     a = 2 * p0 - 2 * p1 + d0 + d1
     b = -3 * p0 + 3 * p1 - 2 * d0 - d1
-    lag0 = lag1 = 0.0
+    lag0 = rise = 0.0
     low, high, sign = 0.0, 1.0, 1.0
     if pushing:
         if s1 >= 0.0:
@@ -100,9 +100,13 @@ def switch_part(
         if s0 <= 0.0:
             return 0.0
         # Damping lets go before the penetration ends: p + lag p'. The lag of a linear contact is constant, that of
-        # hysteresis goes with the penetration.
+        # hysteresis goes with the penetration; outside there is none of it, and s is p.
         lag1 = (s1 - p1) / d1 if d1 != 0.0 else 0.0
         lag0 = (s0 - p0) / d0 if d0 < 0.0 else lag1
+        if s1 == p1:
+            rise = lag0 / p0
+        elif p1 != p0:
+            rise = (lag1 - lag0) / (p1 - p0)
         sign = -1.0
         if p0 + lag0 * d0 <= 0.0:
             return s0 / (s0 - s1)
@@ -130,7 +134,6 @@ def switch_part(
                 break
         if high > 1.0:
             return high
-    rise = (lag1 - lag0) / (p1 - p0) if p1 != p0 else 0.0
     for _ in range(30):
         middle = 0.5 * (low + high)
         p = p0 + middle * (d0 + middle * (b + middle * a))
