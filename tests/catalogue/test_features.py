@@ -305,7 +305,11 @@ def test_the_contact_law_of_a_recording_explains_it(name: str, linear_db: float,
     fault = parse_fault(",".join(f"{joint}={size}um" for joint, size in truth["worn_um"].items()), made_of)
     case = Case(fault, {"drive.speed": prepared.drive_speed, "contact.friction": truth["contact"]["friction"]})
     assert disagreement(prepared, made_of, case).max() > linear_db
-    assert disagreement(prepared, parse_machine(tree), case).max() < within_db
+    # Eight speeds a rounding apart: single runs of a chaotic response scatter (quick-return-06 by 1.9 to 4.1 dB).
+    speeds = prepared.drive_speed * (1 + 1e-7 * np.arange(8))
+    alike = [Case(fault, {**case.parameters, "drive.speed": float(speed)}) for speed in speeds]
+    machine = parse_machine(tree)
+    assert np.median([disagreement(prepared, machine, each).max() for each in alike]) < within_db
 
 
 def test_prepared_measurements_are_values() -> None:

@@ -58,23 +58,31 @@ def refined(
     return refine(record, catalogue, result, ["A", "B"], settings=settings, clock=lambda: 0.0)
 
 
-@pytest.mark.parametrize(("joint", "number"), [("A", 1), ("B", 0), ("O", 2)])
-def test_simulating_anew_finds_joint_and_clearance(small_catalogue: Catalogue, joint: str, number: int) -> None:
-    case = asked(small_catalogue, joint, number)
-    found = refined(small_catalogue, case, Synthesis())
-    assert found.result.best.label == joint
-    assert found.result.best.probability > 0.9
-    assert sum(match.probability for match in found.result.hypotheses) == pytest.approx(1.0)
-    assert found.changed
-    # Sixteen cases of each hypothesis in a generation; of the healthy machine one, where nothing of it is drawn.
-    assert 3 * 16 * 5 < found.simulations <= 4 * 16 * 5
-    assert found.generations == 5
-    # Recordings of ten revolutions; the worst of these three is 9 % off.
-    (clearance,) = found.result.best.clearances
-    assert clearance.median == pytest.approx(case[0].clearances[joint], rel=0.13)
-    (before,) = next(match.clearances for match in case[2].hypotheses if match.label == joint)
-    assert clearance.low < clearance.median < clearance.high
-    assert np.log(clearance.high / clearance.low) >= 0.5 * np.log(before.high / before.low) - 1e-9
+@pytest.mark.parametrize("joint", ["A", "B", "O"])
+def test_simulating_anew_finds_joint_and_clearance(small_catalogue: Catalogue, joint: str) -> None:
+    """Six recordings of ten revolutions each, and chaotic ones among them: which draws come near is partly luck.
+
+    Clearances were 2, 8 and 6 % off in the middle (A, B, O) and 26 % at worst (B); with other steps of the solver 4 to
+    6 % in the middle, and 20 % at worst.
+    """
+    errors = []
+    for number in range(6):
+        case = asked(small_catalogue, joint, number)
+        found = refined(small_catalogue, case, Synthesis())
+        assert found.result.best.label == joint
+        assert found.result.best.probability > 0.9
+        assert sum(match.probability for match in found.result.hypotheses) == pytest.approx(1.0)
+        assert found.changed
+        # Sixteen cases of each hypothesis in a generation; of the healthy machine one, where nothing of it is drawn.
+        assert 3 * 16 * 5 < found.simulations <= 4 * 16 * 5
+        assert found.generations == 5
+        (clearance,) = found.result.best.clearances
+        errors.append(abs(clearance.median / case[0].clearances[joint] - 1))
+        (before,) = next(match.clearances for match in case[2].hypotheses if match.label == joint)
+        assert clearance.low < clearance.median < clearance.high
+        assert np.log(clearance.high / clearance.low) >= 0.5 * np.log(before.high / before.low) - 1e-9
+    assert np.median(errors) < 0.1
+    assert max(errors) < 0.35
 
 
 def test_the_same_question_has_the_same_answer(
