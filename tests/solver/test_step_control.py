@@ -88,8 +88,8 @@ def trials(c: float, p0: float, speed: float, lag: float, step: float, precision
 def test_a_small_clearance_crossed_at_speed_is_found(
     c: float, p0: float, speed: float, lag: float, step: float
 ) -> None:
-    """At most nine trials, measured; 632 to 5337 where the straight line alone shortened the step."""
-    assert trials(c, p0, speed, lag, step, 1e-8) <= 12
+    """3, 3 and 5 trials, measured; thousands where the straight line alone shortened the step."""
+    assert trials(c, p0, speed, lag, step, 1e-8) <= 8
 
 
 def test_a_contact_that_was_left_within_a_step_is_noticed() -> None:
