@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.build_scale fake --entries 100000``: the builder's own work, with spectra of full size that cost
 nothing to make, in this process, on SQLite or on PostgreSQL (``--index URL``). ``real --entries 2000``: processor time
-a case, simulation and all, on local processes. ``cluster``: the same cases on two Dask workers and on two local
-processes, in turns.
+a case, simulation and all, on local processes, on either. ``cluster``: the same cases on two Dask workers and on two
+local processes, in turns.
 """
 
 from __future__ import annotations
@@ -92,16 +92,19 @@ def fake(entries: int, index: str | None) -> None:
         clean(folder)
 
 
-def real(entries: int, workers: int, keep: Path | None) -> None:
+def real(entries: int, workers: int, keep: Path | None, index: str | None) -> None:
     """Processor time of real cases, with everything: imports, compilation, sealing."""
     with tempfile.TemporaryDirectory(dir=options_folder()) as temporary:
         folder = keep or Path(temporary)
         before, began = processor_seconds(), time.perf_counter()
-        report = build(shipped_machine("quick-return"), plan_of(entries), folder, workers=workers)
-        said(f"{workers} local processes", report, processor_seconds() - before, time.perf_counter() - began)
-        with IndexLocation.of(CatalogueDirectory(folder)).open() as index:
-            rows = index.chunks()
+        report = build(shipped_machine("quick-return"), plan_of(entries), folder, workers=workers, index=index)
+        used, wall = processor_seconds() - before, time.perf_counter() - began
+        said(f"{workers} local processes, index in {'PostgreSQL' if index else 'SQLite'}", report, used, wall)
+        with IndexLocation.of(CatalogueDirectory(folder)).open() as opened:
+            rows = opened.chunks()
         chunks = sum(row.seconds for row in rows)
+        if keep is None:
+            clean(temporary)
         print(f"  of that {chunks:.1f} s in chunks at workers ({1e3 * chunks / report.added:.2f} ms a case)")
         for kind in sorted({row.hypothesis for row in rows}):
             times = [row.seconds / row.entries for row in rows if row.hypothesis == kind]
@@ -189,8 +192,11 @@ def said(where: str, report: BuildReport, processor: float, wall: float) -> None
 
 
 def options_folder() -> str | None:
-    """Where catalogues of this program go; the system's folder by default."""
-    return os.environ.get("JOINTPLAY_BENCH_DIR")
+    """Where catalogues of this program go, made where it is not there; the system's folder by default."""
+    folder = os.environ.get("JOINTPLAY_BENCH_DIR")
+    if folder is not None:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def clean(folder: str) -> None:
@@ -207,14 +213,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("fake", "real", "cluster"))
     parser.add_argument("--entries", type=int, default=2000)
-    parser.add_argument("--index", help="URL of PostgreSQL, for made-up cases")
+    parser.add_argument("--index", help="URL of PostgreSQL, for made-up and real cases")
     parser.add_argument("--keep", type=Path, help="folder for a catalogue of real cases that stays")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--turns", type=int, default=2)
     options = parser.parse_args()
     runs: dict[str, Callable[[], None]] = {
         "fake": lambda: fake(options.entries, options.index),
-        "real": lambda: real(options.entries, options.workers, options.keep),
+        "real": lambda: real(options.entries, options.workers, options.keep, options.index),
         "cluster": lambda: cluster(options.entries, options.turns),
     }
     runs[options.what]()

@@ -125,7 +125,9 @@ def _simulated(chunk: Chunk, guarded: Sequence[int]) -> list[Outcome]:
     accuracies = [recipe.accuracy] * len(chunk.entries) + [FINER] * len(guarded)
     machine = entries[0].variant.machine(_machine(chunk.machine))
     revolutions = recipe.revolutions + SLACK_REVOLUTIONS
-    settings = Settings(sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False, transient=False)
+    settings = Settings(
+        sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False, transient=False, settled=recipe.settled
+    )
     cases = [Case(entry.fault, entry.parameters) for entry in entries]
     return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]
 

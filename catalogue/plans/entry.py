@@ -80,6 +80,8 @@ class Recipe:
         Upper end of the bands at the nominal speed [Hz].
     nominal_drive_speed : float
         The machine's drive speed [rad/s].
+    settled : bool
+        Whether worn machines start with their suspension settled; not in catalogues from before that was possible.
     """
 
     accuracy: Literal["draft", "standard", "reference"]
@@ -89,6 +91,7 @@ class Recipe:
     per_octave: int
     f_max: float
     nominal_drive_speed: float
+    settled: bool = False
 
     @cached_property
     def scheme(self) -> BandScheme:
@@ -98,7 +101,10 @@ class Recipe:
     @cached_property
     def content(self) -> dict[str, Any]:
         """As plain data; :meth:`from_content` reads it back."""
-        return asdict(self)
+        content = asdict(self)
+        if not self.settled:
+            del content["settled"]  # then keys of cases stay what they were before there was such a thing
+        return content
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Self:
@@ -119,8 +125,9 @@ class Recipe:
         CatalogueMismatchError
             Names the first setting that differs.
         """
-        for name, value in self.content.items():
-            wanted = other.content[name]
+        theirs = asdict(other)
+        for name, value in asdict(self).items():
+            wanted = theirs[name]
             same = math.isclose(value, wanted, rel_tol=1e-12) if isinstance(value, float) else value == wanted
             if not same:
                 rule = f"was built with {name} {value}, not {wanted}: build into another folder"

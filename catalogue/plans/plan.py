@@ -141,6 +141,7 @@ class Plan(Part):
             per_octave=self.bands.per_octave,
             f_max=self.bands.f_max,
             nominal_drive_speed=speed,
+            settled=True,
         )
 
     def resolved(self, machine: Machine) -> Plan:

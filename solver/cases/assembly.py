@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.equations.evaluation import evaluate
 from solver.equations.model import Model
 from solver.errors import AssemblyError
 from solver.machines.drives import RotationDrive, TranslationDrive
@@ -25,11 +25,6 @@ NEWTON_STEPS = 30
 _WALK_STEPS = 120
 
 
-def array_of(value: ca.DM) -> Array:
-    """A matrix of CasADi as an array of NumPy."""
-    return np.asarray(value.full(), dtype=np.float64)
-
-
 def close(model: Model, t: float, z: Array, p: Sequence[float], free: Sequence[int]) -> tuple[Array, float, str]:
     """Newton on closures and concentric pins, moving the `free` coordinates as little as possible.
 
@@ -40,11 +35,11 @@ def close(model: Model, t: float, z: Array, p: Sequence[float], free: Sequence[i
     zero = np.zeros(model.size)
     gap = np.zeros(0)
     for _ in range(NEWTON_STEPS):
-        residual, jacobian, _ = model.constraint(t, z, zero, p)
-        gap = array_of(residual)[:, 0]
+        residual, jacobian, _ = evaluate(model.constraint, t, z, zero, p)
+        gap = residual[:, 0]
         if gap.size == 0 or np.abs(gap).max() < CLOSED:
             break
-        step = np.linalg.lstsq(array_of(jacobian)[:, free], gap, rcond=1e-12)[0]
+        step = np.linalg.lstsq(jacobian[:, free], gap, rcond=1e-12)[0]
         # A full step from a dead centre may leave for infinity; half a radian or half a metre is far enough.
         z[free] -= step * min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
     if gap.size == 0:
@@ -120,7 +115,7 @@ def check_closures(model: Model, p: Sequence[float]) -> None:
         Names the first closure, as drawn, that follows from those before it.
     """
     closures = model.kinematics.closures
-    rows = array_of(model.constraint(0.0, np.zeros(model.size), np.zeros(model.size), p)[1])[: len(closures)]
+    rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1][: len(closures)]
     scale = float(np.abs(rows).max(initial=0.0))
     basis: list[Array] = []
     for closure, row in zip(closures, rows, strict=True):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from solver.cases.assembly import inner_coordinates
 from solver.cases.contact_rates import deepest_point
+from solver.equations.evaluation import evaluate
 from solver.equations.model import Model
 from solver.equations.numbers import contact_path
 from solver.machines.joints import SlidingJoint, TurningJoint
@@ -75,7 +76,7 @@ def friction_rate(
         rows = [names.index(f"{joint}.normal") for joint in model.rubbing.joints]
         rest = np.zeros(model.size)
         for (t, z), normal in zip(poses, reactions[:, rows], strict=True):
-            state = (np.asarray(part.full())[:, 0] for part in model.rubbing_state(t, z, rest, p))
+            state = (part[:, 0] for part in evaluate(model.rubbing_state, t, z, rest, p))
             friction, slow, _, _, swing, *_ = state
             rates.append(float(np.max(friction * np.abs(swing) * (normal + impacts) / slow)))
     return max(rates)
@@ -84,12 +85,12 @@ def friction_rate(
 def _ideal_reactions(model: Model, t: float, z: Array, p: Sequence[float]) -> Array:
     """Multipliers of closures and eccentricities, pins kept concentric; without friction, from a frame at rest."""
     v = np.zeros(model.size)
-    _, jacobian, drift = (np.asarray(part.full()) for part in model.constraint(t, z, v, p))
+    _, jacobian, drift = evaluate(model.constraint, t, z, v, p)
     free = inner_coordinates(model)
     if free and drift.size:
         v[free] = np.linalg.lstsq(jacobian[:, free], -drift[:, 0], rcond=1e-9)[0]
-    mass, force = (np.asarray(part.full()) for part in model.inertia(t, z, v, p))
-    bias = np.asarray(model.constraint_bias(t, z, v, p).full())
+    mass, force = evaluate(model.inertia, t, z, v, p)
+    (bias,) = evaluate(model.constraint_bias, t, z, v, p)
     spread = np.linalg.solve(mass, np.column_stack([jacobian.T, force]))
     missing = jacobian @ spread[:, -1] + bias[:, 0]
     return np.asarray(-np.linalg.pinv(jacobian @ spread[:, :-1], rcond=1e-12) @ missing)

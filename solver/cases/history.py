@@ -77,6 +77,9 @@ class Settings:
         cheaper, and only the band-limited acceleration is there, to make spectra of.
     transient : bool
         Give the samples before the end of the start-up transient too.
+    settled : bool
+        Start worn machines with the frame moving as the healthy machine's does after its transient, where there is
+        such a steady state (:mod:`solver.simulation.settling`): less is to be simulated before the results.
     most_trials : int or None
         Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
     device : str
@@ -93,6 +96,7 @@ class Settings:
     links: bool = False
     motion: bool = True
     transient: bool = True
+    settled: bool = False
     most_trials: int | None = None
     device: Literal["cpu", "cuda"] = "cpu"
 

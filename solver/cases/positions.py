@@ -10,10 +10,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.assembly import array_of, follow, walk
+from solver.cases.assembly import follow, walk
 from solver.cases.friction_rates import friction_rate
 from solver.cases.steps import contact_mobility
 from solver.equations.drive import travel_range
+from solver.equations.evaluation import evaluate
 from solver.equations.model import MODELS_KEPT, Model, build_model
 from solver.machines.drives import RotationDrive, TranslationDrive
 from solver.machines.joints import Contact, TurningJoint
@@ -108,9 +109,9 @@ def link_motion(machine: Machine, positions: int) -> Mapping[str, Array]:
     kin = model.kinematics
     centres = [kin.terms.value(pose.centre, ground=True).column for pose in kin.poses.values()]
     parts = [ca.vertcat(at, pose.theta) for at, pose in zip(centres, kin.poses.values(), strict=True)]
-    evaluated = model.function("links", ca.horzcat(*parts))
+    links = model.function("links", ca.horzcat(*parts))
     p, still = model.vector({}), np.zeros(model.size)
-    table = [array_of(evaluated(t, z, still, p)) for t, z in walk(model, p, 1.0, positions)]
+    table = [evaluate(links, t, z, still, p)[0] for t, z in walk(model, p, 1.0, positions)]
     return {name: np.array([pose[:, column] for pose in table]) for column, name in enumerate(kin.poses)}
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.assembly import NEWTON_STEPS, array_of
+from solver.cases.assembly import CLOSED, NEWTON_STEPS, close, inner_coordinates
+from solver.equations.evaluation import evaluate
 from solver.equations.model import Model
 from solver.errors import AssemblyError
 
@@ -49,7 +50,7 @@ def start_pose(model: Model, p: Sequence[float]) -> Array:
     x = np.zeros(newton.size1_in(0))
     rest = np.zeros(model.size)
     for _ in range(NEWTON_STEPS):
-        residual, jacobian = (array_of(part) for part in newton(x, 0.0, rest, p))
+        residual, jacobian = evaluate(newton, x, 0.0, rest, p)
         scale = np.maximum(np.abs(jacobian).max(axis=1), 1e-300)
         step, _, rank, _ = np.linalg.lstsq(jacobian / scale[:, None], residual[:, 0] / scale, rcond=1e-13)
         if rank < x.size:
@@ -76,7 +77,8 @@ def start_velocity(model: Model, p: Sequence[float], z: Array) -> Array:
     rows, right = [], []
     given = model.machine.initial.velocities
     names = list(model.machine.links)
-    link_jacobian, link_drift = (array_of(part) for part in model.link_rates(0.0, z, rest, p))
+    if given:
+        link_jacobian, link_drift = evaluate(model.link_rates, 0.0, z, rest, p)
     for name, velocity in given.items():
         first = 3 * names.index(name)
         for k, value in enumerate((*(velocity.velocity or (None, None)), velocity.omega)):
@@ -119,11 +121,11 @@ def least_velocity(
         They contradict each other.
     """
     rest = np.zeros(model.size)
-    _, jacobian, drift = (array_of(part) for part in model.constraint(t, z, rest, p))
+    _, jacobian, drift = evaluate(model.constraint, t, z, rest, p)
     matrix, target = np.vstack([jacobian, rows]), np.concatenate([-drift[:, 0], right])
     if model.size == 0 or target.size == 0:
         return rest
-    mass = array_of(model.mass_matrix(t, z, rest, p))
+    (mass,) = evaluate(model.mass_matrix, t, z, rest, p)
     root = np.linalg.cholesky(mass)
     # Least v'Mv: in w = L'v it is the least norm.
     weighted = np.linalg.solve(root, matrix.T).T
@@ -133,3 +135,37 @@ def least_velocity(
         rule = f"velocities contradict the joints and the drive by {left:.3g} (m/s or rad/s)"
         raise AssemblyError(model.machine.name, field, None, rule)
     return np.asarray(v)
+
+
+def start_with_frame(
+    model: Model, p: Sequence[float], t: float, pose: Array, displacement: Array, velocity: Array
+) -> Start:
+    """The machine at a time of its drive with its frame moving as given, everything else following.
+
+    Pins are concentric, and velocities the least mass-weighted that fulfil closures and drive.
+
+    Parameters
+    ----------
+    model : Model
+    p : sequence of float
+        Lane parameters.
+    t : float
+        Time of the drive, s.
+    pose : (n,) array
+        Coordinates near the wanted ones.
+    displacement, velocity : (k,) arrays
+        Of the coordinates that the frame has (m, m, rad), in the order x, y, theta.
+
+    Raises
+    ------
+    AssemblyError
+        The machine does not close there.
+    """
+    held = [index for index in model.frame_indices if index is not None]
+    z = pose.copy()
+    z[held] = displacement
+    z, gap, name = close(model, t, z, p, inner_coordinates(model))
+    if gap >= CLOSED:
+        rule = f"does not close at the start by {gap * 1e3:.3g} mm"
+        raise AssemblyError(model.machine.name, f"joints.{name.partition('.')[0]}", None, rule)
+    return Start(z, least_velocity(model, t, p, z, np.eye(model.size)[held], velocity), t)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from solver.cases.contact_rates import ContactRates
+from solver.equations.evaluation import evaluate
 from solver.equations.model import Model
 
 Array = NDArray[np.float64]
@@ -117,9 +118,9 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
     if model.size == 0:
         return np.zeros(0)
     zero = np.zeros(model.size)
-    stiffness, damping = (np.asarray(part.full()) for part in model.linearised(0.0, zero, zero, p))
+    stiffness, damping = evaluate(model.linearised, 0.0, zero, zero, p)
     # Only motions that keep the closures exist; the rest of coordinate space would add modes of rounding.
-    closures = np.asarray(model.constraint(0.0, zero, zero, p)[1].full())
+    closures = evaluate(model.constraint, 0.0, zero, zero, p)[1]
     tangent = linalg.null_space(closures) if len(closures) else np.eye(model.size)
     reduced = [tangent.T @ part @ tangent for part in (stiffness, damping)]
     n = tangent.shape[1]
@@ -185,8 +186,8 @@ def suspension_modes(model: Model, p: Sequence[float]) -> list[complex]:
     if not free:
         return []
     zero = np.zeros(model.size)
-    mass = rigid.T @ np.asarray(model.mass_matrix(0.0, zero, zero, p).full()) @ rigid
-    parts = [rigid.T @ np.asarray(part.full()) @ rigid for part in model.force_gradient(0.0, zero, zero, p)]
+    mass = rigid.T @ evaluate(model.mass_matrix, 0.0, zero, zero, p)[0] @ rigid
+    parts = [rigid.T @ part @ rigid for part in evaluate(model.force_gradient, 0.0, zero, zero, p)]
     n = len(free)
     system = np.block([[np.zeros((n, n)), np.eye(n)], [np.linalg.solve(mass, part) for part in parts]])
     return [complex(s) for s in np.linalg.eigvals(system) if s.imag > 1e-6 * max(1.0, abs(s))]

@@ -45,7 +45,8 @@ class ModelFunctions:
 
         Contacts count as beginning now: nothing is remembered.
         """
-        return ca.Function(name, [self.t, self.z, self.v, self.p], [self.unremembered(part) for part in outputs])
+        dense = [ca.densify(self.unremembered(part)) for part in outputs]
+        return ca.Function(name, [self.t, self.z, self.v, self.p], dense)
 
     def function_of_memory(self, name: str, *outputs: ca.SX) -> ca.Function:
         """A CasADi function of (t, z, v, p, memory)."""
@@ -113,7 +114,8 @@ class ModelFunctions:
         unknowns = ca.vertcat(self.z, multipliers)
         equations = ca.vertcat(force, stacked)
         arguments = [unknowns, self.t, self.v, self.p]
-        return ca.Function("equilibrium", arguments, [equations, ca.jacobian(equations, unknowns)])
+        dense = [ca.densify(part) for part in (equations, ca.jacobian(equations, unknowns))]
+        return ca.Function("equilibrium", arguments, dense)
 
     @cached_property
     def mass_matrix(self) -> ca.Function:

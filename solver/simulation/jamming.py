@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from solver.equations.evaluation import evaluate
 from solver.equations.model import Model
 
 Array = NDArray[np.float64]
@@ -111,4 +112,4 @@ def failure_remark(model: Model, t: float, z: Array, v: Array, p: Sequence[float
 
 
 def _state(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> list[Array]:
-    return [np.asarray(part.full())[:, 0] for part in model.rubbing_state(t, z, v, p)]
+    return [part[:, 0] for part in evaluate(model.rubbing_state, t, z, v, p)]

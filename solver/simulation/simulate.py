@@ -22,6 +22,7 @@ from solver.machines.machine import Machine
 from solver.simulation.adaptive_runs import adaptive_runs
 from solver.simulation.gill_runs import gill_runs
 from solver.simulation.recorded import OVERSAMPLING, Run
+from solver.simulation.settling import settled
 from solver.spectra import sampling
 
 Array = NDArray[np.float64]
@@ -117,7 +118,7 @@ def simulate_batch(
         model = group.model
         for index, error in group.failed:
             results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
-        ready = group.ready
+        ready = settled(machine, cases, group, settings, runs) if settings.settled else group.ready
         if not ready:
             continue
         if starts is not None:

@@ -10,15 +10,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from solver.cases.assembly import CLOSED, close, inner_coordinates, walk
+from solver.cases.assembly import walk
 from solver.cases.groups import groups
 from solver.cases.history import Case, History, Settings, Status
-from solver.cases.start import Start, least_velocity
+from solver.cases.start import Start, start_with_frame
 from solver.equations.drive import repeating_frequency
-from solver.equations.model import Model
-from solver.errors import AssemblyError
 from solver.machines.fault import HEALTHY
 from solver.machines.machine import Machine
 from solver.simulation.simulate import simulate
@@ -100,23 +96,8 @@ def starts_at(
         raise error
     model, prepared = group.model, group.ready[0]
     poses = walk(model, prepared.vector, prepared.speed, PHASES)
+    held = [column for column, index in enumerate(model.frame_indices) if index is not None]
     return [
-        _placed(model, prepared.vector, *poses[phase], displacement[i], velocity[i]) for i, phase in enumerate(phases)
+        start_with_frame(model, prepared.vector, *poses[phase], displacement[i, held], velocity[i, held])
+        for i, phase in enumerate(phases)
     ]
-
-
-def _placed(
-    model: Model, p: Sequence[float], t: float, pose: FloatArray, displacement: FloatArray, velocity: FloatArray
-) -> Start:
-    """The machine at time `t` of its drive with its frame there, everything else following."""
-    z = pose.copy()
-    held = [(column, index) for column, index in enumerate(model.frame_indices) if index is not None]
-    for column, index in held:
-        z[index] = displacement[column]
-    z, gap, name = close(model, t, z, p, inner_coordinates(model))
-    if gap >= CLOSED:
-        rule = f"does not close at the start by {gap * 1e3:.3g} mm"
-        raise AssemblyError(model.machine.name, f"joints.{name.partition('.')[0]}", None, rule)
-    rows = np.eye(model.size)[[index for _, index in held]]
-    v = least_velocity(model, t, p, z, rows, velocity[[column for column, _ in held]])
-    return Start(z, v, t)

@@ -15,9 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalogue.errors import PlanError
+from catalogue.errors import CatalogueMismatchError, PlanError
 from catalogue.plans.draws import Distribution, unit_draws
-from catalogue.plans.entry import Entry
+from catalogue.plans.entry import Entry, Recipe
 from catalogue.plans.parameters import MachineNumbers
 from catalogue.plans.plan import Plan, load_plan, parse_plan, preset, preset_names, resolve_plan
 from catalogue.plans.plan_text import plan_lines
@@ -418,3 +418,14 @@ def test_quantiles() -> None:
     assert Distribution(lognormal=0.4).quantile(0.5) == pytest.approx(1.0)
     assert Distribution(lognormal=0.4).quantile(0.8413447460685429) == pytest.approx(math.exp(0.4))
     assert 0 < Distribution(lognormal=0.4).quantile(0.0) < 1 < Distribution(lognormal=0.4).quantile(1.0) < math.inf
+
+
+def test_a_recipe_from_before_settled_starts_keeps_its_keys_and_is_not_mixed_with_later_ones() -> None:
+    recipe = plan_of().recipe(QUICK_RETURN)
+    assert recipe.content["settled"] is True
+    before = {name: value for name, value in recipe.content.items() if name != "settled"}
+    assert Recipe.from_content(before).content == before  # what keys are made of
+    for first, second in ((Recipe.from_content(before), recipe), (recipe, Recipe.from_content(before))):
+        rule = f"was built with settled {first.settled}, not {second.settled}: build into another folder"
+        with pytest.raises(CatalogueMismatchError, match=rule):
+            first.check_same(second, "there")
