@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
-from catalogue.building.build import CHUNK_SIZE, build
-from catalogue.building.chunk import chunked, simulate_chunk
+from catalogue.building.build import build
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation.metrics import Figures
 from catalogue.evaluation.protocols import Protocol, protocols_of
@@ -21,15 +19,12 @@ from catalogue.evaluation.recordings import Recordings
 from catalogue.evaluation.study import Setup, evaluate
 from catalogue.plans.keys import content_digest
 from catalogue.plans.plan import Plan
+from catalogue.storage.leases import ChunkStatus
+from catalogue.storage.location import IndexLocation
 from catalogue.storage.store import Catalogue
 from solver.cases.steps import Accuracy
 
 __all__ = ["Point", "Sweep", "trade_off"]
-
-TIMED_CASES = 64
-"""Cases of each hypothesis that are simulated to learn what a case costs: enough that few lanes are empty, and that no
-more of them are guarded than in a catalogue: with eight, one was, and cases cost two and a half times what they do.
-"""
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class Point:
     entries : int
         Of the catalogue.
     build_seconds : float
-        Processor time to simulate them.
+        Processor time that simulating them took when they were built.
     setup : Setup
     figures : Figures
     """
@@ -132,6 +127,7 @@ def trade_off(
         for accuracy in accuracies:
             known = _built(catalogue, cast(Accuracy, accuracy), folder or Path(scratch), workers)
             each = _seconds_a_case(known)
+            counts = {label: int(np.sum(known.entries.hypothesis == label)) for label in known.hypotheses}
             for most in sizes:
 
                 def told(now: int, _: int, before: int = done) -> None:
@@ -149,8 +145,11 @@ def trade_off(
                     progress=told,
                 )
                 done += count
-                entries = sum(min(most, int(np.sum(known.entries.hypothesis == label))) for label in known.hypotheses)
-                points += [Point(accuracy, most, entries, each * entries, row.setup, row.figures) for row in study.rows]
+                taken = {label: min(most, counts[label]) for label in counts}
+                seconds = sum(each[label] * count for label, count in taken.items())
+                points += [
+                    Point(accuracy, most, sum(taken.values()), seconds, row.setup, row.figures) for row in study.rows
+                ]
     return Sweep(catalogue.machine.name, conditions, seed, count, tuple(points))
 
 
@@ -159,22 +158,22 @@ def _built(catalogue: Catalogue, accuracy: Accuracy, folder: Path, workers: int)
     if catalogue.recipe.accuracy == accuracy:
         return catalogue
     plan: Plan = catalogue.plan.model_copy(update={"accuracy": accuracy})
-    digest = content_digest([catalogue.machine.content_key, plan.hash])[:16]
+    settled = catalogue.recipe.settled
+    digest = content_digest([catalogue.machine.content_key, plan.hash, settled])[:16]
     place = folder / f"{catalogue.machine.name}-{accuracy}-{digest}"
-    build(catalogue.machine, plan, place, workers=workers)
+    build(catalogue.machine, plan, place, workers=workers, settled=settled)
     return Catalogue.open(place)
 
 
-def _seconds_a_case(catalogue: Catalogue) -> float:
-    """Processor time of a case, mean over the hypotheses: some of each are simulated again, kernels being ready."""
-    entries = catalogue.plan.entries(catalogue.machine)
-    spent: list[float] = []
+def _seconds_a_case(catalogue: Catalogue) -> dict[str, float]:
+    """Processor time of a case by hypothesis, as the index has it from building the catalogue."""
+    with IndexLocation.of(catalogue.layout).open() as index:
+        rows = [row for row in index.chunks() if row.status is ChunkStatus.DONE and row.entries]
+    found = {}
     for label in catalogue.hypotheses:
-        some = [entry for entry in entries if entry.hypothesis.label == label]
-        chunk = chunked(catalogue.machine, catalogue.recipe, some, CHUNK_SIZE)[0]
-        simulate_chunk(replace(chunk, entries=chunk.entries[:1]))
-        timed = replace(chunk, entries=chunk.entries[:TIMED_CASES])
-        before = sum(os.times()[:2])
-        simulate_chunk(timed)
-        spent.append((sum(os.times()[:2]) - before) / len(timed.entries))
-    return float(np.mean(spent))
+        own = [row for row in rows if row.hypothesis == label]
+        if not own:
+            rule = "its index does not know what building it took: build it into another folder, or leave out --sweep"
+            raise DiagnosisError(f"{catalogue.path}: {rule}")
+        found[label] = sum(row.seconds for row in own) / sum(row.entries for row in own)
+    return found

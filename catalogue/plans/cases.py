@@ -97,9 +97,9 @@ def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
                     yield from (Sequence(hypothesis, stratum, with_fits, speed, asked) for speed in plan.speeds)
 
 
-def cases_of(plan: Plan, machine: Machine) -> Iterator[Entry]:
+def cases_of(plan: Plan, machine: Machine, recipe: Recipe) -> Iterator[Entry]:
     """Every case of a plan, sequence by sequence, then by draw; see :meth:`catalogue.plans.plan.Plan.entries`."""
-    drawing = _Drawing(plan, machine, plan.recipe(machine))
+    drawing = _Drawing(plan, machine, recipe)
     for sequence in sequences_of(plan, machine):
         yield from drawing.entries(sequence)
 

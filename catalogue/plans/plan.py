@@ -123,8 +123,10 @@ class Plan(Part):
         """SHA-256 of everything but the name: two plans with the same hash ask for the same cases."""
         return content_digest({key: value for key, value in self.content.items() if key != "name"})
 
-    def recipe(self, machine: Machine) -> Recipe:
+    def recipe(self, machine: Machine, *, settled: bool = True) -> Recipe:
         """How the entries of this plan are simulated and estimated for `machine`.
+
+        Catalogues from before worn machines started settled go on without (`settled`).
 
         Raises
         ------
@@ -141,7 +143,7 @@ class Plan(Part):
             per_octave=self.bands.per_octave,
             f_max=self.bands.f_max,
             nominal_drive_speed=speed,
-            settled=True,
+            settled=settled,
         )
 
     def resolved(self, machine: Machine) -> Plan:
@@ -185,8 +187,10 @@ class Plan(Part):
         """How many draws with fits in the joints that are not worn go with `draws` of a faulty hypothesis."""
         return math.ceil(self.fits.in_faulty * draws - 1e-9)
 
-    def entries(self, machine: Machine) -> tuple[Entry, ...]:
+    def entries(self, machine: Machine, *, settled: bool = True) -> tuple[Entry, ...]:
         """Every case of this plan for `machine`: by hypothesis, stratum, speed, then by draw.
+
+        `settled` as for :meth:`recipe`.
 
         Draw i of a hypothesis, stratum and speed is point i of one space-filling sequence over clearances, contact law
         and all that is uncertain; it does not depend on what else the plan asks for. So a plan with more draws or
@@ -202,7 +206,8 @@ class Plan(Part):
         strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
         for stratum in strata:
             check_drawable(machine, frozenset(plan.spread(machine, stratum)))
-        return tuple({entry.key: entry for entry in cases_of(plan, machine)}.values())  # without scatter, draws repeat
+        every = cases_of(plan, machine, plan.recipe(machine, settled=settled))
+        return tuple({entry.key: entry for entry in every}.values())  # without scatter, draws repeat
 
 
 def parse_plan(content: str | Mapping[str, object], source: str = "plan") -> Plan:

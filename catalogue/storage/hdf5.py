@@ -24,17 +24,22 @@ from catalogue.storage.directory import publish
 from catalogue.storage.shard import Shard, ShardHeader
 
 __all__ = [
-    "SCHEMA_VERSION",
+    "SCHEMA_VERSIONS",
+    "SCHEMA_VERSIONS_SAID",
     "arrays_image",
     "decode_shard",
     "encode_shard",
     "read_arrays",
+    "schema_version",
     "write_arrays",
     "write_growing",
 ]
 
-SCHEMA_VERSION = 2
-"""Of shard files and of the catalogue folder; a change that older programs cannot read raises it."""
+SCHEMA_VERSIONS = (2, 3)
+"""Of shard files and of the catalogue folder; a change that older programs cannot read raises it. From 3 on worn
+machines start settled.
+"""
+SCHEMA_VERSIONS_SAID = " and ".join(map(str, SCHEMA_VERSIONS))
 
 _FORMAT = "jointplay catalogue shard"
 _TEXT = h5py.string_dtype("utf-8")
@@ -42,6 +47,11 @@ _LOCK = threading.RLock()
 
 _TEXT_COLUMNS = ("key", "status", "message")
 _NUMBER_COLUMNS = {"draw": "1", "segments": "1", "row": "1", "drive_speed": "rad/s", "transient": "s", "guard_db": "dB"}
+
+
+def schema_version(recipe: Recipe) -> int:
+    """Version that a catalogue of this recipe has: what an older program can read stays as that wrote it."""
+    return SCHEMA_VERSIONS[recipe.settled]
 
 
 def encode_shard(shard: Shard) -> bytes:
@@ -59,7 +69,7 @@ def encode_shard(shard: Shard) -> bytes:
     header = shard.header
     with _LOCK, h5py.File.in_memory(track_order=False) as file:
         file.attrs["format"] = _FORMAT
-        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["schema_version"] = schema_version(header.recipe)
         file.attrs["machine"] = header.machine
         file.attrs["recipe"] = canonical_json(header.recipe.content)
         file.attrs["plan"] = canonical_json(header.plan)
@@ -121,9 +131,9 @@ def decode_shard(content: bytes, path: Path) -> Shard:
         with _LOCK, h5py.File.in_memory(content) as file:
             if file.attrs.get("format") != _FORMAT:
                 raise CatalogueFileError(path, "is an HDF5 file, but not a shard of a catalogue")
-            if int(file.attrs["schema_version"]) != SCHEMA_VERSION:
-                found = int(file.attrs["schema_version"])
-                raise CatalogueMismatchError(path, f"has schema version {found}; this program reads {SCHEMA_VERSION}")
+            if (found := int(file.attrs["schema_version"])) not in SCHEMA_VERSIONS:
+                rule = f"has schema version {found}; this program reads {SCHEMA_VERSIONS_SAID}"
+                raise CatalogueMismatchError(path, rule)
             entries, spectra = file["entries"], file["spectra"]
             columns: dict[str, Any] = {name: tuple(map(str, entries[name].asstr()[()])) for name in _TEXT_COLUMNS}
             columns |= {name: entries[name][()] for name in _NUMBER_COLUMNS}

@@ -19,7 +19,7 @@ from catalogue.plans.keys import content_digest
 from catalogue.plans.parameters import MachineNumbers
 from catalogue.plans.plan import Plan, parse_plan
 from catalogue.storage.directory import CatalogueDirectory, publish
-from catalogue.storage.hdf5 import SCHEMA_VERSION
+from catalogue.storage.hdf5 import SCHEMA_VERSIONS, SCHEMA_VERSIONS_SAID, schema_version
 from catalogue.storage.seal import Seal, root_hash
 from catalogue.storage.shard import ShardHeader
 from solver.errors import MachineError
@@ -76,11 +76,11 @@ class Manifest:
     seal: Seal | None = None
 
     @classmethod
-    def of(cls, machine: Machine, plan: Plan) -> Self:
-        """The manifest of a new catalogue."""
+    def of(cls, machine: Machine, plan: Plan, *, settled: bool = True) -> Self:
+        """The manifest of a new catalogue, see :meth:`catalogue.plans.plan.Plan.recipe`."""
         return cls(
             machine_content=machine.canonical_json(),
-            recipe=plan.recipe(machine),
+            recipe=plan.recipe(machine, settled=settled),
             plan=plan,
             solver_version=solver.__version__,
             versions=package_versions(),
@@ -122,9 +122,9 @@ class Manifest:
             raise CatalogueFileError(path, f"cannot be read as JSON ({error})") from None
         if not isinstance(content, dict) or content.get("format") != _FORMAT:
             raise CatalogueFileError(path, "is not the manifest of a catalogue")
-        if content.get("schema_version") != SCHEMA_VERSION:
+        if content.get("schema_version") not in SCHEMA_VERSIONS:
             found = content.get("schema_version")
-            rule = f"has schema version {found}; this program reads and writes {SCHEMA_VERSION}"
+            rule = f"has schema version {found}; this program reads {SCHEMA_VERSIONS_SAID}"
             raise CatalogueMismatchError(directory.root, rule)
         try:
             if content.pop("checksum") != content_digest(content):
@@ -147,7 +147,7 @@ class Manifest:
         """As it is written, with a checksum over everything else in it."""
         content: dict[str, Any] = {
             "format": _FORMAT,
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": schema_version(self.recipe),
             "machine_key": self.machine.content_key,
             "recipe": self.recipe.content,
             "plan": self.plan.content,
@@ -169,7 +169,7 @@ class Manifest:
 
     def root_of(self, shards: tuple[str, ...]) -> str:
         """Root hash of the catalogue if it consists of these shards (names, sorted)."""
-        return root_hash(SCHEMA_VERSION, self.machine.content_key, self.recipe.content, shards)
+        return root_hash(schema_version(self.recipe), self.machine.content_key, self.recipe.content, shards)
 
     @cached_property
     def machine(self) -> Machine:
@@ -199,7 +199,7 @@ class Manifest:
         if self.solver_version != solver.__version__:
             rule = f"was built by solver {self.solver_version}, this is {solver.__version__}: build into another folder"
             raise CatalogueMismatchError(where, rule)
-        self.recipe.check_same(plan.recipe(machine), str(where))
+        self.recipe.check_same(plan.recipe(machine, settled=self.recipe.settled), str(where))
         different = self.plan.difference(plan, machine)
         if different:
             raise CatalogueMismatchError(where, f"was drawn with another {different}: build into another folder")

@@ -65,6 +65,8 @@ class Prepared:
         What a reader of the results should know: where the transient rule does not hold, say.
     duration : float
         s.
+    sprung : bool
+        Whether supports hold the frame in all its motions, each a damped swing.
     response : float
         How far the frame moves against what it would at a fast drive, see :func:`solver.cases.steps.response`.
     pace : float
@@ -75,6 +77,8 @@ class Prepared:
         What the rules of :mod:`solver.cases.steps` allow at that accuracy, s.
     smooth_step : float
         Longest step that resolves suspension and drive, contacts apart, s.
+    spent : float
+        Processor time that went into its start, s.
     """
 
     index: int
@@ -87,11 +91,13 @@ class Prepared:
     transient: float
     remark: str
     duration: float
+    sprung: bool
     response: float
     pace: float
     accuracy: Accuracy
     longest_step: float
     smooth_step: float
+    spent: float = 0.0
 
 
 @lru_cache(maxsize=MODELS_KEPT)
@@ -172,6 +178,8 @@ def prepare(
     motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
     speed, fastest = drive_rates(machine, complete)
     transient, *remarks = transient_time(motions.suspension, speed)
+    free = sum(index is not None for index in model.frame_indices)
+    sprung = len(motions.suspension) == free > 0 and not any(remarks)
     remarks += restitution_remarks(machine, joints, complete)
     duration = settings.duration
     if duration is None:
@@ -193,8 +201,8 @@ def prepare(
     memory = np.zeros(len(model.remembering))
     small, pace = response(motions.suspension, speed), pace_of(machine, complete)
     return Prepared(
-        index, vector, z, v, memory, 0.0, speed, transient, remark, duration, small, pace, settings.accuracy, longest,
-        smooth,
+        index, vector, z, v, memory, 0.0, speed, transient, remark, duration, sprung, small, pace, settings.accuracy,
+        longest, smooth,
     )  # fmt: skip
 
 

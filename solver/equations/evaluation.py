@@ -34,6 +34,8 @@ def evaluate(function: ca.Function, *arguments: ArrayLike) -> list[Array]:
     given = [np.ascontiguousarray(argument, dtype=np.float64) for argument in arguments]
     found = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
     for i, argument in enumerate(given):
+        if argument.size != function.nnz_in(i):
+            raise ValueError(f"{function.name()}: argument {i} has {argument.size} numbers, not {function.nnz_in(i)}")
         if argument.size:
             buffer.set_arg(i, argument.data)
     for i, result in enumerate(found):

@@ -1,8 +1,8 @@
-"""Worn machines that start with their suspension settled, by way of the healthy machine, which is shortest to simulate.
+"""Worn machines that start with their suspension settled, by way of the healthy machine, which is cheap to simulate.
 
 The start-up transient is mostly that of the suspension, and the frame of a worn machine swings nearly as that of the
 healthy one. So the healthy machine runs through the transient, and the worn one starts with its frame moving as that
-one's does then; it still has the transient of its contacts, :data:`SETTLED_REVOLUTIONS`.
+one's does then. What is left is the transient of the contacts, and of what the wear adds to the frame's motion.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.groups import Group, groups
+from solver.cases.groups import groups
 from solver.cases.history import Case, Settings, Status
 from solver.cases.preparation import Prepared
 from solver.cases.start import start_with_frame
 from solver.equations.drive import repeating_frequency
 from solver.equations.model import Model
 from solver.errors import AssemblyError, SettingsError
+from solver.machines.drives import RotationDrive
 from solver.machines.fault import HEALTHY
 from solver.machines.machine import Machine
 from solver.simulation.recorded import OVERSAMPLING, Run
@@ -28,73 +29,99 @@ from solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
-#: Dropped after such a start, in place of the suspension's transient; chosen from measured spectra, ``docs/solver.md``.
-SETTLED_REVOLUTIONS = 1.0
+#: Part of the transient as drawn that is still dropped, in whole revolutions: what the wear itself adds to the motion
+#: of the frame decays as slowly as the suspension. Chosen from measured spectra, ``docs/solver.md``.
+SETTLED_PART = 0.25
 
 
 def settled(
-    machine: Machine, cases: Sequence[Case], group: Group, settings: Settings, runs: Callable[..., Iterator[Run]]
-) -> list[Prepared]:
-    """The cases of a group, those for which it saves time with another start and a shorter transient.
+    machine: Machine, model: Model, cases: Sequence[Case], ready: Sequence[Prepared], settings: Settings,
+    runs: Callable[..., Iterator[Run]],
+) -> list[Prepared]:  # fmt: skip
+    """Give worn cases for which it saves time another start and a shorter transient.
 
-    Left as they are: the healthy machine, a fixed frame, machines that do not come round, and those in which more than
-    the frame moves freely while nothing is worn. Where the healthy machine has no steady state, the remark says so.
+    Left as they are: the healthy machine, runs of a given duration, machines that do not come round, frames that
+    supports do not hold and damp in all their motions, and machines in which more than the frame moves freely while
+    nothing is worn. Where the run of the healthy machine gives no start, the remark says so.
 
     Parameters
     ----------
     machine : Machine
+    model : Model
+        Of the cases.
     cases : sequence of Case
-        The table that the group was made of.
-    group : Group
+        The table that they are of.
+    ready : sequence of Prepared
+        Of one model.
     settings : Settings
     runs : callable
-        What integrates groups of cases, :func:`solver.simulation.adaptive_runs.adaptive_runs` or another.
+        What integrates cases of one model, :func:`solver.simulation.adaptive_runs.adaptive_runs` or another.
     """
-    worn = {place: case for place, case in enumerate(group.ready) if _gains(machine, group.model, case)}
+    given = {case.index: case for case in ready}
+    worn = [case for case in ready if _gains(machine, model, cases[case.index], case, settings)]
     if not worn:
-        return group.ready
-    healthy = [replace(cases[case.index], fault=HEALTHY) for case in worn.values()]
-    shortest = replace(settings, duration=None, revolutions=1e-6, motion=True, links=False, settled=False)
-    ready, places = list(group.ready), list(worn)
-    for other in groups(machine, healthy, shortest, [case.accuracy for case in worn.values()]):
-        model, frame = other.model, [index for index in other.model.frame_indices if index is not None]
-        for index, error in other.failed:
-            ready[places[index]] = _as_drawn(worn[places[index]], str(error))
-        if model.degrees_of_freedom != len(frame):
+        return list(ready)
+    healthy = [_healthy(cases[case.index]) for case in worn]
+    shortest = replace(settings, revolutions=1e-6, motion=True, links=False, settled=False)
+    for group in groups(machine, healthy, shortest, [case.accuracy for case in worn]):
+        frame = [index for index in group.model.frame_indices if index is not None]
+        for index, error in group.failed:
+            given[worn[index].index] = _as_drawn(worn[index], str(error))
+        if not group.ready or group.model.degrees_of_freedom != len(frame):
             continue
-        for run in runs(machine, model, other.varying, other.ready, frame, shortest):
-            place = places[run.case.index]
-            ready[place] = _started(group.model, worn[place], run, shortest, settings.duration is None)
-    return ready
+        for run in runs(machine, group.model, group.varying, group.ready, frame, shortest):
+            case = worn[run.case.index]
+            given[case.index] = _started(model, case, run, settings.sample_rate)
+    return list(given.values())
 
 
-def _gains(machine: Machine, model: Model, case: Prepared) -> bool:
-    """Whether there is a steady state, and a transient that is longer than what is dropped anyhow."""
-    if not model.clearance_joints or all(index is None for index in model.frame_indices):
+def _gains(machine: Machine, model: Model, case: Case, prepared: Prepared, settings: Settings) -> bool:
+    """Whether the frame of the healthy machine has a steady state, and more of a transient than is dropped anyhow."""
+    if not model.clearance_joints or not prepared.sprung or settings.duration is not None:
         return False
     try:
-        frequency = repeating_frequency(machine, case.speed)
+        repeating_frequency(machine, prepared.speed)
     except SettingsError:
         return False
-    return case.transient * frequency > SETTLED_REVOLUTIONS + 0.5
+    return _comes_round(machine, case) and prepared.transient > 1.5 * _dropped(prepared)
+
+
+def _comes_round(machine: Machine, case: Case) -> bool:
+    """Whether the drive does with the numbers of the case, where the machine file has none of them."""
+    if not isinstance(machine.drive, RotationDrive):
+        return "drive.speed" not in case.parameters
+    rippled = any(path.startswith("drive.ripple.") for path in case.parameters)
+    return not rippled or all(ripple.order == round(ripple.order) for ripple in machine.drive.ripple)
+
+
+def _dropped(case: Prepared) -> float:
+    """Time that is dropped after a settled start, s."""
+    revolution = 2 * math.pi / abs(case.speed)
+    return revolution * max(1, math.ceil(SETTLED_PART * case.transient / revolution - 1e-9))
+
+
+def _healthy(case: Case) -> Case:
+    """The case without wear, and without the numbers of the worn joints, of which it may have no use."""
+    worn = tuple(f"joints.{joint}." for joint in case.fault.joints)
+    return Case(HEALTHY, {path: value for path, value in case.parameters.items() if not path.startswith(worn)})
 
 
 def _as_drawn(case: Prepared, reason: str) -> Prepared:
-    remark = f"started as drawn: the healthy machine has no steady state ({reason})"
+    remark = f"started as drawn: the healthy machine gave no settled start ({reason})"
     return replace(case, remark="; ".join(filter(None, (case.remark, remark))))
 
 
-def _started(model: Model, case: Prepared, run: Run, settings: Settings, shorter: bool) -> Prepared:
+def _started(model: Model, case: Prepared, run: Run, sample_rate: float) -> Prepared:
     """A worn machine after the run of the healthy one."""
+    case = replace(case, spent=run.seconds)
     if run.status is not Status.OK:
         return _as_drawn(case, f"{run.status}: {run.message}")
     try:
-        start = start_with_frame(model, case.vector, 0.0, case.z, *_end_of_transient(run, settings.sample_rate))
+        start = start_with_frame(model, case.vector, 0.0, case.z, *_end_of_transient(run, sample_rate))
     except AssemblyError as error:
         return _as_drawn(case, str(error))
-    transient = SETTLED_REVOLUTIONS * 2 * math.pi / abs(case.speed)
-    duration = case.duration - (case.transient - transient if shorter else 0.0)
-    return replace(case, z=start.z, v=start.v, transient=transient, duration=duration)
+    saved = case.transient - _dropped(case)
+    return replace(case, z=start.z, v=start.v, transient=case.transient - saved, duration=case.duration - saved)
 
 
 def _end_of_transient(run: Run, sample_rate: float) -> tuple[Array, Array]:

@@ -60,7 +60,7 @@ def simulate(machine: Machine, case: Case | None = None, settings: Settings | No
 
 
 def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> Start:
-    """Where a case starts: coordinates and velocities at t = 0, in the order of its model's coordinates.
+    """Where a case starts as drawn: coordinates and velocities at t = 0, in the order of its model's coordinates.
 
     Raises
     ------
@@ -91,8 +91,8 @@ def simulate_batch(
     progress : callable, optional
         Called with the number of cases done after each of them.
     starts : sequence of Start or None, optional
-        Where and when each case starts instead of as :func:`start_of`; its coordinates must fulfil the closures. With
-        :attr:`History.end` a run goes on; durations count from the start.
+        Where and when each case starts instead of as :func:`start_of`, or settled; its coordinates must fulfil the
+        closures. With :attr:`History.end` a run goes on; durations count from the start.
     accuracies : sequence of str, optional
         One a case, instead of that of the settings: few cases at another accuracy then fill lanes with all others.
 
@@ -118,12 +118,16 @@ def simulate_batch(
         model = group.model
         for index, error in group.failed:
             results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
-        ready = settled(machine, cases, group, settings, runs) if settings.settled else group.ready
+        ready, free = [], []
+        for case in group.ready:
+            start = None if starts is None else starts[case.index]
+            if start is None:
+                free.append(case)
+            else:
+                ready.append(_started(case, start))
+        ready += settled(machine, model, cases, free, settings, runs) if settings.settled else free
         if not ready:
             continue
-        if starts is not None:
-            given = [(case, starts[case.index]) for case in ready]
-            ready = [case if start is None else _started(case, start) for case, start in given]
         recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
         for run in runs(machine, model, group.varying, ready, recorded, settings):
             index = run.case.index
@@ -200,5 +204,6 @@ def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: 
     return History(
         case, run.status, message, t, frame(run.z),
         frame(None if run.z is None else rates), frame(run.a), smooth.T,
-        settings.sample_rate, run.case.transient, run.case.speed, run.step, run.seconds, links, _end(run),
+        settings.sample_rate, run.case.transient, run.case.speed, run.step, run.case.spent + run.seconds,
+        links, _end(run),
     )  # fmt: skip

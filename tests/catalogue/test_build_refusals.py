@@ -57,9 +57,9 @@ def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         quick_build(tmp_path)
     monkeypatch.undo()
     manifest = tmp_path / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"schema_version": 2', '"schema_version": 99'))
+    manifest.write_text(manifest.read_text().replace('"schema_version": 3', '"schema_version": 99'))
     for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
-        with pytest.raises(CatalogueMismatchError, match=r"has schema version 99; this program reads and writes 2$"):
+        with pytest.raises(CatalogueMismatchError, match=r"has schema version 99; this program reads 2 and 3$"):
             use()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from catalogue.diagnosing.baseline_levels import OrderLevels
 from catalogue.diagnosing.diagnosis import answer
 from catalogue.diagnosing.separation import _more_sensors
 from catalogue.errors import DiagnosisError
+from catalogue.evaluation import sweep
 from catalogue.evaluation.differences import DIFFERENCES, with_differences
 from catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, protocols_of
 from catalogue.evaluation.recordings import Recordings, recorded
@@ -25,10 +27,13 @@ from catalogue.evaluation.study import Setup, evaluate, setups_of
 from catalogue.evaluation.sweep import trade_off
 from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.plans.entry import Hypothesis
+from catalogue.plans.plan import Plan
 from catalogue.signals.features import prepare
 from catalogue.signals.suspension import with_filed_suspension
+from catalogue.storage.index import ChunkStatus, Index
+from catalogue.storage.leases import ChunkRow
 from catalogue.storage.store import Catalogue
-from solver.machines.machine import shipped_machine
+from solver.machines.machine import Machine, shipped_machine
 
 SHORT = replace(PROTOCOLS["matched"], seconds=1.0, clearance=(80e-6, 700e-6))
 MACHINE = shipped_machine("slider-crank")
@@ -276,6 +281,27 @@ def test_a_sweep_takes_the_first_draws_of_each_hypothesis(small_catalogue: Catal
     assert many.figures.log_loss is not None
     assert many.figures.log_loss < few.figures.log_loss
     assert json.loads(json.dumps(found.content()))["points"][0]["draws"] == 6
+
+
+def test_a_sweep_builds_other_accuracies_in_the_same_way_and_says_what_building_took(
+    small_catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two pretended builds, of which each chunk took as many seconds as it has cases."""
+    asked: list[tuple[str, bool]] = []
+
+    def built(machine: Machine, plan: Plan, place: Path, **options: Any) -> None:
+        asked.append((plan.accuracy, options["settled"]))
+        shutil.copytree(small_catalogue.path, place)
+
+    monkeypatch.setattr(sweep, "build", built)
+    rows = [ChunkRow(label, label, 4, ChunkStatus.DONE, seconds=4.0) for label in small_catalogue.hypotheses]
+    monkeypatch.setattr(Index, "chunks", lambda _: rows)
+    found = trade_off(small_catalogue, [6], ["draft", "standard"], SHORT, 8, seed=3, folder=tmp_path)
+    assert asked == [("standard", True)]
+    assert [point.build_seconds for point in found.points] == [24.0, 24.0]
+    monkeypatch.setattr(Index, "chunks", lambda _: [])
+    with pytest.raises(DiagnosisError, match="its index does not know what building it took"):
+        trade_off(small_catalogue, [6], ["draft"], SHORT, 8, seed=3)
 
 
 def test_refuses_what_it_cannot_do(small_catalogue: Catalogue) -> None:
