@@ -32,6 +32,11 @@ BROADBAND_SHARE = 0.8
 """Part of the false alarms left to the overall distance: what is broadband, as a second worn joint, shows there alone,
 while foreign forces at low orders are far out where they show at all."""
 
+STRATA_SHARE = 0.2
+"""Part of the false alarms left to the network of strata: where it sees something it is sure of it, and half of them
+would hide from the distances what it was not shown, as wear in more joints than the catalogue has (docs/diagnosis.md).
+"""
+
 
 @dataclass(frozen=True)
 class GaussianAlongClearance:
@@ -226,7 +231,7 @@ class FittedGaussian:
                 BROADBAND_SHARE,
             )
             if self.witness is not None:
-                p_value = combined(self.calibration.doubts[h].p_value(doubt), p_value)
+                p_value = combined(self.calibration.doubts[h].p_value(doubt), p_value, STRATA_SHARE)
             matches.append(
                 HypothesisMatch(
                     curve.label,

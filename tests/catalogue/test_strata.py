@@ -99,6 +99,11 @@ def test_what_it_doubts_is_not_explained(strata: Network) -> None:
         assert np.mean(p_values(both, label, "trusted") < 0.05) < 0.12
         rejected = [np.mean(p_values(model, label, "wide") < 0.05) for model in (plain, both)]
         assert rejected[1] > rejected[0] + 0.1  # measured: 0.70 instead of 0.38, 0.60 instead of 0.30
+        # What the distances see stays seen: a p-value rises by a quarter at most.
+        for stratum in ("trusted", "wide"):
+            before, after = (p_values(model, label, stratum) for model in (plain, both))
+            assert (after <= np.minimum(1.0, 1.2500001 * before)).all()
+            assert (after > before).any()
     first, second = (model.match(unseen("A", "trusted")[0]) for model in (plain, both))
     # What is likely it does not judge; files change the last digits of sums.
     assert [h.probability for h in first.hypotheses] == pytest.approx([h.probability for h in second.hypotheses])
