@@ -274,7 +274,11 @@ def test_started_as_drawn_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """A parallelogram passes a change point, where only the worn machine can go on; and frames that do not close."""
     machine = four_bar(0.06, 0.20, 0.06, 0.20, 0.0)
     case = Case(FaultState({"A": 1e-4}))
-    history = simulate_batch(machine, [Case(), case], SHORT)[1]
+    table = [Case(), case]
+    group = list(groups(machine, table, SHORT))[1]
+    (only,) = settled(machine, group.model, table, group.ready, SHORT, adaptive_runs)
+    assert (only.index, "started as drawn" in only.remark) == (1, True)
+    history = simulate_batch(machine, table, SHORT)[1]
     assert "started as drawn: the healthy machine gave no settled start (" in history.message
     assert same(history, simulate(machine, case, replace(SHORT, settled=False)))
 
