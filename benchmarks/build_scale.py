@@ -171,10 +171,11 @@ def on_dask(entries: int, folder: str) -> tuple[float, float]:
 def starts(turns: int) -> None:
     """Processor time of a case in chunks of 128, settled and as drawn; both kernels are compiled before."""
     machine, plan = shipped_machine("quick-return"), plan_of(17 * 128 * (turns + 1))
+    cases = {settled: plan.entries(machine, settled=settled) for settled in (False, True)}
     for label in ("F", "E+F", "as-new"):
         kinds = {}
-        for settled in (False, True):
-            entries = [entry for entry in plan.entries(machine, settled=settled) if entry.hypothesis.label == label]
+        for settled, every in cases.items():
+            entries = [entry for entry in every if entry.hypothesis.label == label]
             kinds[settled] = chunked(machine, plan.recipe(machine, settled=settled), entries, 128)
         spent: dict[bool, list[float]] = {False: [], True: []}
         for turn in range(turns + 1):

@@ -168,7 +168,7 @@ def _built(catalogue: Catalogue, accuracy: Accuracy, folder: Path, workers: int)
 def _seconds_a_case(catalogue: Catalogue) -> dict[str, float]:
     """Processor time of a case by hypothesis, as the index has it from building the catalogue."""
     with IndexLocation.of(catalogue.layout).open() as index:
-        rows = [row for row in index.chunks() if row.status is ChunkStatus.DONE and row.entries]
+        rows = [row for row in index.chunks() if row.status is ChunkStatus.DONE]
     found = {}
     for label in catalogue.hypotheses:
         own = [row for row in rows if row.hypothesis == label]

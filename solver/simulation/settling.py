@@ -120,8 +120,8 @@ def _started(model: Model, case: Prepared, run: Run, sample_rate: float) -> Prep
         start = start_with_frame(model, case.vector, 0.0, case.z, *_end_of_transient(run, sample_rate))
     except AssemblyError as error:
         return _as_drawn(case, str(error))
-    saved = case.transient - _dropped(case)
-    return replace(case, z=start.z, v=start.v, transient=case.transient - saved, duration=case.duration - saved)
+    dropped = _dropped(case)
+    return replace(case, z=start.z, v=start.v, transient=dropped, duration=case.duration - case.transient + dropped)
 
 
 def _end_of_transient(run: Run, sample_rate: float) -> tuple[Array, Array]:
