@@ -86,6 +86,7 @@ def document(
         "turning_joints": list(machine.turning_joints),
         "sliding_joints": list(machine.sliding_joints),
         "sensors": [sensor.name for sensor in machine.sensors],
+        "joints": fits_document(machine),
         "fault_um": {joint: clearance * 1e6 for joint, clearance in fault.items()},
         "degrees_of_freedom": sizes.freedoms,
         "integrated_degrees_of_freedom": sizes.integrated,
@@ -154,18 +155,36 @@ def links_of(machine: Machine) -> str:
 
 
 def joints_of(machine: Machine, fault: FaultState) -> str:
-    """Return the joints as a table."""
-    rows = [
-        (
-            name,
-            joint.kind,
-            " on ".join(joint.links),
-            f"({joint.at[0]:g}, {joint.at[1]:g}) m",
-            f"{fault[name] * 1e6:.6g} um" if name in fault else "-",
-        )
+    """Return the joints as a table; all clearances are radial."""
+    from solver.machines.fits import in_um
+    from solver.machines.joints import TurningJoint
+
+    rows = []
+    for name, joint in machine.joints.items():
+        as_new = limit = "-"
+        if isinstance(joint, TurningJoint):
+            as_new = str(joint.new_fit)
+            limit = f"{in_um(joint.worn_out_from)} ({'default' if joint.limit is None else 'given'})"
+        clearance = f"{fault[name] * 1e6:.6g} um" if name in fault else "-"
+        at = f"({joint.at[0]:g}, {joint.at[1]:g}) m"
+        rows.append((name, joint.kind, " on ".join(joint.links), at, as_new, limit, clearance))
+    return table(("joint", "kind", "links", "at", "radial play as new", "worn out from", "radial clearance"), rows)
+
+
+def fits_document(machine: Machine) -> dict[str, object]:
+    """Return what play each turning joint has as new and from which it is worn out, as JSON values; radial."""
+    from solver.machines.joints import TurningJoint
+
+    return {
+        name: {
+            "fit": joint.new_fit.text,
+            "play_as_new_um": [round(end * 1e6, 6) for end in joint.play_as_new],
+            "limit": "default" if joint.limit is None else "given",
+            "worn_out_from_um": round(joint.worn_out_from * 1e6, 6),
+        }
         for name, joint in machine.joints.items()
-    ]
-    return table(("joint", "kind", "links", "at", "radial clearance"), rows)
+        if isinstance(joint, TurningJoint)
+    }
 
 
 def arrays_of(matrix: MechanismMatrix) -> str:

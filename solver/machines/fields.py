@@ -21,6 +21,7 @@ from solver.machines.units import Dimension
 
 __all__ = [
     "Direction",
+    "Marker",
     "Name",
     "NumberOrTable",
     "Point",
@@ -28,6 +29,7 @@ __all__ = [
     "RuleError",
     "Table",
     "Title",
+    "Vector",
     "nearest",
     "no_default",
 ]
@@ -55,8 +57,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; known: {', '.join(known[:12])}{', ...' if len(known) > 12 else ''}" if known else ""
 
 
-class _Field:
-    """Glue between a marker's own ``validate``/``json_schema`` and pydantic."""
+class Marker:
+    """Glue between a kind of field, its own ``validate`` and ``json_schema``, and pydantic."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.validate)
@@ -65,14 +67,16 @@ class _Field:
         return self.json_schema()
 
     def validate(self, value: Any) -> Any:
+        """Return what `value` stands for or raise :class:`RuleError`."""
         raise RuleError("cannot be given")
 
     def json_schema(self) -> dict[str, Any]:
+        """Describe what may be given."""
         return {}
 
 
 @dataclass(frozen=True)
-class Quantity(_Field):
+class Quantity(Marker):
     """A number of one dimension, with bounds in SI.
 
     Parameters
@@ -119,7 +123,7 @@ class Quantity(_Field):
 
 
 @dataclass(frozen=True)
-class Vector(_Field):
+class Vector(Marker):
     """A fixed number of components, each with its own kind."""
 
     columns: tuple[Quantity, ...]
@@ -134,7 +138,7 @@ class Vector(_Field):
 
 
 @dataclass(frozen=True)
-class UnitVector(_Field):
+class UnitVector(Marker):
     """Two components that are not both zero; comes out with length 1."""
 
     def validate(self, value: Any) -> tuple[float, float]:
@@ -156,7 +160,7 @@ class UnitVector(_Field):
 
 
 @dataclass(frozen=True)
-class Table(_Field):
+class Table(Marker):
     """Rows of numbers, the first column strictly increasing.
 
     Parameters
@@ -192,7 +196,7 @@ class Table(_Field):
 
 
 @dataclass(frozen=True)
-class NumberOrTable(_Field):
+class NumberOrTable(Marker):
     """One number for all time, or a table of it."""
 
     number: Quantity
@@ -208,7 +212,7 @@ class NumberOrTable(_Field):
 
 
 @dataclass(frozen=True)
-class Text(_Field):
+class Text(Marker):
     """One line of text that matches a pattern; whole numbers are taken for their digits."""
 
     pattern: str

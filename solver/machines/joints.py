@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from solver.machines import units
-from solver.machines.fields import Direction, Name, Point, Quantity, no_default
+from solver.machines.fields import Direction, Name, Point, Quantity, RuleError, no_default
+from solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
 from solver.machines.parts import Damping, Part
 from solver.machines.restitution import HYSTERESIS, ContactLaw
 
@@ -18,6 +19,8 @@ FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]
 HERTZ_EXPONENT = 1.5
 #: Least restitution to ask for: below, the hysteresis of some laws exceeds a hundred and grows without bound.
 LEAST_RESTITUTION = 0.01
+#: Largest radial clearance that can be a limit, m; more is a number in another unit.
+LARGEST_LIMIT = 0.1
 #: Numbers of the normal force, and those that each law has.
 NORMAL_NUMBERS = ("stiffness", "damping", "exponent", "restitution", "hysteresis")
 LAW_NUMBERS = {
@@ -81,7 +84,8 @@ class TurningJoint(Part):
     """A pin in a socket. ``links`` [0] carries the pin unless ``pin`` says otherwise.
 
     ``at`` [m]; ``pin_radius`` [m], 0 neglects the moment of friction; ``viscous`` [N m s/rad] resists relative
-    rotation while the joint has no clearance; ``contact`` counts once it has.
+    rotation while the joint has no clearance; ``contact`` counts once it has. ``fit`` says what radial clearance the
+    joint has as new, ``limit`` [m] from which it counts as worn out; neither enters the equations of motion.
     """
 
     kind: Literal["turning"] = "turning"
@@ -91,6 +95,41 @@ class TurningJoint(Part):
     pin_radius: Annotated[float, Quantity(units.LENGTH, at_least=0)] = 0.0
     viscous: Annotated[float, Quantity(units.ROTARY_DAMPING, at_least=0)] = 0.0
     contact: Contact = Contact()
+    fit: Annotated[FitSaid, FitMarker()] | None = None
+    limit: Annotated[float, Quantity(units.LENGTH, above=0, at_most=LARGEST_LIMIT)] | None = None
+
+    @model_validator(mode="after")
+    def _resolve_fit(self) -> TurningJoint:
+        try:
+            fit = self.new_fit
+        except RuleError as error:
+            said = self.fit.plain() if isinstance(self.fit, ClassFit) else self.fit
+            raise RuleError(error.message(), ("fit",), said) from None
+        if self.limit is not None and not self.limit > fit.high:
+            raise RuleError(f"must be greater than the joint's play as new, {fit}", ("limit",), in_um(self.limit))
+        return self
+
+    @model_serializer(mode="wrap")
+    def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Machines that say nothing of fits keep the content key they had before a file could.
+        written: dict[str, Any] = write(self)
+        return {key: value for key, value in written.items() if value is not None or key not in ("fit", "limit")}
+
+    @property
+    def new_fit(self) -> Fit:
+        """Play of the joint as new: that of ``fit``, or the default."""
+        return new_fit(self.fit, self.pin_radius)
+
+    @property
+    def play_as_new(self) -> tuple[float, float]:
+        """Least and greatest radial clearance of the joint as new, m."""
+        fit = self.new_fit
+        return fit.low, fit.high
+
+    @property
+    def worn_out_from(self) -> float:
+        """Radial clearance from which the joint counts as worn out, m: ``limit``, or ten times the greatest as new."""
+        return LIMIT_FACTOR * self.new_fit.high if self.limit is None else self.limit
 
 
 class SlidingJoint(Part):

@@ -89,7 +89,8 @@ def test_check_shows_the_sizes_of_the_model() -> None:
     shown = invoke("check", "quick-return", "--fault", "A=0.2mm").stdout
     assert "F = 6, of which 5 are integrated" in shown
     assert "3N + 2J = 32 unknowns" in shown
-    assert "200 um" in shown
+    row = next(line.split() for line in shown.splitlines() if line.startswith("A "))
+    assert row[-2:] == ["200", "um"]
     document = json.loads(invoke("check", "quick-return", "--fault", "A=0.2mm", "--json").stdout)
     assert document["degrees_of_freedom"] == 6
     assert document["fault_um"] == {"A": pytest.approx(200)}
@@ -98,6 +99,28 @@ def test_check_shows_the_sizes_of_the_model() -> None:
     kept = len(document["coordinates"]) + len(document["closures"])
     assert kept + sum(out["unknowns"] for out in document["left_out"]) == 32
     assert "arrays" not in document["mechanism_matrix"]
+
+
+def test_check_shows_play_as_new_and_limits(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    at_a = "at: [0.05, 0.05], pin: rod"
+    text = invoke("machines", "slider-crank").stdout
+    path.write_text(text.replace(at_a, f"{at_a}, fit: H7/g6, limit: 0.1 mm"))
+    rows = {line.split()[0]: line for line in invoke("check", path).stdout.splitlines() if " turning  " in line}
+    assert rows["A"].endswith("3 to 17.5 um (H7/g6 at 16 mm)  100 um (given)    -")
+    assert rows["B"].endswith("3 to 20 um (default)           200 um (default)  -")
+    joints = json.loads(invoke("check", path, "--json").stdout)["joints"]
+    assert set(joints) == {"O", "A", "B"}
+    assert joints["A"] == {
+        "fit": "H7/g6 at 16 mm", "play_as_new_um": [3.0, 17.5], "limit": "given", "worn_out_from_um": 100.0,
+    }  # fmt: skip
+    assert joints["O"] == {
+        "fit": "default", "play_as_new_um": [3.0, 20.0], "limit": "default", "worn_out_from_um": 200.0,
+    }  # fmt: skip
+    path.write_text(text.replace(at_a, f"{at_a}, fit: H7/k6"))
+    refused = invoke("check", path)
+    assert refused.exit_code == 2
+    assert "joints.A.fit: H7/k6: is no clearance fit" in refused.stderr
 
 
 def test_check_shows_the_arrays_of_the_matrix() -> None:
