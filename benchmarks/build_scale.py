@@ -3,8 +3,7 @@
 ``python -m benchmarks.build_scale fake --entries 100000``: the builder's own work, with spectra of full size that cost
 nothing to make, in this process, on SQLite or on PostgreSQL (``--index URL``). ``real --entries 2000``: processor time
 a case, simulation and all, on local processes, on either. ``cluster``: the same cases on two Dask workers and on two
-local processes, in turns. ``starts``: chunks of some hypotheses with worn machines started settled and as drawn, in
-turns in this process.
+local processes, in turns.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from benchmarks.kills import free_port
 from catalogue.building.build import BuildReport, build
-from catalogue.building.chunk import Chunk, chunked, simulate_chunk
+from catalogue.building.chunk import Chunk
 from catalogue.building.cluster import DaskCluster
 from catalogue.building.executors import LocalProcesses
 from catalogue.plans.plan import Plan, parse_plan
@@ -36,10 +35,10 @@ from solver.machines.machine import shipped_machine
 
 
 def plan_of(entries: int) -> Plan:
-    """17 hypotheses of the quick-return: healthy, as new, every single joint and every pair; at least so many cases."""
-    draws = -(-entries // 17)
-    numbers = dict.fromkeys(("healthy", "as_new", "single", "pair"), draws)
-    hypotheses = ["healthy", "as-new", "singles", "pairs"]
+    """16 hypotheses of the quick-return: healthy, every single joint and every pair; at least so many cases."""
+    draws = -(-entries // 16)
+    numbers = dict.fromkeys(("healthy", "single", "pair"), draws)
+    hypotheses = ["healthy", "singles", "pairs"]
     return parse_plan({"name": "scale", "hypotheses": hypotheses, "draws": numbers, "wide": {"draws": 0}})
 
 
@@ -168,25 +167,6 @@ def on_dask(entries: int, folder: str) -> tuple[float, float]:
     return wall, processor_seconds() - before
 
 
-def starts(turns: int) -> None:
-    """Processor time of a case in chunks of 128, settled and as drawn; both kernels are compiled before."""
-    machine, plan = shipped_machine("quick-return"), plan_of(17 * 128 * (turns + 1))
-    cases = {settled: plan.entries(machine, settled=settled) for settled in (False, True)}
-    for label in ("F", "E+F", "as-new"):
-        kinds = {}
-        for settled, every in cases.items():
-            entries = [entry for entry in every if entry.hypothesis.label == label]
-            kinds[settled] = chunked(machine, plan.recipe(machine, settled=settled), entries, 128)
-        spent: dict[bool, list[float]] = {False: [], True: []}
-        for turn in range(turns + 1):
-            for settled, chunks in kinds.items():
-                began = time.process_time()
-                simulate_chunk(chunks[turn])
-                spent[settled].append(1e3 * (time.process_time() - began) / len(chunks[turn].entries))
-        drawn, quicker = (sorted(spent[settled][1:])[turns // 2] for settled in (False, True))
-        print(f"{label:7} {drawn:.2f} ms a case as drawn, {quicker:.2f} settled: {quicker / drawn:.2f} of it")
-
-
 def quietly(command: list[str]) -> subprocess.Popen[bytes]:
     """Start a program."""
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -231,7 +211,7 @@ def clean(folder: str) -> None:
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("fake", "real", "cluster", "starts"))
+    parser.add_argument("what", choices=("fake", "real", "cluster"))
     parser.add_argument("--entries", type=int, default=2000)
     parser.add_argument("--index", help="URL of PostgreSQL, for made-up and real cases")
     parser.add_argument("--keep", type=Path, help="folder for a catalogue of real cases that stays")
@@ -242,7 +222,6 @@ def main() -> None:
         "fake": lambda: fake(options.entries, options.index),
         "real": lambda: real(options.entries, options.workers, options.keep, options.index),
         "cluster": lambda: cluster(options.entries, options.turns),
-        "starts": lambda: starts(options.turns),
     }
     runs[options.what]()
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from catalogue.evaluation.study import Study
     from catalogue.evaluation.sweep import Sweep
 
-PROTOCOLS = "matched, noisy, hard, model-error, other-cause, as-new, pairs, triples"
+PROTOCOLS = "matched, noisy, hard, model-error, other-cause, healthy, pairs, triples"
 
 
 @click.command("evaluate")

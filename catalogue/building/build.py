@@ -115,7 +115,6 @@ def build(
     chunk_size: int = CHUNK_SIZE,
     index: str | None = None,
     lease: float = LEASE,
-    settled: bool = True,
 ) -> BuildReport:
     """Build a catalogue, or go on with one: compute every entry of the plan that is not there yet.
 
@@ -143,8 +142,6 @@ def build(
         SQLite in the folder.
     lease : float, optional
         How long a chunk stays with a builder that gives no sign of life [s].
-    settled : bool
-        Whether worn machines of a new catalogue start settled; one that is there goes on as it was begun.
 
     Returns
     -------
@@ -155,7 +152,7 @@ def build(
     PlanError
         The plan does not fit the machine.
     CatalogueMismatchError
-        The folder holds a catalogue of another machine, schema, solver version or other settings.
+        The folder holds a catalogue of another machine, schema, version of numbers or other settings.
     CatalogueBusyError
         Another process verifies there.
     CatalogueFileError
@@ -176,9 +173,7 @@ def build(
     with BuilderLock(layout) as lock:
         if lock.alone:
             layout.remove_temporaries()
-        manifest, is_new = _manifest(layout, machine, plan, settled)
-        if not manifest.recipe.settled:
-            wanted = plan.entries(machine, settled=False)
+        manifest, is_new = _manifest(layout, machine, plan)
         location = IndexLocation.settled(layout, index, alone=lock.alone)
         every = chunked(machine, manifest.recipe, wanted, chunk_size)
         if is_new:
@@ -218,14 +213,14 @@ def build(
             return _report(opened, wanted, tally, adopted, time.monotonic() - started)
 
 
-def _manifest(layout: CatalogueDirectory, machine: Machine, plan: Plan, settled: bool) -> tuple[Manifest, bool]:
+def _manifest(layout: CatalogueDirectory, machine: Machine, plan: Plan) -> tuple[Manifest, bool]:
     """The manifest of the folder, or a new one, not written yet; refuses what does not fit it."""
     if layout.manifest.exists():
         manifest = Manifest.read(layout)
     elif layout.shard_names():
         raise CatalogueFileError(layout.manifest, "is missing, but there are shards: verify the catalogue first")
     else:
-        return Manifest.of(machine, plan, settled=settled), True
+        return Manifest.of(machine, plan), True
     manifest.check_accepts(machine, plan, layout.root)
     return manifest, False
 

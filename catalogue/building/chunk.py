@@ -126,7 +126,7 @@ def _simulated(chunk: Chunk, guarded: Sequence[int]) -> list[Outcome]:
     machine = entries[0].variant.machine(_machine(chunk.machine))
     revolutions = recipe.revolutions + SLACK_REVOLUTIONS
     settings = Settings(
-        sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False, transient=False, settled=recipe.settled
+        sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False, transient=False, settled=True
     )
     cases = [Case(entry.fault, entry.parameters) for entry in entries]
     return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]

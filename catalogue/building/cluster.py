@@ -207,7 +207,7 @@ class _LostOnTheWayError(Exception):
 
 @lru_cache
 def _versions() -> dict[str, str]:
-    return {"jointplay solver": solver.__version__, **package_versions()}
+    return {"numbers": str(solver.NUMBERS_VERSION), **package_versions()}
 
 
 def _at_worker(task: Callable[[A], R], argument: A, wanted: Mapping[str, str]) -> R:

@@ -124,14 +124,15 @@ def regenerate(
     Raises
     ------
     CatalogueMismatchError
-        It was built by another version of the solver, which need not give the same spectra.
+        It holds numbers of another version, which need not be the same.
     CatalogueFileError
         A shard is damaged.
     """
     started = time.monotonic()
     manifest = catalogue.manifest
-    if manifest.solver_version != solver.__version__:
-        rule = f"was built by solver {manifest.solver_version}, this is {solver.__version__}: nothing to compare"
+    if manifest.numbers_version != solver.NUMBERS_VERSION:
+        theirs, ours = manifest.numbers_version, solver.NUMBERS_VERSION
+        rule = f"holds numbers of version {theirs}, this program computes version {ours}: nothing to compare"
         raise CatalogueMismatchError(catalogue.path, rule)
     every = catalogue.matrix.every_row
     rows = np.sort(np.random.default_rng(seed).choice(every, min(sample, len(every)), replace=False))

@@ -146,8 +146,6 @@ class BaselineShown(_Frozen):
     ----------
     measurement, measurement_sha256 : str
         Name of that recording, and checksum of its bytes.
-    condition : str
-        "healthy" or "as-new", whichever explains it better.
     used : bool
         Whether a machine in order explains it; nothing of it is used otherwise.
     p_before, p_after : float
@@ -158,7 +156,6 @@ class BaselineShown(_Frozen):
 
     measurement: str
     measurement_sha256: str
-    condition: str
     used: bool
     p_before: float
     p_after: float

@@ -19,7 +19,7 @@ from catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
 from catalogue.diagnosing.healthy_machine import HealthyMachine
 from catalogue.diagnosing.tuning import quantities
 from catalogue.errors import DiagnosisError
-from catalogue.plans.entry import AS_NEW, HEALTHY
+from catalogue.plans.entry import HEALTHY
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.suspension import with_filed_suspension
 from catalogue.storage.store import Catalogue
@@ -68,8 +68,6 @@ class Baseline:
     ----------
     name : str
         Of the recording.
-    condition : {"healthy", "as-new"}
-        The machine without play, or with that of new fits, whichever explains it better.
     numbers : mapping of str to Estimate
         By path as in a plan: "frame.mass".
     gains : mapping of str to Estimate
@@ -87,7 +85,6 @@ class Baseline:
     """
 
     name: str
-    condition: str
     numbers: Mapping[str, Estimate]
     gains: Mapping[str, Estimate]
     p_before: float
@@ -168,7 +165,7 @@ def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: 
     prepared : PreparedMeasurement
         Of the healthy machine, by the sensors that are used for diagnosis.
     catalogue : Catalogue
-        Of the same machine, with the hypothesis healthy or as-new: says what scatters even when all numbers are right.
+        Of the same machine, with the hypothesis healthy: says what scatters even when all numbers are right.
     steps : int
         Steps at most, >= 1, from each of two starts; each simulates the machine once for every number that can be
         corrected, and once more.
@@ -180,22 +177,19 @@ def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: 
     Raises
     ------
     DiagnosisError
-        The catalogue holds neither hypothesis, or the healthy machine cannot be simulated at this speed.
+        The catalogue holds no such machines, or the healthy machine cannot be simulated at this speed.
     """
     if steps < 1:
         raise DiagnosisError(f"baseline steps: {steps}: must be at least 1")
     levels = OrderLevels.of(prepared)
-    found = {label: class_statistics(catalogue, levels, label) for label in (HEALTHY, AS_NEW)}
-    known = {label: statistics for label, statistics in found.items() if statistics is not None}
-    if not known:
-        raise DiagnosisError(f"catalogue {catalogue.path}: holds too few machines that are healthy or as new")
-    # Above order 20 play shows most, and frame and supports least.
-    condition = min(known, key=lambda label: known[label].above_db)
+    known = class_statistics(catalogue, levels, HEALTHY)
+    if known is None:
+        raise DiagnosisError(f"catalogue {catalogue.path}: holds too few machines that are healthy")
     model = HealthyMachine(catalogue, quantities(catalogue.machine), prepared.drive_speed)
-    return _answer(levels, model, condition, fitted_numbers(levels, model, known[condition], steps))
+    return _answer(levels, model, fitted_numbers(levels, model, known, steps))
 
 
-def _answer(levels: OrderLevels, model: HealthyMachine, condition: str, fit: Fit) -> Baseline:
+def _answer(levels: OrderLevels, model: HealthyMachine, fit: Fit) -> Baseline:
     count = len(model.quantities)
     estimates = [Estimate(math.exp(x), float(sd)) for x, sd in zip(fit.found, fit.scatter, strict=True)]
     names = [quantity.name for quantity in model.quantities]
@@ -216,7 +210,6 @@ def _answer(levels: OrderLevels, model: HealthyMachine, condition: str, fit: Fit
             ]
     return Baseline(
         name=levels.name,
-        condition=condition,
         numbers=numbers,
         gains=gains,
         p_before=fit.p_before,

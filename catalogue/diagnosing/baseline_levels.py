@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER, feature_vector
+from catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
 from catalogue.storage.store import Catalogue
 
 __all__ = ["LevelStatistics", "OrderLevels", "class_statistics"]
@@ -16,6 +16,7 @@ __all__ = ["LevelStatistics", "OrderLevels", "class_statistics"]
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complexfloating]
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
 
 #: Decibels of a relative change of power by one.
 DECIBELS = 10.0 / np.log(10.0)
@@ -110,14 +111,11 @@ class LevelStatistics:
         dB.
     deviations : (n, m) array
         Of entries from the mean at their own speed, dB.
-    above_db : float
-        Root mean square difference of the recording from the mean, above order 20.
     """
 
     levels: OrderLevels
     mean: FloatArray
     deviations: FloatArray
-    above_db: float
 
     @property
     def error_variance(self) -> FloatArray:
@@ -173,10 +171,12 @@ class LevelStatistics:
         return float((1 + np.sum(np.concatenate(found) >= distance)) / (1 + count))
 
 
-def class_statistics(catalogue: Catalogue, levels: OrderLevels, label: str) -> LevelStatistics | None:
-    """Statistics of the trusted entries of a hypothesis; None where there are too few."""
+def class_statistics(
+    catalogue: Catalogue, levels: OrderLevels, label: str, rows: IntArray | None = None
+) -> LevelStatistics | None:
+    """Statistics of the trusted entries of a hypothesis, or of some of its rows; None where there are too few."""
     matrix, prepared = catalogue.matrix, levels.prepared
-    rows = matrix.rows(label, "trusted")
+    rows = matrix.rows(label, "trusted") if rows is None else rows
     if len(rows) < LEAST_ENTRIES:
         return None
     power = matrix.cross_power(rows)  # in feature bands, the first of which are the orders
@@ -185,10 +185,4 @@ def class_statistics(catalogue: Catalogue, levels: OrderLevels, label: str) -> L
     off = np.log(np.abs(matrix.table(rows).drive_speed) / prepared.drive_speed)
     smooth = np.column_stack([np.ones(len(rows)), off, off**2])
     weights = np.linalg.lstsq(smooth, seen, rcond=None)[0]
-    sensing = prepared.sensing
-    bands = tuple(range(len(prepared.cuts)))
-    features = feature_vector(power, bands, sensing.channels @ sensing.transform, prepared.group_noise)
-    above = slice(FEATURE_ORDERS * len(prepared.channels), None)
-    difference = prepared.features[above] - features[:, above].mean(axis=0)
-    away = float(np.sqrt(np.mean(difference**2)))
-    return LevelStatistics(levels, weights[0], seen - smooth @ weights, away)
+    return LevelStatistics(levels, weights[0], seen - smooth @ weights)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from catalogue.matching.coherence import ComplexArray, common_noise, pairs_of
 from catalogue.matching.matcher import BoolArray, FloatArray
 from catalogue.matching.observation import Sensing
 from catalogue.signals.features import PreparedMeasurement
 
-__all__ = ["exact_sensing", "measured_levels", "watched"]
+__all__ = ["exact_sensing", "measured_features", "watched"]
 
 LEAST_NOISE_DENSITY = 2e-10
 """Acceleration noise, (m/s2)^2/Hz, a recording is taken to have at least (1 mm/s2 up to 5 kHz): no simulation and no
@@ -26,16 +27,24 @@ def exact_sensing(prepared: PreparedMeasurement) -> Sensing:
     width = np.diff(prepared.scheme.edges_hz(prepared.drive_speed)[list(prepared.cuts)])
     least = LEAST_NOISE_DENSITY * width[:, None] * np.sum(sensors.channels**2, axis=1)
     noise = np.maximum(prepared.group_noise, least)
-    return Sensing(sensors.transform, sensors.channels, prepared.cuts, noise, prepared.group_degrees_of_freedom)
+    return Sensing(
+        sensors.transform, sensors.channels, prepared.cuts, noise, prepared.group_degrees_of_freedom, sensors.phases
+    )
 
 
-def measured_levels(prepared: PreparedMeasurement, sensing: Sensing) -> FloatArray:
+def measured_features(prepared: PreparedMeasurement, sensing: Sensing) -> FloatArray:
     """Return the feature vector (d,) of a recording, its noise filled up to that of `sensing`."""
     missing = np.maximum(sensing.noise - prepared.group_noise, 0.0)
-    return sensing.levels(prepared.group_power + missing).ravel()
+    cross: ComplexArray | None = None
+    if sensing.has_pairs:
+        first, second = (list(side) for side in zip(*pairs_of(len(sensing.channels)), strict=True))
+        joint = np.add.reduceat(prepared.power[: prepared.cuts[-1]], prepared.cuts[:-1], axis=0)
+        cross = np.asarray(joint[None, :, first, second] + common_noise(missing, sensing.alike), np.complex128)
+    found: FloatArray = sensing.features(prepared.group_power[None] + missing, cross)[0]
+    return found
 
 
 def watched(prepared: PreparedMeasurement) -> BoolArray:
-    """Return which features (d,) are single orders low enough to show foreign forces."""
+    """Return which levels (l,) are single orders low enough to show foreign forces."""
     axes = prepared.axes
     return np.array([axis.single_order and axis.low_order < WATCHED_ORDERS for axis in axes], dtype=bool)

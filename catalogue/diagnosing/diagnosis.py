@@ -21,7 +21,7 @@ from catalogue.diagnosing.answer import (
     Provenance,
 )
 from catalogue.diagnosing.baseline import fit_baseline
-from catalogue.diagnosing.comparison import exact_sensing, measured_levels, watched
+from catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
 from catalogue.diagnosing.evidence import (
     edge_warnings,
     evidence,
@@ -205,7 +205,7 @@ def answer(
         if all(step.name != "suspension" for step in prepared.steps):
             weights = known.weights(catalogue)
     sensing = exact_sensing(prepared)
-    feature = measured_levels(prepared, sensing)
+    feature = measured_features(prepared, sensing)
     result = library.answer(
         sensing,
         feature,
@@ -226,7 +226,7 @@ def answer(
             spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
         else:
             refined = refine(
-                Recorded(feature, sensing, prepared.drive_speed),
+                Recorded(feature[: sensing.noise.size], sensing, prepared.drive_speed),
                 catalogue,
                 result,
                 result.set(question.coverage).labels,
@@ -254,7 +254,7 @@ def answer(
         catalogue_sha256=catalogue.id,
         machine_sha256=catalogue.machine.content_key,
         solver_version=solver.__version__,
-        catalogue_solver_version=catalogue.manifest.solver_version,
+        catalogue_solver_version=catalogue.manifest.versions.get("jointplay", ""),
         matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,
     )
@@ -284,7 +284,7 @@ def answer(
         "coverage": candidates.coverage,
         "widened": candidates.widened,
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
-        "evidence": evidence(prepared, result.best, feature, rival_of(result)),
+        "evidence": evidence(prepared, result.best, feature[: sensing.noise.size], rival_of(result)),
         "baseline": known.shown() if known else None,
         "suggestions": suggestions_shown(suggest(catalogue, prepared, result)) if unclear else (),
         "warnings": tuple(dict.fromkeys(warnings)),

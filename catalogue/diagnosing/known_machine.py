@@ -40,7 +40,6 @@ class KnownMachine:
         return BaselineShown(
             measurement=found.name,
             measurement_sha256=self.sha256,
-            condition=found.condition,
             used=found.explained,
             p_before=found.p_before,
             p_after=found.p_after,

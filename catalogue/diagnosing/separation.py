@@ -249,7 +249,7 @@ def _sensing(prepared: PreparedMeasurement, machine: Machine, more: FloatArray) 
     if sensors.rigid_body and inverse is not None:
         noise = noise + common
     noise = np.maximum(joined(noise, prepared.cuts), LEAST_POWER)
-    return Sensing(transform, channels, prepared.cuts, noise, prepared.group_degrees_of_freedom)
+    return Sensing(transform, channels, prepared.cuts, noise, prepared.group_degrees_of_freedom, sensors.phases)
 
 
 def _more_sensors(

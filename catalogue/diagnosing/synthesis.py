@@ -18,6 +18,7 @@ from catalogue.building.chunk import chunked, simulate_chunk
 from catalogue.diagnosing.answer import Mode
 from catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
 from catalogue.errors import DiagnosisError
+from catalogue.matching.coherence import compose
 from catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
 from catalogue.matching.observation import grouped
 from catalogue.matching.population import Population
@@ -143,8 +144,8 @@ class _Search:
         cls, recorded: Recorded, catalogue: Catalogue, match: HypothesisMatch, mode: Mode, settings: Synthesis
     ) -> _Search:
         rows, first = _rows(catalogue, match.label, mode)
-        powers = recorded.sensing.powers(catalogue.matrix.packed(rows))
-        levels = recorded.sensing.levels(powers + recorded.sensing.noise).reshape(len(rows), -1)
+        powers, _ = recorded.sensing.powers(catalogue.matrix.packed(rows))
+        levels = compose(powers + recorded.sensing.noise, None)
         order = np.argsort(np.mean((levels - recorded.feature) ** 2, axis=1), kind="stable")
         near = rows[order[: settings.size]]
         # What is drawn shows in the first draws; reading all of 100 000 cases from their shards takes seconds.
@@ -213,8 +214,8 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
 def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[float, FloatArray]:
     """Log density of the recording given one simulated case, and that case's levels (d,)."""
     sensing = recorded.sensing
-    clean, noise = sensing.powers(grouped(pack(power[None]), sensing.cuts))[0], sensing.noise
-    levels = sensing.levels(clean + noise).ravel()
+    clean, noise = sensing.powers(grouped(pack(power[None]), sensing.cuts))[0][0], sensing.noise
+    levels = compose((clean + noise)[None], None)[0]
     cells = 0.5 * sensing.degrees_of_freedom[:, None]
     # Of a level in dB, from the relative variance of the power (see catalogue.observation.observe).
     scatter = (10.0 / np.log(10.0)) ** 2 * (noise**2 + 2.0 * clean * noise) / (cells * (clean + noise) ** 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from catalogue.diagnosing.answer import Verdict
 from catalogue.matching.matcher import MatchResult
-from catalogue.plans.entry import AS_NEW, HEALTHY
+from catalogue.plans.entry import HEALTHY
 
 __all__ = ["UNKNOWN_BELOW", "judged"]
 
@@ -17,10 +17,9 @@ def judged(result: MatchResult, coverage: float) -> tuple[float, Verdict]:
 
     The p-value is that of the best fitting hypothesis of the candidate set: a recording is explained if any likely
     cause explains it. Below :data:`UNKNOWN_BELOW`, or where the set is empty, the verdict is unknown; else the likelier
-    one of healthy (the healthy and the as-new machine together) and fault.
+    one of healthy and fault.
     """
     p_value = result.explained(coverage)
     if p_value < UNKNOWN_BELOW or not result.set(coverage).labels:
         return p_value, "unknown"
-    healthy = result.probability(HEALTHY) + result.probability(AS_NEW)
-    return p_value, "healthy" if healthy >= 0.5 else "fault"
+    return p_value, "healthy" if result.probability(HEALTHY) >= 0.5 else "fault"

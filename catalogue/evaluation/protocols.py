@@ -15,7 +15,7 @@ from catalogue.storage.store import Catalogue
 
 __all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "protocols_of", "with_noise"]
 
-Kind = Literal["listed", "singles", "as-new", "pairs", "triples"]
+Kind = Literal["listed", "healthy", "singles", "pairs", "triples"]
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,10 @@ class Protocol:
     Parameters
     ----------
     name : str
-    kind : {"listed", "singles", "as-new", "pairs", "triples"}
-        What the machines are: every hypothesis of the catalogue in turn; healthy and single worn joints in turn; small
-        play in every joint; two or three worn joints, whether the catalogue holds such hypotheses or not.
+    kind : {"listed", "healthy", "singles", "pairs", "triples"}
+        What the machines are: every hypothesis of the catalogue in turn; in order; in order and single worn joints in
+        turn; two or three worn joints, whether the catalogue holds such hypotheses or not. Every joint that is not worn
+        has the play of a fit.
     differences : tuple of str
         In what the machines differ from the model, names in :data:`catalogue.evaluation.differences.DIFFERENCES`.
     foreign : bool
@@ -41,7 +42,7 @@ class Protocol:
     clearance : tuple of float
         Radial clearances of worn joints, log-uniform, m.
     fits : tuple of float
-        Radial clearances of as-new joints, log-uniform, m.
+        Radial clearances of the joints that are not worn, log-uniform, m.
     speed : float
         Largest deviation of the drive speed from nominal, relative, uniform.
     friction : tuple of float
@@ -62,7 +63,7 @@ class Protocol:
     sensor_noise: float = 0.0
     frame_noise: tuple[float, float, float] = (0.1, 0.1, 0.5)
     clearance: tuple[float, float] = (50e-6, 1e-3)
-    fits: tuple[float, float] = (5e-6, 12e-6)
+    fits: tuple[float, float] = (3e-6, 15e-6)
     speed: float = 0.03
     friction: tuple[float, float] = (0.01, 0.15)
     scatter: float = 0.4
@@ -80,8 +81,8 @@ class Protocol:
         joints = sorted(catalogue.machine.turning_joints)
         if self.kind == "listed":
             return catalogue.entries.hypotheses
-        if self.kind == "as-new":
-            return (Hypothesis.as_new(),)
+        if self.kind == "healthy":
+            return (Hypothesis.of(()),)
         if self.kind == "singles":
             return (Hypothesis.of(()), *(Hypothesis.of([joint]) for joint in joints))
         count = 2 if self.kind == "pairs" else 3
@@ -108,7 +109,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
         Protocol("matched", sensor_noise=0.02, frame_noise=(0.0, 0.0, 0.0)),
         Protocol("noisy", sensor_noise=0.1, frame_noise=(0.0, 0.0, 0.0)),
         _HARD,
-        replace(_HARD, name="as-new", kind="as-new"),
+        replace(_HARD, name="healthy", kind="healthy"),
         replace(_HARD, name="pairs", kind="pairs"),
         replace(_HARD, name="triples", kind="triples"),
         *(

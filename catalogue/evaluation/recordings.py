@@ -93,7 +93,7 @@ class Recordings:
                 "parameters": dict(truth.parameters),
                 "settings": [settings.accuracy, settings.sample_rate, settings.revolutions],
                 "seconds": truth.seconds,
-                "solver": solver.__version__,
+                "numbers": solver.NUMBERS_VERSION,
             }
         )
 

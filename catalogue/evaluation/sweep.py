@@ -11,6 +11,7 @@ from typing import cast
 
 import numpy as np
 
+import solver
 from catalogue.building.build import build
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation.metrics import Figures
@@ -158,10 +159,9 @@ def _built(catalogue: Catalogue, accuracy: Accuracy, folder: Path, workers: int)
     if catalogue.recipe.accuracy == accuracy:
         return catalogue
     plan: Plan = catalogue.plan.model_copy(update={"accuracy": accuracy})
-    settled = catalogue.recipe.settled
-    digest = content_digest([catalogue.machine.content_key, plan.hash, settled])[:16]
+    digest = content_digest([catalogue.machine.content_key, plan.hash, solver.NUMBERS_VERSION])[:16]
     place = folder / f"{catalogue.machine.name}-{accuracy}-{digest}"
-    build(catalogue.machine, plan, place, workers=workers, settled=settled)
+    build(catalogue.machine, plan, place, workers=workers)
     return Catalogue.open(place)
 
 

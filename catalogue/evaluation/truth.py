@@ -61,7 +61,7 @@ class Truth:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints with clearance: the worn ones, or those with new fits."""
+        """Joints with clearance: all turning joints."""
         return tuple(self.clearances)
 
 
@@ -72,15 +72,16 @@ def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: Protocol, see
     recordings of two protocols differ only in what the protocols differ in.
     """
     draws = np.random.default_rng(seed_from("truth", seed, hypothesis.label, number))
-    is_as_new = hypothesis == Hypothesis.as_new()
-    joints = tuple(sorted(machine.turning_joints)) if is_as_new else hypothesis.joints
-    low, high = protocol.fits if is_as_new else protocol.clearance
-    clearances = {joint: float(math.exp(draws.uniform(math.log(low), math.log(high)))) for joint in joints}
+    joints = tuple(sorted(machine.turning_joints))
+    ranges = {joint: protocol.clearance if joint in hypothesis.joints else protocol.fits for joint in joints}
+    clearances = {
+        joint: float(math.exp(draws.uniform(math.log(low), math.log(high)))) for joint, (low, high) in ranges.items()
+    }
     speed = nominal_drive_speed(machine) * (1.0 + float(draws.uniform(-protocol.speed, protocol.speed)))
     parameters = {"drive.speed": speed}
     if joints:
-        parameters["contact.friction"] = float(draws.uniform(*protocol.friction))
-        parameters |= drawn_contacts(machine, joints, protocol.scatter, draws)
+        friction = {f"joints.{joint}.contact.friction": float(draws.uniform(*protocol.friction)) for joint in joints}
+        parameters |= friction | drawn_contacts(machine, joints, protocol.scatter, draws)
     return Truth(
         hypothesis=hypothesis,
         machine=machine,

@@ -25,7 +25,7 @@ class Curve:
     grid : ClearanceGrid
         Points over the logarithm of the clearances.
     whitened, full : Tube
-        In the discriminant directions, which tell hypotheses apart; in all features, which judge the fit.
+        In the discriminant directions, which tell hypotheses apart; in all levels, which judge the fit.
     """
 
     label: str
@@ -37,8 +37,9 @@ class Curve:
 
     def surprise(self, features: FloatArray, best: IntArray, watched: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Return full-space distance (m,) and mean of the largest watched z (m,) at the fine points `best` (m,)."""
-        z = (features - self.full.mean[best]) / self.full.spread_at(best)
-        return self.full.distance_at(features, best), largest(z, watched)
+        levels = features[:, : len(watched)]
+        z = (levels - self.full.mean[best]) / self.full.spread_at(best)
+        return self.full.distance_at(levels, best), largest(z, watched)
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class CurveModel:
     ----------
     projection : ndarray, shape (d, r)
     curves : tuple of Curve
-    watched : ndarray of bool, shape (d,)
+    watched : ndarray of bool, shape (l,)
     degrees_of_freedom : float
         Of the Student-t likelihood.
     """

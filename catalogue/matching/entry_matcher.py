@@ -54,6 +54,7 @@ def fit_entries(metric: Metric, training: TrainingSet, fold_count: int) -> Fitte
     for draws in training.hypotheses:
         if len(draws.features) < 2:
             raise MatchingError(f"hypothesis {draws.label}: {len(draws.features)} draws: must be at least 2")
+    training = training.only_levels()
     count = len(training.hypotheses)
     evidence: list[FloatArray] = []
     truth: list[IntArray] = []
@@ -129,7 +130,7 @@ class FittedEntries:
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """Return the probabilities (m, hypotheses) of a block of feature vectors (m, d)."""
-        near, _ = nearest(self.metric, self.training, features)
+        near, _ = nearest(self.metric, self.training, features[:, : self.training.length])
         return _posterior(self.training, -0.5 * near**2, self.temperature)
 
     def match(self, feature: FloatArray) -> MatchResult:
@@ -141,8 +142,9 @@ class FittedEntries:
             The vector has another length than those learned, or is not finite.
         """
         expected = self.training.length
-        if feature.shape != (expected,) or not np.isfinite(feature).all():
+        if feature.ndim != 1 or len(feature) < expected or not np.isfinite(feature).all():
             raise MatchingError(f"feature vector of shape {feature.shape}: must be {expected} finite numbers")
+        feature = feature[:expected]
         near, which = nearest(self.metric, self.training, feature[None, :])
         posterior = _posterior(self.training, -0.5 * near**2, self.temperature)[0]
         matches = []

@@ -90,7 +90,7 @@ class GaussianAlongClearance:
     ridge: float = 0.05
     fold_count: int = 4
     name: str = field(default="gaussian-along-clearance", init=False)
-    version: str = field(default="4", init=False)
+    version: str = field(default="5", init=False)
 
     def fit(
         self,
@@ -159,7 +159,10 @@ class GaussianAlongClearance:
                     ridge=self.ridge,
                     weights=draws.weights,
                 )
-                for features, each in ((draws.features @ projection, grid), (draws.features, full_grid))
+                for features, each in (
+                    (draws.features @ projection, grid),
+                    (draws.features[:, : len(training.watched)], full_grid),
+                )
             )
             curves.append(Curve(draws.label, draws.joints, draws.prior, grid, whitened, full))
         return CurveModel(projection, tuple(curves), training.watched, self.degrees_of_freedom)
@@ -238,7 +241,7 @@ class FittedGaussian:
                     curve.joints,
                     float(posterior[h]),
                     self._clearances(curve, likelihoods[h][0]),
-                    float(np.sqrt(np.mean((feature - predicted) ** 2))),
+                    float(np.sqrt(np.mean((feature[: len(predicted)] - predicted) ** 2))),
                     p_value,
                     predicted,
                     curve.full.spread_at(best)[0],

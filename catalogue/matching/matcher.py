@@ -8,7 +8,7 @@ every hypothesis is, with which clearance, and whether any of them explains the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -38,7 +38,7 @@ class Draws:
     joints : tuple of str
         Joints with clearance, in the order of the columns of `log_clearance`; empty for the healthy machine.
     features : ndarray, shape (n, d)
-        Band levels, dB.
+        Band levels, dB, then coherences: :func:`catalogue.matching.coherence.compose`.
     log_clearance : ndarray, shape (n, k)
         Natural logarithm of the radial clearances in m; k = len(joints), or 0 where the clearances of a hypothesis
         are not to be told apart.
@@ -111,8 +111,9 @@ class TrainingSet:
     ----------
     hypotheses : tuple of Draws
         At least one; labels are unique and feature lengths equal.
-    watched : ndarray of bool, shape (d,)
-        Features checked one by one besides the overall distance: the low orders, where foreign forces show.
+    watched : ndarray of bool, shape (l,)
+        Levels checked one by one besides the overall distance: the low orders, where foreign forces show. The first l
+        features are levels, dB, the others coherences.
     """
 
     hypotheses: tuple[Draws, ...]
@@ -122,9 +123,10 @@ class TrainingSet:
         labels = [draws.label for draws in self.hypotheses]
         if not labels or len(set(labels)) != len(labels):
             raise MatchingError(f"hypotheses {labels}: must be at least one, each with its own label")
-        lengths = {draws.features.shape[1] for draws in self.hypotheses} | {len(self.watched)}
-        if len(lengths) != 1:
-            raise MatchingError(f"feature vectors of lengths {sorted(lengths)}: must all be equal")
+        lengths = {draws.features.shape[1] for draws in self.hypotheses}
+        if len(lengths) != 1 or min(lengths) < len(self.watched):
+            rule = f"must all be equal, and at least {len(self.watched)}, the number of levels"
+            raise MatchingError(f"feature vectors of lengths {sorted(lengths)}: {rule}")
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -134,7 +136,13 @@ class TrainingSet:
     @property
     def length(self) -> int:
         """Number of features d."""
-        return len(self.watched)
+        return int(self.hypotheses[0].features.shape[1])
+
+    def only_levels(self) -> TrainingSet:
+        """Return the same without coherences."""
+        levels = len(self.watched)
+        cut = (replace(draws, features=draws.features[:, :levels]) for draws in self.hypotheses)
+        return TrainingSet(tuple(cut), self.watched)
 
     @property
     def cases(self) -> int:
@@ -175,7 +183,7 @@ class HypothesisMatch:
         Root mean square difference between measured and predicted levels, dB.
     p_value : float
         Share of held-out draws of this hypothesis that lie further from their prediction, in (0, 1].
-    predicted, spread : ndarray, shape (d,)
+    predicted, spread : ndarray, shape (l,)
         Expected levels at the best clearance and their standard deviation, dB.
     """
 

@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from catalogue.errors import DiagnosisError
+from catalogue.matching.coherence import with_more_noise
 from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
 from catalogue.matching.learning import Learning, rows_of, training_set
 from catalogue.matching.matcher import BoolArray, FittedMatcher, FloatArray, Matcher, MatchResult
@@ -87,9 +88,9 @@ class ModelLibrary:
         sensing : Sensing
             With the recording's own noise.
         feature : ndarray, shape (d,)
-            Levels, dB, clipped below at that noise.
+            Levels and coherences, see :meth:`Sensing.features`.
         watched : ndarray of bool, shape (d,)
-            Features checked one by one.
+            Levels checked one by one.
         effort : {"fast", "standard", "thorough"}
             ``fast`` looks up the model of the next higher noise step. ``standard`` refits the hypotheses it leaves open
             to the recording's noise; ``thorough`` does the same here (what it does beyond is no matter of models).
@@ -146,8 +147,8 @@ class ModelLibrary:
         """Return a matcher fitted to exactly this sensing; from memory or a file if it is known."""
         method = matcher or GaussianAlongClearance()
         widths = band_widths(self._matrix)
-        opinion = None if network is None else network.opinion(sensing.noise, widths)
-        witness = None if strata is None else strata.opinion(sensing.noise, widths)
+        opinion = None if network is None else network.opinion(sensing, widths)
+        witness = None if strata is None else strata.opinion(sensing, widths)
         rows = {known.label: rows_of(self._matrix, known.label, learning, speed) for known in self._matrix.hypotheses}
         rows = {label: chosen for label, chosen in rows.items() if label not in learning.without}
         ends = [[label, len(chosen), int(chosen.sum())] for label, chosen in rows.items()]
@@ -254,7 +255,7 @@ class _Question:
     weights: FloatArray | None
 
     def lifted(self, coarse: Sensing) -> FloatArray:
-        """Levels (d,) with the noise filled up to that of a coarser sensing."""
+        """Features (d,) with the noise filled up to that of a coarser sensing."""
         missing = np.maximum(coarse.noise - self.sensing.noise, 0.0)
-        power = 10.0 ** (0.1 * self.feature.reshape(coarse.noise.shape))
-        return coarse.levels(power + missing).ravel()
+        found: FloatArray = with_more_noise(self.feature[None, :], missing, coarse.alike)[0]
+        return found

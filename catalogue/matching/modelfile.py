@@ -21,7 +21,7 @@ from catalogue.matching.network import Network, Opinion
 from catalogue.matching.tube import ClearanceGrid, Tube
 from catalogue.storage.directory import publish
 
-FORMAT = 3
+FORMAT = 4
 """Of the files; others are fitted anew."""
 
 KEPT = 16

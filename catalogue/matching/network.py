@@ -15,7 +15,9 @@ from functools import cached_property
 import numpy as np
 from scipy.special import log_softmax
 
+from catalogue.matching.coherence import with_more_noise
 from catalogue.matching.matcher import FloatArray
+from catalogue.matching.observation import Sensing
 
 __all__ = ["AS_FILED", "DIFFERS", "Network", "Opinion", "density_db"]
 
@@ -32,7 +34,7 @@ class Network:
     labels : tuple of str
         Hypotheses, all equally probable beforehand; or :data:`AS_FILED` and :data:`DIFFERS`.
     centre, scale : ndarray, shape (d + c,)
-        Of its inputs: d levels and the noise of c channels.
+        Of its inputs: d features and the noise of c channels.
     weights : tuple of ndarray
         Of each layer, (inputs, outputs).
     biases : tuple of ndarray
@@ -49,18 +51,20 @@ class Network:
     quietest: float
     loudest: float
 
-    def opinion(self, noise: FloatArray, width: FloatArray) -> Opinion | None:
-        """Return its opinion on recordings of a noise power (G, c) in bands of some width (G,), Hz.
+    def opinion(self, sensing: Sensing, width: FloatArray) -> Opinion | None:
+        """Return its opinion on recordings of some sensors and noise, in bands of some width (G,), Hz.
 
         Noise below what it was trained for is raised to that. None where the noise is above: nobody has trained it.
         """
+        noise = sensing.noise
         level = density_db(noise, width)
         lacking = self.quietest - float(np.mean(level))
         if float(np.mean(level)) > self.loudest:
             return None
         if lacking <= 0.0:
-            return Opinion(self, level, np.zeros(noise.size))
-        return Opinion(self, level + lacking, (noise * (10.0 ** (0.1 * lacking) - 1.0)).ravel())
+            return Opinion(self, level, np.zeros(noise.shape), sensing.alike)
+        missing = noise * (10.0 ** (0.1 * lacking) - 1.0)
+        return Opinion(self, level + lacking, missing, sensing.alike)
 
     @cached_property
     def digest(self) -> str:
@@ -71,7 +75,7 @@ class Network:
         return found.hexdigest()
 
     def log_likelihoods(self, features: FloatArray, noise_db: FloatArray) -> FloatArray:
-        """Return log likelihoods (m, hypotheses), up to a constant of each row, of levels (m, d) with noise (c,)."""
+        """Return log likelihoods (m, hypotheses), up to a constant of each row, of features (m, d) with noise (c,)."""
         noise = np.broadcast_to(noise_db, (len(features), len(noise_db)))
         layer = (np.concatenate([features, noise], axis=1) - self.centre) / self.scale
         for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
@@ -89,25 +93,26 @@ class Opinion:
     network : Network
     noise_db : ndarray, shape (c,)
         Noise density of each channel, dB.
-    missing : ndarray, shape (d,)
-        Noise power that is added to the levels before they are shown to it.
+    missing : ndarray, shape (G, c)
+        Noise power that is added before features are shown to it.
+    alike : ndarray, shape (p,)
+        Correlation of the noise of pairs of channels.
     """
 
     network: Network
     noise_db: FloatArray
     missing: FloatArray
+    alike: FloatArray
 
     def log_evidences(self, features: FloatArray, labels: Sequence[str]) -> FloatArray:
-        """Return log likelihoods (m, labels), up to a constant of each row, of levels (m, d)."""
+        """Return log likelihoods (m, labels), up to a constant of each row, of features (m, d)."""
         columns = [self.network.labels.index(label) for label in labels]
-        shown = features
-        if self.missing.any():
-            shown = 10.0 * np.log10(10.0 ** (0.1 * features) + self.missing)
+        shown = with_more_noise(features, self.missing, self.alike)
         found: FloatArray = self.network.log_likelihoods(shown, self.noise_db)[:, columns]
         return found
 
     def doubts(self, features: FloatArray) -> FloatArray:
-        """Return how much rather levels (m, d) are of a machine that differs from its file, log likelihood ratio (m,).
+        """Return by how much features (m, d) are rather of machines that differ from their file, log (m,).
 
         Of a network of strata.
         """

@@ -1,6 +1,6 @@
 """What the sensors would report of a catalogue entry, with everything the entry does not know.
 
-A catalogue stores clean band powers of the frame's motion. A measurement has sensor noise, sensors whose gains are off
+A catalogue stores clean cross-powers of the frame's motion. A measurement has sensor noise, sensors whose gains are off
 by some per cent, and a machine that differs from its model in ways that are not modelled. All of that is added here to
 every entry, so that a matcher learns which differences mean nothing.
 """
@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.errors import DiagnosisError
+from catalogue.matching.coherence import ComplexArray, common_noise, compose, noise_alike, pairs_of
 from catalogue.matching.matcher import FloatArray, IntArray
 from catalogue.matching.transfer import RandomTransfer
 
 PackedArray = NDArray[np.float32] | NDArray[np.float64]
 
-_UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-_REAL = [0, 1, 2, 3, 5, 7]
+_ABOVE = ((0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,10 @@ class Discrepancy:
         those of machines whose joints rattle are too high, by 1 dB in the middle and by 7 to 14 in one of ten.
     rigid_level_db : float, optional
         The same in bands up to the lowest flexible mode, where the machine is rigid; `level_db` unless given.
+    delay : float
+        Standard deviation of the time [s] that a channel lags behind the others: filters and multiplexers of loggers.
+    phase : float
+        Standard deviation [rad] of a smooth error of a channel's phase, as `level_db` is one of its level.
     transfer : RandomTransfer, optional
         Flexible modes that the rigid machine does not have.
     """
@@ -50,6 +54,8 @@ class Discrepancy:
     correlation: float = 3.0
     noise_level_db: float = 1.5
     rigid_level_db: float | None = None
+    delay: float = 1e-5
+    phase: float = 0.1
     transfer: RandomTransfer | None = None
 
     def levels(
@@ -57,9 +63,7 @@ class Discrepancy:
     ) -> FloatArray:
         """Draw smooth errors (n, bands, channels), dB; half of their variance is common to all channels."""
         n, bands, channels = shape
-        place = np.arange(bands, dtype=float)
-        covariance = np.exp(-0.5 * ((place[:, None] - place[None, :]) / self.correlation) ** 2)
-        factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(bands))
+        factor = self._smooth(bands)
         common = generator.normal(size=(n, 1, bands)) @ factor.T
         own = generator.normal(size=(n, channels, bands)) @ factor.T
         size = np.full(bands, self.level_db)
@@ -67,6 +71,26 @@ class Discrepancy:
             size[np.asarray(edges_hz)[1 : bands + 1] <= self.transfer.frequency[0]] = self.rigid_level_db
         drawn: FloatArray = size[:, None] * np.sqrt(0.5) * np.swapaxes(common + own, 1, 2)
         return drawn
+
+    def turns(
+        self, generator: np.random.Generator, shape: tuple[int, int, int], edges_hz: FloatArray | None
+    ) -> ComplexArray:
+        """Draw what errors of phase turn the cross-powers of pairs by, (n, bands, p) of magnitude 1."""
+        n, bands, channels = shape
+        drawn = generator.normal(size=(n, channels, bands)) @ self._smooth(bands).T
+        angle: FloatArray = self.phase * np.swapaxes(drawn, 1, 2)
+        if edges_hz is not None:
+            middle = 0.5 * (edges_hz[:bands] + edges_hz[1 : bands + 1])
+            angle += 2.0 * np.pi * self.delay * middle[:, None] * generator.normal(size=(n, 1, channels))
+        pairs = pairs_of(channels)
+        found: ComplexArray = np.exp(1j * np.stack([angle[..., i] - angle[..., j] for i, j in pairs], axis=-1))
+        return found
+
+    def _smooth(self, bands: int) -> FloatArray:
+        """Factor (bands, bands) that makes errors of neighbouring bands alike."""
+        place = np.arange(bands, dtype=float)
+        covariance = np.exp(-0.5 * ((place[:, None] - place[None, :]) / self.correlation) ** 2)
+        return np.asarray(np.linalg.cholesky(covariance + 1e-9 * np.eye(bands)), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -85,6 +109,8 @@ class Sensing:
         Power of the measurement's own noise in each compared band.
     degrees_of_freedom : ndarray, shape (G,)
         Of that power's scatter.
+    phases : bool
+        Whether phases between the sensors are known, so that coherences are compared, too: not those of spectra.
     """
 
     transform: FloatArray
@@ -92,6 +118,7 @@ class Sensing:
     cuts: tuple[int, ...]
     noise: FloatArray
     degrees_of_freedom: FloatArray
+    phases: bool = True
 
     def __post_init__(self) -> None:
         if self.channels.shape[1] != len(self.transform):
@@ -104,7 +131,7 @@ class Sensing:
     @property
     def digest(self) -> str:
         """SHA-256 over everything it consists of."""
-        found = hashlib.sha256(repr(self.cuts).encode())
+        found = hashlib.sha256(repr((self.cuts, self.phases)).encode())
         for array in (self.transform, self.channels, self.noise, self.degrees_of_freedom):
             found.update(repr(array.shape).encode())
             found.update(np.ascontiguousarray(array, np.float64).tobytes())
@@ -115,28 +142,55 @@ class Sensing:
         """Number of compared bands G."""
         return len(self.cuts) - 1
 
-    def powers(self, packed: PackedArray, gains: FloatArray | None = None) -> FloatArray:
-        """Return clean channel powers (n, G, c) of frame powers in feature bands, with sensor gains (n, s) if given.
+    @property
+    def has_pairs(self) -> bool:
+        """Whether there are coherences to be compared."""
+        return self.phases and len(self.channels) > 1
+
+    @property
+    def alike(self) -> FloatArray:
+        """Correlation (p,) of the noise of pairs of channels."""
+        return noise_alike(self.channels)
+
+    def powers(self, packed: PackedArray, gains: FloatArray | None = None) -> tuple[FloatArray, ComplexArray | None]:
+        """Return what ideal sensors would see of frame cross-powers in feature bands, with sensor gains if given.
 
         Parameters
         ----------
         packed : ndarray, shape (n, G or more, 9)
             Cross-powers of :func:`catalogue.storage.cross_power.pack`; bands beyond the compared ones are left out.
         gains : ndarray, shape (n, s), optional
+
+        Returns
+        -------
+        power : ndarray, shape (n, G, c)
+        cross : ndarray of complex, shape (n, G, p), or None
+            Of pairs of channels, where phases are known.
         """
         if gains is None:
             gains = np.ones((1, len(self.transform)))
-        matrix = np.einsum("cs,ns,sj->ncj", self.channels, gains, self.transform)
-        # A quadratic form in the six real numbers of the upper triangle; imaginary parts cancel.
-        six = packed[:, : self.bands, _REAL].astype(np.float64)
-        form = np.stack([(1.0 if i == j else 2.0) * matrix[..., i] * matrix[..., j] for i, j in _UPPER], axis=1)
-        clean: FloatArray = np.maximum(six @ form, 0.0)
-        return clean
+        mix = np.einsum("cs,ns,sj->ncj", self.channels, gains, self.transform)
+        count = len(self.channels)
+        pairs = pairs_of(count) if self.has_pairs else ()
+        products = [(i, i) for i in range(count)] + list(pairs)
+        # Linear in the nine real numbers: real parts of all products, then imaginary ones of the pairs.
+        form = np.zeros((len(mix), 9, len(products) + len(pairs)))
+        for column, (i, j) in enumerate(products):
+            form[:, :3, column] = mix[:, i] * mix[:, j]
+            for place, (a, b) in enumerate(_ABOVE):
+                form[:, 3 + 2 * place, column] = mix[:, i, a] * mix[:, j, b] + mix[:, i, b] * mix[:, j, a]
+        for column, (i, j) in enumerate(pairs, start=len(products)):
+            for place, (a, b) in enumerate(_ABOVE):
+                form[:, 4 + 2 * place, column] = mix[:, i, a] * mix[:, j, b] - mix[:, i, b] * mix[:, j, a]
+        seen = packed[:, : self.bands].astype(np.float64) @ form
+        power: FloatArray = np.maximum(seen[..., :count], 0.0)
+        if not pairs:
+            return power, None
+        return power, seen[..., count : len(products)] + 1j * seen[..., len(products) :]
 
-    def levels(self, powers: FloatArray) -> FloatArray:
-        """Return dB levels (..., G, c) of powers, clipped below at the noise."""
-        clipped: FloatArray = 10.0 * np.log10(np.maximum(powers, self.noise))
-        return clipped
+    def features(self, power: FloatArray, cross: ComplexArray | None) -> FloatArray:
+        """Return feature vectors (n, d) of powers (n, G, c), noise included, clipped below at the noise."""
+        return compose(np.maximum(power, self.noise), cross if self.has_pairs else None)
 
 
 def grouped(packed: PackedArray, cuts: tuple[int, ...]) -> PackedArray:
@@ -210,32 +264,45 @@ def observe(
 
     Returns
     -------
-    features : ndarray, shape (sum of copies, G * c)
-        dB; band by band, the channels of a band side by side.
+    features : ndarray, shape (sum of copies, d)
+        Levels, and coherences where phases are known: :func:`catalogue.matching.coherence.compose`.
     entry : ndarray of int, shape (sum of copies,)
         Row of `packed` each was made from.
 
     Notes
     -----
     A band with signal power P and noise power N measured over K independent cells has mean P + N and variance
-    (N^2 + 2 P N) / K: noise alone, and its product with the signal. A gamma law of these moments is drawn.
+    (N^2 + 2 P N) / K: noise alone, and its product with the signal. A gamma law of these moments is drawn. The
+    cross-power of two channels scatters about its mean by (P_i N_j + P_j N_i + N_i N_j) / K, half of it in each part.
     """
     generator = np.random.default_rng(seed)
     entry = np.repeat(np.arange(len(packed)), copies)
     if len(entry) == 0:
-        return np.empty((0, sensing.noise.size)), entry.astype(np.int64)
+        pairs = len(sensing.alike) if sensing.has_pairs else 0
+        return np.empty((0, sensing.noise.size + 2 * sensing.bands * pairs)), entry.astype(np.int64)
+    if discrepancy.transfer is not None and edges_hz is None:
+        raise DiagnosisError("transfer functions: need the edges of the bands in Hz")
+    edges = None if edges_hz is None else np.asarray(edges_hz)[: sensing.bands + 1]
     gains = 1.0 + discrepancy.gain * generator.normal(size=(len(entry), len(sensing.transform)))
-    clean = sensing.powers(packed[entry], gains)
-    clean *= 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape, edges_hz))
-    if discrepancy.transfer is not None:
-        if edges_hz is None:
-            raise DiagnosisError("transfer functions: need the edges of the bands in Hz")
-        edges = np.asarray(edges_hz)[: sensing.bands + 1]
-        clean *= discrepancy.transfer.draw(generator, len(entry), edges, clean.shape[2])
+    clean, cross = sensing.powers(packed[entry], gains)
+    change = 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape, edges))
+    clean *= change
+    if cross is not None:
+        cross *= common_noise(change, np.ones(cross.shape[2])) * discrepancy.turns(generator, clean.shape, edges)
+    if discrepancy.transfer is not None and edges is not None:
+        squared, product = discrepancy.transfer.draw(generator, len(entry), edges, clean.shape[2])
+        clean *= squared
+        if cross is not None:
+            cross *= product
     shift = discrepancy.noise_level_db * generator.normal(size=(len(entry), 1, clean.shape[2]))
     noise = sensing.noise * 10.0 ** (0.1 * shift)
     cells = 0.5 * sensing.degrees_of_freedom[None, :, None]
     mean = clean + noise
     shape = cells * mean**2 / (noise**2 + 2.0 * clean * noise)
     measured = generator.gamma(np.minimum(shape, 1e9)) * mean / np.minimum(shape, 1e9)
-    return sensing.levels(measured).reshape(len(entry), -1), entry.astype(np.int64)
+    if cross is not None:
+        i, j = (list(side) for side in zip(*pairs_of(clean.shape[2]), strict=True))
+        variance = clean[..., i] * noise[..., j] + clean[..., j] * noise[..., i] + noise[..., i] * noise[..., j]
+        scatter = generator.normal(size=(2, *cross.shape)) * np.sqrt(0.5 * variance / cells)
+        cross = cross + common_noise(noise, sensing.alike) + scatter[0] + 1j * scatter[1]
+    return sensing.features(measured, cross), entry.astype(np.int64)

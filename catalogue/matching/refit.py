@@ -61,8 +61,7 @@ class Refit:
         training = training_set(self.matrix, sensing, watched, self.learning, rows=rows, weights=weights)
         widths = band_widths(self.matrix)
         opinion, witness = (
-            None if network is None else network.opinion(sensing.noise, widths)
-            for network in (self.network, self.strata)
+            None if network is None else network.opinion(sensing, widths) for network in (self.network, self.strata)
         )
         return self.settings.fit(training, self.model.model.projection, opinion, witness).match(feature)
 

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from catalogue.matching.coherence import pairs_of
+
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 #: Points of a band over which the squared magnitude of a response is averaged; a resonance of 1 % damping lies well
 #: within a third octave and is not missed by them (0.3 dB of the band's mean at worst).
@@ -41,8 +44,10 @@ class RandomTransfer:
     damping: tuple[float, float] = (0.01, 0.05)
     gain: tuple[float, float] = (-0.6, 1.0)
 
-    def draw(self, generator: np.random.Generator, count: int, edges_hz: FloatArray, channels: int) -> FloatArray:
-        """Draw squared magnitudes averaged over bands.
+    def draw(
+        self, generator: np.random.Generator, count: int, edges_hz: FloatArray, channels: int
+    ) -> tuple[FloatArray, ComplexArray]:
+        """Draw products of responses averaged over bands.
 
         Parameters
         ----------
@@ -55,8 +60,10 @@ class RandomTransfer:
 
         Returns
         -------
-        ndarray, shape (count, G, channels)
+        squared : ndarray, shape (count, G, channels)
             |H|^2, > 0.
+        product : ndarray of complex, shape (count, G, p)
+            H_i conj(H_j) of the pairs of channels.
         """
         bands = len(edges_hz) - 1
         places = (np.arange(POINTS) + 0.5) / POINTS
@@ -67,7 +74,9 @@ class RandomTransfer:
         damping = _log_uniform(generator, self.damping, (count, most))
         gain = generator.uniform(*self.gain, (count, most, channels))
         gain[np.arange(most)[None, :] >= number[:, None]] = 0.0
-        out = np.empty((count, bands, channels))
+        squared = np.empty((count, bands, channels))
+        pairs = pairs_of(channels)
+        product = np.empty((count, bands, len(pairs)), np.complex128)
         # Single precision in slices: the levels need no more, and 800 draws of 320 frequencies stay in the cache.
         for start in range(0, count, 256):
             rows = slice(start, start + 256)
@@ -76,8 +85,11 @@ class RandomTransfer:
             mode = square / (1.0 - square + 2j * damping[rows, :, None].astype(np.float32) * ratio)
             response = 1.0 + np.einsum("nkc,nkf->ncf", gain[rows].astype(np.float32), mode, optimize=True)
             magnitude = response.real**2 + response.imag**2
-            out[rows] = np.swapaxes(magnitude.reshape(*magnitude.shape[:2], bands, POINTS).mean(axis=3), 1, 2)
-        return np.maximum(out, 1e-6)
+            squared[rows] = np.swapaxes(magnitude.reshape(*magnitude.shape[:2], bands, POINTS).mean(axis=3), 1, 2)
+            for place, (i, j) in enumerate(pairs):
+                each = response[:, i] * response[:, j].conj()
+                product[rows, :, place] = each.reshape(len(each), bands, POINTS).mean(axis=2)
+        return np.maximum(squared, 1e-6), product
 
 
 def _log_uniform(generator: np.random.Generator, between: tuple[float, float], shape: tuple[int, int]) -> FloatArray:

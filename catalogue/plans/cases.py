@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations
@@ -13,16 +14,34 @@ from catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
 from catalogue.plans.keys import seed_from
 from catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, ripple_order
 from catalogue.plans.variants import AS_FILED, LawChoice, Variant, output_load
+from solver.machines.joints import TurningJoint
 from solver.machines.machine import Machine
 
 if TYPE_CHECKING:
     from catalogue.plans.plan import Plan
 
-__all__ = ["cases_of", "hypotheses_of", "sequences_of"]
+__all__ = ["cases_of", "hypotheses_of", "sequences_of", "travel"]
+
+TRAVEL_SHARE = 0.1
+"""Largest clearance of a joint, as a part of its distance to the next joint of its links: beyond, a pin would leave its
+socket or the machine would be another one."""
+
+BEYOND_FIT = 1.25
+"""Least clearance of a worn joint, as a part of the greatest play of its fit."""
+
+_WORN = {"singles": 1, "pairs": 2, "triples": 3}
+
+
+def travel(machine: Machine, joint: str) -> float:
+    """Largest radial clearance [m] a catalogue gives a turning joint; infinite where its links have no other one."""
+    at, links = machine.joints[joint].at, set(machine.joints[joint].links)
+    near = (machine.joints[other] for other in machine.turning_joints if other != joint)
+    distances = (math.dist(at, other.at) for other in near if links & set(other.links) and other.at != at)
+    return TRAVEL_SHARE * min(distances, default=math.inf)
 
 
 def hypotheses_of(plan: Plan, machine: Machine) -> tuple[Hypothesis, ...]:
-    """The hypotheses of a plan for a machine: healthy, as-new, singles, pairs, then chosen sets.
+    """The hypotheses of a plan for a machine: healthy, singles, pairs, triples, then chosen sets.
 
     Raises
     ------
@@ -34,10 +53,8 @@ def hypotheses_of(plan: Plan, machine: Machine) -> tuple[Hypothesis, ...]:
     for family in plan.hypotheses:
         if family == "healthy":
             found[Hypothesis.of(())] = None
-        elif family == "as-new" and turning:
-            found[Hypothesis.as_new()] = None
-        elif family in ("singles", "pairs"):
-            found |= dict.fromkeys(Hypothesis.of(worn) for worn in combinations(turning, 1 + (family == "pairs")))
+        else:
+            found |= dict.fromkeys(Hypothesis.of(worn) for worn in combinations(turning, _WORN[family]))
     for i, chosen in enumerate(plan.sets):
         for joint in chosen:
             if joint not in turning:
@@ -65,8 +82,6 @@ class Sequence:
     ----------
     hypothesis : Hypothesis
     stratum : {"trusted", "wide"}
-    with_fits : bool
-        Whether joints that are not worn have the play of new fits.
     speed : float
         Factor on the drive speed.
     count : int
@@ -75,7 +90,6 @@ class Sequence:
 
     hypothesis: Hypothesis
     stratum: Stratum
-    with_fits: bool
     speed: float
     count: int
 
@@ -83,18 +97,12 @@ class Sequence:
 def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
     """All sequences of a plan for a machine."""
     for hypothesis in hypotheses_of(plan, machine):
-        if hypothesis.is_faulty:
-            count = plan.draws.of(len(hypothesis.joints))
-        else:
-            count = plan.draws.as_new if hypothesis == Hypothesis.as_new() else plan.draws.healthy
-        is_as_new = hypothesis == Hypothesis.as_new()
-        further = plan.further_fits(count) if hypothesis.is_faulty else 0
+        count = plan.draws.of(len(hypothesis.joints)) if hypothesis.is_faulty else plan.draws.healthy
         strata: tuple[Stratum, ...] = ("trusted", "wide")
         for stratum in strata:
-            for with_fits, part in ((is_as_new, count), (True, further)):
-                asked = plan.wide.count(part) if stratum == "wide" else part
-                if asked:
-                    yield from (Sequence(hypothesis, stratum, with_fits, speed, asked) for speed in plan.speeds)
+            asked = plan.wide.count(count) if stratum == "wide" else count
+            if asked:
+                yield from (Sequence(hypothesis, stratum, speed, asked) for speed in plan.speeds)
 
 
 def cases_of(plan: Plan, machine: Machine, recipe: Recipe) -> Iterator[Entry]:
@@ -115,21 +123,21 @@ class _Drawing:
 
     def entries(self, sequence: Sequence) -> Iterator[Entry]:
         plan, hypothesis, stratum = self.plan, sequence.hypothesis, sequence.stratum
-        opened = hypothesis.joints
-        if sequence.with_fits:
-            opened = (*opened, *sorted(joint for joint in self.machine.turning_joints if joint not in opened))
+        others = sorted(joint for joint in self.machine.turning_joints if joint not in hypothesis.joints)
+        opened = (*hypothesis.joints, *others)
         spread = plan.spread(self.machine, stratum)
         if not opened:  # no contact: its numbers, and its law, would make different cases of the same
             spread = {path: number for path, number in spread.items() if path not in SHARED}
         laws = plan.law_weights(self.machine) if opened else {AS_FILED.law: 1.0}
-        kinds: list[object] = ["fits"] if sequence.with_fits else []
-        seed = seed_from(plan.seed, hypothesis.label, stratum, *kinds, float(sequence.speed))
-        # Coordinates: clearances, contact law, then what is uncertain in alphabetical order.
-        points = unit_draws(seed, len(opened) + 1 + len(spread), sequence.count)
+        seed = seed_from(plan.seed, hypothesis.label, stratum, float(sequence.speed))
+        # Coordinates: clearances, contact law, then what is uncertain in alphabetical order, contacts joint by joint.
+        columns = sum(len(opened) if path in SHARED else 1 for path in spread)
+        points = unit_draws(seed, len(opened) + 1 + columns, sequence.count)
         joints = tuple(sorted(opened))
         for draw, point in enumerate(points.tolist()):
             sizes = {
-                joint: self._clearance(joint in hypothesis.joints, u) for joint, u in zip(opened, point, strict=False)
+                joint: self._clearance(joint, joint in hypothesis.joints, u)
+                for joint, u in zip(opened, point, strict=False)
             }
             variant = self._variant(spread, _choice(laws, point[len(opened)]))
             scatter = self._scatter(variant, spread, laws)
@@ -147,9 +155,14 @@ class _Drawing:
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _clearance(self, is_worn: bool, u: float) -> float:
-        bounds = self.plan.clearance if is_worn else self.plan.fits
-        return log_uniform(bounds.low, bounds.high, u)
+    def _clearance(self, joint: str, is_worn: bool, u: float) -> float:
+        part = self.machine.joints[joint]
+        assert isinstance(part, TurningJoint)
+        if not is_worn:
+            return self.plan.fits.quantile(u, part)
+        bounds = self.plan.clearance
+        low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(part)[1])
+        return log_uniform(low, max(min(bounds.high, travel(self.machine, joint)), 2.0 * low), u)
 
     def _variant(self, spread: Mapping[str, Distribution], law: LawChoice) -> Variant:
         orders = {order for order in map(ripple_order, spread) if order is not None}

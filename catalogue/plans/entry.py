@@ -16,13 +16,10 @@ from solver.machines.fault import FaultState
 from solver.machines.machine import Machine
 from solver.spectra.bands import BandScheme
 
-__all__ = ["AS_NEW", "HEALTHY", "Entry", "Hypothesis", "Recipe", "Stratum"]
+__all__ = ["HEALTHY", "Entry", "Hypothesis", "Recipe", "Stratum"]
 
 HEALTHY = "healthy"
-"""Hypothesis of a machine whose joints all are ideal."""
-
-AS_NEW = "as-new"
-"""Hypothesis of a machine with the small play of new fits in every turning joint."""
+"""Hypothesis of a machine in order: every turning joint has the small play of its fit, and none is worn."""
 
 
 Stratum = Literal["trusted", "wide"]
@@ -36,10 +33,10 @@ class Hypothesis:
     Parameters
     ----------
     label : str
-        Its name: ``healthy``, ``as-new``, or the worn joints with ``+`` between them. For people; a joint's name may
-        hold a ``+`` itself, so nothing is read from it.
+        Its name: ``healthy``, or the worn joints with ``+`` between them. For people; a joint's name may hold a ``+``
+        itself, so nothing is read from it.
     joints : tuple of str
-        The worn joints, in alphabetical order; none for the healthy and the as-new machine.
+        The worn joints, in alphabetical order; none for the healthy machine. All others have the play of their fits.
     """
 
     label: str
@@ -50,11 +47,6 @@ class Hypothesis:
         """The hypothesis that exactly `joints` are worn; of none, the healthy machine."""
         joints = tuple(sorted(joints))
         return cls("+".join(joints) if joints else HEALTHY, joints)
-
-    @classmethod
-    def as_new(cls) -> Self:
-        """The machine with new fits."""
-        return cls(AS_NEW)
 
     @property
     def is_faulty(self) -> bool:
@@ -80,8 +72,6 @@ class Recipe:
         Upper end of the bands at the nominal speed [Hz].
     nominal_drive_speed : float
         The machine's drive speed [rad/s].
-    settled : bool
-        Whether worn machines start with their suspension settled; not in catalogues from before that was possible.
     """
 
     accuracy: Literal["draft", "standard", "reference"]
@@ -91,7 +81,6 @@ class Recipe:
     per_octave: int
     f_max: float
     nominal_drive_speed: float
-    settled: bool = False
 
     @cached_property
     def scheme(self) -> BandScheme:
@@ -101,10 +90,7 @@ class Recipe:
     @cached_property
     def content(self) -> dict[str, Any]:
         """As plain data; :meth:`from_content` reads it back."""
-        content = asdict(self)
-        if not self.settled:
-            del content["settled"]  # then keys of cases stay what they were before there was such a thing
-        return content
+        return asdict(self)
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Self:
@@ -145,7 +131,7 @@ class Entry:
     hypothesis : Hypothesis
         What it is a case of.
     joints : tuple of str
-        Joints with clearance, in alphabetical order: the worn ones, and those that only have the play of new fits.
+        Joints with clearance, in alphabetical order: all turning joints of a catalogue's cases.
     clearances : tuple of float
         Their radial clearances [m].
     parameters : mapping of str to float
@@ -191,7 +177,7 @@ class Entry:
     ) -> Self:
         """Make an entry with its key."""
         fault = dict(zip(joints, clearances, strict=True))
-        key = entry_key(machine.content_key, fault, parameters, recipe.content, solver.__version__, variant.content)
+        key = entry_key(machine.content_key, fault, parameters, recipe.content, solver.NUMBERS_VERSION, variant.content)
         return cls(key, hypothesis, joints, clearances, dict(parameters), draw, stratum, variant, speed, guarded)
 
     @property

@@ -1,7 +1,8 @@
 """Addresses by content: what goes into a simulated case, written in one canonical way and hashed.
 
-Two cases have the same key exactly if machine, fault, parameters, settings and solver version are the same, on every
-computer and in every process; so a key finds a stored entry, tells a repeated case, and serves as an HTTP entity tag.
+Two cases have the same key exactly if machine, fault, parameters, settings and the version of numbers are the same, on
+every computer and in every process; so a key finds a stored entry, tells a repeated case, and serves as an HTTP entity
+tag.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def entry_key(
     clearances: Mapping[str, float],
     parameters: Mapping[str, float],
     settings: Mapping[str, object],
-    solver_version: str,
+    numbers_version: int,
     variant: Mapping[str, object] | None = None,
 ) -> str:
     """Key of one simulated case.
@@ -88,8 +89,8 @@ def entry_key(
         Numbers of the machine that differ from its file, by dotted path, SI.
     settings : mapping
         Settings of the simulation and of the estimate made from it: accuracy, sample rate, revolutions, bands.
-    solver_version : str
-        Version of the solver.
+    numbers_version : int
+        :data:`solver.NUMBERS_VERSION`: of what the same case gives.
     variant : mapping, optional
         How the machine differs in kind from its file; nothing by default.
 
@@ -103,7 +104,7 @@ def entry_key(
         "fault": {joint: float(clearance) for joint, clearance in clearances.items()},
         "parameters": {path: float(number) for path, number in parameters.items()},
         "settings": settings,
-        "solver": solver_version,
+        "numbers": numbers_version,
     }
     if variant:
         content["variant"] = variant

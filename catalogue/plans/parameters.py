@@ -21,7 +21,7 @@ from solver.machines.machine import Machine
 __all__ = ["LOAD", "SHARED", "MachineNumbers", "Scatter", "check_drawable", "nominal_drive_speed", "ripple_order"]
 
 SHARED = SHORTHANDS
-"""Short paths that stand for the same number of every turning joint."""
+"""Short paths that stand for a number of every turning joint; each joint draws its own."""
 
 DRIVE_SPEED = "drive.speed"
 LOAD = "load"
@@ -86,6 +86,7 @@ class MachineNumbers:
     def __init__(self, machine: Machine) -> None:
         self._machine, self._name = machine, machine.name
         self._turning = machine.turning_joints
+        self.turning = len(self._turning)
         self.by_path: dict[str, float] = dict(_numbers(machine.model_dump(), ""))
 
     def targets(self, path: str) -> tuple[Target, ...]:
@@ -185,11 +186,14 @@ class Scatter:
     ) -> None:
         skipped = set(left_out)
         self._speed = numbers.by_path[DRIVE_SPEED]
-        self._drawn = [
-            (column, path, spread[path], numbers.targets(path))
-            for column, path in enumerate(sorted(spread))
-            if path not in skipped
-        ]
+        self._drawn: list[tuple[int, int, Distribution, tuple[Target, ...]]] = []
+        column = 0
+        for path in sorted(spread):
+            # As many columns in every variant: what a draw is of does not depend on what its contact law has.
+            apart = numbers.turning if path in SHARED else 1
+            if path not in skipped:
+                self._drawn.append((column, apart > 1, spread[path], numbers.targets(path)))
+            column += apart
 
     def parameters(self, point: list[float], speed: float) -> dict[str, float]:
         """What one draw changes in the machine.
@@ -197,24 +201,19 @@ class Scatter:
         Parameters
         ----------
         point : list of float
-            Coordinates in the unit cube, one a path, in alphabetical order of the paths.
+            Coordinates in the unit cube, in alphabetical order of the paths: one a path, of contacts one a joint.
         speed : float
             Factor on the drive speed, besides the drawn one.
 
         Returns
         -------
         dict of str to float
-            Numbers by path, SI. A short path of contacts stays one number for all joints if they have the same in the
-            file.
+            Numbers by path, SI.
         """
         parameters: dict[str, float] = {}
-        for column, path, spread, targets in self._drawn:
-            value = spread.quantile(point[column])
-            together = path in SHARED and (not spread.is_factor or len({target.nominal for target in targets}) == 1)
-            if together:
-                parameters[path] = value * targets[0].nominal if spread.is_factor else value
-                continue
-            for target in targets:
+        for first, step, spread, targets in self._drawn:
+            for place, target in enumerate(targets):
+                value = spread.quantile(point[first + step * place])
                 parameters[target.path] = value * (target.nominal if spread.is_factor else target.share)
         if speed != 1.0:
             parameters[DRIVE_SPEED] = parameters.get(DRIVE_SPEED, self._speed) * speed

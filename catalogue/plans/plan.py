@@ -30,7 +30,7 @@ from solver.spectra.sampling import PASS
 
 __all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text", "resolve_plan"]
 
-Family = Literal["healthy", "as-new", "singles", "pairs"]
+Family = Literal["healthy", "singles", "pairs", "triples"]
 
 
 class Plan(Part):
@@ -40,8 +40,8 @@ class Plan(Part):
     ----------
     name : str
         For people.
-    hypotheses : tuple of {"healthy", "as-new", "singles", "pairs"}
-        Families of hypotheses: no clearance at all; play of new fits in every turning joint; one worn joint; two.
+    hypotheses : tuple of {"healthy", "singles", "pairs", "triples"}
+        Families of hypotheses: no worn joint; one; two; three. Joints that are not worn have the play of their fits.
     sets : tuple of tuple of str
         Further hypotheses: chosen sets of worn joints.
     draws : Draws
@@ -49,7 +49,7 @@ class Plan(Part):
     clearance : ClearanceRange
         Of worn joints.
     fits : Fits
-        Play of joints as new.
+        Play of the joints that are not worn.
     uncertain : mapping of str to Distribution, optional
         What is uncertain even of a machine whose data can be trusted, by path in the machine file or short path
         (:class:`~catalogue.plans.parameters.MachineNumbers`); None, or "auto" in a file, is
@@ -123,10 +123,8 @@ class Plan(Part):
         """SHA-256 of everything but the name: two plans with the same hash ask for the same cases."""
         return content_digest({key: value for key, value in self.content.items() if key != "name"})
 
-    def recipe(self, machine: Machine, *, settled: bool = True) -> Recipe:
+    def recipe(self, machine: Machine) -> Recipe:
         """How the entries of this plan are simulated and estimated for `machine`.
-
-        Catalogues from before worn machines started settled go on without (`settled`).
 
         Raises
         ------
@@ -143,7 +141,6 @@ class Plan(Part):
             per_octave=self.bands.per_octave,
             f_max=self.bands.f_max,
             nominal_drive_speed=speed,
-            settled=settled,
         )
 
     def resolved(self, machine: Machine) -> Plan:
@@ -160,7 +157,7 @@ class Plan(Part):
         ours, theirs = self.resolved(machine), other.resolved(machine)
         if ours.clearance != theirs.clearance:
             return "clearance"
-        if (ours.fits.low, ours.fits.high) != (theirs.fits.low, theirs.fits.high):
+        if ours.fits != theirs.fits:
             return "fits"
         if ours.laws != theirs.laws:
             return "laws"
@@ -183,14 +180,8 @@ class Plan(Part):
         assert plan.wide.uncertain is not None
         return {**plan.uncertain, **plan.wide.uncertain} if stratum == "wide" else dict(plan.uncertain)
 
-    def further_fits(self, draws: int) -> int:
-        """How many draws with fits in the joints that are not worn go with `draws` of a faulty hypothesis."""
-        return math.ceil(self.fits.in_faulty * draws - 1e-9)
-
-    def entries(self, machine: Machine, *, settled: bool = True) -> tuple[Entry, ...]:
+    def entries(self, machine: Machine) -> tuple[Entry, ...]:
         """Every case of this plan for `machine`: by hypothesis, stratum, speed, then by draw.
-
-        `settled` as for :meth:`recipe`.
 
         Draw i of a hypothesis, stratum and speed is point i of one space-filling sequence over clearances, contact law
         and all that is uncertain; it does not depend on what else the plan asks for. So a plan with more draws or
@@ -206,7 +197,7 @@ class Plan(Part):
         strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
         for stratum in strata:
             check_drawable(machine, frozenset(plan.spread(machine, stratum)))
-        every = cases_of(plan, machine, plan.recipe(machine, settled=settled))
+        every = cases_of(plan, machine, plan.recipe(machine))
         return tuple({entry.key: entry for entry in every}.values())  # without scatter, draws repeat
 
 

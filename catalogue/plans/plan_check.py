@@ -9,7 +9,7 @@ from solver.machines.machine import Machine
 
 __all__ = ["check_plan"]
 
-_ONCE = Draws(healthy=1, as_new=1, single=1, pair=1, larger=1)
+_ONCE = Draws(healthy=1, single=1, pair=1, larger=1)
 
 
 def check_plan(plan: Plan, machine: Machine, source: str = "plan") -> None:

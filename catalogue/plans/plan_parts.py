@@ -8,8 +8,9 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from catalogue.plans.draws import Distribution
+from catalogue.plans.draws import Distribution, log_uniform
 from solver.machines.fields import Quantity, RuleError
+from solver.machines.joints import TurningJoint
 from solver.machines.parts import Part
 from solver.machines.units import FREQUENCY, LENGTH
 
@@ -20,13 +21,18 @@ Auto = BeforeValidator(lambda value: None if isinstance(value, str) and value ==
 Clearance = Annotated[float, Quantity(LENGTH, above=0.0)]
 Count = Annotated[int, Field(ge=1, le=100_000, strict=True)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
+NEXT_TO_NONE = 30.0
+"""Part of the least play of a fit that a tight one has at least: below, the contact is a stiff spring all the time."""
 
 
 class ClearanceRange(Part):
-    """Radial clearance of worn joints: log-uniform from ``low`` to ``high`` [m]."""
+    """Radial clearance of worn joints: log-uniform from ``low`` to ``high`` [m].
 
-    low: Clearance = 3e-5
-    high: Clearance = 1e-3
+    It begins later where a joint's fit is wider: wear is what goes beyond it, by a quarter at least.
+    """
+
+    low: Clearance = 2.5e-5
+    high: Clearance = 2e-3
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
@@ -38,27 +44,41 @@ class ClearanceRange(Part):
 
 
 class Fits(Part):
-    """Play of new fits: log-uniform from ``low`` to ``high`` [m].
+    """Play of the fits of joints that are not worn: log-uniform from ``low`` to ``high`` [m].
 
-    ``in_faulty`` asks for more draws of faulty machines, this part of their number, whose other joints have it, too.
+    Without them every joint has the range that the machine file says, its ``fit``. In ``tight`` of all joints there is
+    next to none (log-uniform down to a thirtieth of the least play), as in a joint that is preloaded or greased.
     """
 
-    low: Clearance = 3e-6
-    high: Clearance = 2e-5
-    in_faulty: Share = 0.0
+    low: Clearance | None = None
+    high: Clearance | None = None
+    tight: Share = 0.1
+
+    def bounds(self, joint: TurningJoint) -> tuple[float, float]:
+        """Least and greatest play of a joint [m], tight ones aside."""
+        return joint.play_as_new if self.low is None or self.high is None else (self.low, self.high)
+
+    def quantile(self, u: float, joint: TurningJoint) -> float:
+        """Play [m] below which the fraction `u` of all fits of a joint lies."""
+        low, high = self.bounds(joint)
+        if u < self.tight:
+            return log_uniform(low / NEXT_TO_NONE, low, u / self.tight)
+        return log_uniform(low, high, (u - self.tight) / max(1.0 - self.tight, 1e-12))
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
-        if not self.low < self.high:
+        if (self.low is None) != (self.high is None):
+            missing = "low" if self.low is None else "high"
+            raise RuleError("must be given with the other bound, or neither (fits are then the machine's)", (missing,))
+        if self.low is not None and self.high is not None and not self.low < self.high:
             raise RuleError("must be greater than low", ("high",), self.high)
         return self
 
 
 class Draws(Part):
-    """Number of draws of each hypothesis, by kind: healthy, as-new, one worn joint, two, a chosen set of more."""
+    """Number of draws of each hypothesis, by kind: healthy, one worn joint, two, a set of more."""
 
     healthy: Count = 192
-    as_new: Count = 192
     single: Count = 192
     pair: Count = 192
     larger: Count = 192

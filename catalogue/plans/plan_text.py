@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from catalogue.plans.cases import sequences_of
 from catalogue.plans.plan import Plan
+from solver.machines.joints import TurningJoint
 from solver.machines.machine import Machine
 
 __all__ = ["plan_lines"]
@@ -33,21 +34,22 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
     cases = {"trusted": 0, "wide": 0}
     for sequence in sequences_of(plan, machine):
         worn = len(sequence.hypothesis.joints)
-        kind = sequence.hypothesis.label if not worn else {1: "single", 2: "pair"}.get(worn, f"{worn} joints")
+        kind = ("", "single", "pair", "triple")[worn] if worn < 4 else f"{worn} joints"
+        kind = kind or sequence.hypothesis.label
         labels = kinds.setdefault(kind, [])
         if sequence.hypothesis.label not in labels:
             labels.append(sequence.hypothesis.label)
         cases[sequence.stratum] += sequence.count
     hypotheses = ", ".join(kind if labels == [kind] else f"{len(labels)} of a {kind}" for kind, labels in kinds.items())
-    draws = ", ".join(f"{name.replace('_', '-')} {count}" for name, count in plan.draws.model_dump().items())
-    more = f" + {plan.fits.in_faulty:g} x with fits in the other joints" if plan.fits.in_faulty else ""
+    draws = ", ".join(f"{name} {count}" for name, count in plan.draws.model_dump().items())
     laws = ", ".join(f"{law} {weight:g}" for law, weight in (plan.laws or {}).items())
     lines = [
         f"plan {plan.name}, {plan.hash[:12]}: {sum(cases.values())} cases "
         f"({cases['trusted']} trusted, {cases['wide']} wide)",
         f"hypotheses: {hypotheses}",
-        f"draws: {draws}{more}",
-        f"clearance: worn {_um(plan.clearance.low, plan.clearance.high)}, fits {_um(plan.fits.low, plan.fits.high)}",
+        f"draws: {draws}",
+        f"clearance: worn {_um(plan.clearance.low, plan.clearance.high)}, "
+        f"fits {_fits(plan, machine)}, next to none in {100 * plan.fits.tight:g} % of them",
         f"contact laws: {laws}",
         f"uncertain: {_listed(plan, machine, wide=False)}",
     ]
@@ -67,6 +69,15 @@ def _listed(plan: Plan, machine: Machine, *, wide: bool) -> str:
     if wide:
         shown = {path: spread for path, spread in plan.spread(machine, "wide").items() if trusted.get(path) != spread}
     return ", ".join(f"{path} {spread}" for path, spread in shown.items()) or "nothing"
+
+
+def _fits(plan: Plan, machine: Machine) -> str:
+    """Play of the joints that are not worn: one range, or that of each joint."""
+    joints = {name: part for name, part in machine.joints.items() if isinstance(part, TurningJoint)}
+    ranges = {name: _um(*plan.fits.bounds(part)) for name, part in sorted(joints.items())}
+    if len(set(ranges.values())) == 1:
+        return next(iter(ranges.values()))
+    return ", ".join(f"{name} {text}" for name, text in ranges.items()) or "none"
 
 
 def _um(low: float, high: float) -> str:

@@ -39,6 +39,8 @@ class SensorMap:
     derivatives : tuple of int, (s,)
         How many times each column is to be differentiated to be an acceleration.
     warnings : tuple of str
+    phases : bool
+        Whether phases between the columns are known.
     """
 
     columns: tuple[int, ...]
@@ -48,6 +50,7 @@ class SensorMap:
     channels: npt.NDArray[np.float64]
     derivatives: tuple[int, ...]
     warnings: tuple[str, ...]
+    phases: bool = True
 
     @property
     def rigid_body(self) -> bool:
@@ -189,7 +192,7 @@ def without_columns(sensing: SensorMap, machine: Machine, left_out: Collection[i
 
 def sensors_one_by_one(sensing: SensorMap) -> SensorMap:
     """Compare the sensors themselves: without phases between them the frame's motion does not follow."""
-    return dataclasses.replace(sensing, compared=sensing.sensors, channels=np.eye(len(sensing.sensors)))
+    return dataclasses.replace(sensing, compared=sensing.sensors, channels=np.eye(len(sensing.sensors)), phases=False)
 
 
 def free_motions(machine: Machine) -> list[int]:

@@ -87,7 +87,7 @@ class _Chosen:
             "machine": manifest.machine_content,
             "recipe": json.dumps(manifest.recipe.content),
             "plan": json.dumps(manifest.plan.content),
-            "solver_version": manifest.solver_version,
+            "numbers_version": str(manifest.numbers_version),
             "versions": json.dumps(dict(manifest.versions)),
             "units": json.dumps(_UNITS),
         }

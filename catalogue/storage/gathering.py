@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.plans.entry import AS_NEW, HEALTHY, Hypothesis
+from catalogue.plans.entry import HEALTHY, Hypothesis
 from catalogue.plans.parameters import MachineNumbers
 from catalogue.storage.feature_bands import FEATURE_ORDERS
 from catalogue.storage.matrix_header import LAWS, STRATA, Block, MatrixHeader
@@ -67,7 +67,7 @@ def gather(
     Returns
     -------
     Gathered
-        Sorted by hypothesis (healthy, as-new, then faults by number of joints and name), stratum, number of the draw:
+        Sorted by hypothesis (healthy, then faults by number of joints and name), stratum, number of the draw:
         so the first draws of a hypothesis stand together, and being the beginning of a Sobol sequence they fill its
         range evenly. Entries without a spectrum stand at the end. A number that only some entries vary has, in the
         others, the value of the machine's file; 0 if the file has no such number.
@@ -169,10 +169,9 @@ def _digests(shard: Shard) -> Iterator[bytes]:
         yield digest.digest()
 
 
-def _rank(hypothesis: Hypothesis) -> tuple[int, int, str]:
+def _rank(hypothesis: Hypothesis) -> tuple[bool, int, str]:
     """Place of a hypothesis among others."""
-    known = {HEALTHY: 0, AS_NEW: 1}
-    return 2 if hypothesis.joints else known.get(hypothesis.label, 2), len(hypothesis.joints), hypothesis.label
+    return hypothesis.label != HEALTHY, len(hypothesis.joints), hypothesis.label
 
 
 def _joined(

@@ -24,22 +24,19 @@ from catalogue.storage.directory import publish
 from catalogue.storage.shard import Shard, ShardHeader
 
 __all__ = [
-    "SCHEMA_VERSIONS",
-    "SCHEMA_VERSIONS_SAID",
+    "SCHEMA_VERSION",
     "arrays_image",
     "decode_shard",
     "encode_shard",
     "read_arrays",
-    "schema_version",
     "write_arrays",
     "write_growing",
 ]
 
-SCHEMA_VERSIONS = (2, 3)
-"""Of shard files and of the catalogue folder; a change that older programs cannot read raises it. From 3 on worn
-machines start settled.
+SCHEMA_VERSION = 4
+"""Of shard files and of the catalogue folder; a change that older programs cannot read raises it. From 4 on every case
+has play in every turning joint, and keys hold the version of numbers.
 """
-SCHEMA_VERSIONS_SAID = " and ".join(map(str, SCHEMA_VERSIONS))
 
 _FORMAT = "jointplay catalogue shard"
 _TEXT = h5py.string_dtype("utf-8")
@@ -47,11 +44,6 @@ _LOCK = threading.RLock()
 
 _TEXT_COLUMNS = ("key", "status", "message")
 _NUMBER_COLUMNS = {"draw": "1", "segments": "1", "row": "1", "drive_speed": "rad/s", "transient": "s", "guard_db": "dB"}
-
-
-def schema_version(recipe: Recipe) -> int:
-    """Version that a catalogue of this recipe has: what an older program can read stays as that wrote it."""
-    return SCHEMA_VERSIONS[recipe.settled]
 
 
 def encode_shard(shard: Shard) -> bytes:
@@ -69,11 +61,11 @@ def encode_shard(shard: Shard) -> bytes:
     header = shard.header
     with _LOCK, h5py.File.in_memory(track_order=False) as file:
         file.attrs["format"] = _FORMAT
-        file.attrs["schema_version"] = schema_version(header.recipe)
+        file.attrs["schema_version"] = SCHEMA_VERSION
         file.attrs["machine"] = header.machine
         file.attrs["recipe"] = canonical_json(header.recipe.content)
         file.attrs["plan"] = canonical_json(header.plan)
-        file.attrs["solver_version"] = header.solver_version
+        file.attrs["numbers_version"] = header.numbers_version
         file.attrs["versions"] = canonical_json(header.versions)
 
         bands = file.create_group("bands")
@@ -131,8 +123,8 @@ def decode_shard(content: bytes, path: Path) -> Shard:
         with _LOCK, h5py.File.in_memory(content) as file:
             if file.attrs.get("format") != _FORMAT:
                 raise CatalogueFileError(path, "is an HDF5 file, but not a shard of a catalogue")
-            if (found := int(file.attrs["schema_version"])) not in SCHEMA_VERSIONS:
-                rule = f"has schema version {found}; this program reads {SCHEMA_VERSIONS_SAID}"
+            if (found := int(file.attrs["schema_version"])) != SCHEMA_VERSION:
+                rule = f"has schema version {found}; this program reads {SCHEMA_VERSION}: build the catalogue anew"
                 raise CatalogueMismatchError(path, rule)
             entries, spectra = file["entries"], file["spectra"]
             columns: dict[str, Any] = {name: tuple(map(str, entries[name].asstr()[()])) for name in _TEXT_COLUMNS}
@@ -142,7 +134,7 @@ def decode_shard(content: bytes, path: Path) -> Shard:
                     machine=str(file.attrs["machine"]),
                     recipe=Recipe.from_content(json.loads(file.attrs["recipe"])),
                     plan=json.loads(file.attrs["plan"]),
-                    solver_version=str(file.attrs["solver_version"]),
+                    numbers_version=int(file.attrs["numbers_version"]),
                     versions=json.loads(file.attrs["versions"]),
                 ),
                 hypothesis=Hypothesis(str(entries.attrs["hypothesis"]), tuple(map(str, entries.attrs["worn"]))),

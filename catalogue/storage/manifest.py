@@ -19,7 +19,7 @@ from catalogue.plans.keys import content_digest
 from catalogue.plans.parameters import MachineNumbers
 from catalogue.plans.plan import Plan, parse_plan
 from catalogue.storage.directory import CatalogueDirectory, publish
-from catalogue.storage.hdf5 import SCHEMA_VERSIONS, SCHEMA_VERSIONS_SAID, schema_version
+from catalogue.storage.hdf5 import SCHEMA_VERSION
 from catalogue.storage.seal import Seal, root_hash
 from catalogue.storage.shard import ShardHeader
 from solver.errors import MachineError
@@ -32,8 +32,9 @@ _PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of Python and of the packages that shape simulated numbers."""
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in _PACKAGES}}
+    """Versions of Python, of this program, and of the packages that shape simulated numbers."""
+    own = {"python": platform.python_version(), "jointplay": solver.__version__}
+    return {**own, **{name: metadata.version(name) for name in _PACKAGES}}
 
 
 def this_platform() -> str:
@@ -55,9 +56,10 @@ class Manifest:
         How every entry is computed.
     plan : Plan
         The plan that last added to the catalogue.
-    solver_version : str
+    numbers_version : int
+        :data:`solver.NUMBERS_VERSION` of the program that began it; no other may add to it.
     versions : mapping of str to str
-        Python and packages at the first build.
+        Python, this program and packages at the first build.
     platform : str
         Computer and system of the first build.
     created : str
@@ -69,20 +71,20 @@ class Manifest:
     machine_content: str
     recipe: Recipe
     plan: Plan
-    solver_version: str
+    numbers_version: int
     versions: Mapping[str, str]
     platform: str
     created: str
     seal: Seal | None = None
 
     @classmethod
-    def of(cls, machine: Machine, plan: Plan, *, settled: bool = True) -> Self:
+    def of(cls, machine: Machine, plan: Plan) -> Self:
         """The manifest of a new catalogue, see :meth:`catalogue.plans.plan.Plan.recipe`."""
         return cls(
             machine_content=machine.canonical_json(),
-            recipe=plan.recipe(machine, settled=settled),
+            recipe=plan.recipe(machine),
             plan=plan,
-            solver_version=solver.__version__,
+            numbers_version=solver.NUMBERS_VERSION,
             versions=package_versions(),
             platform=this_platform(),
             created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -95,7 +97,7 @@ class Manifest:
             machine_content=header.machine,
             recipe=header.recipe,
             plan=parse_plan(header.plan, "plan of a shard"),
-            solver_version=header.solver_version,
+            numbers_version=header.numbers_version,
             versions=header.versions,
             platform="not known",
             created=created,
@@ -122,9 +124,9 @@ class Manifest:
             raise CatalogueFileError(path, f"cannot be read as JSON ({error})") from None
         if not isinstance(content, dict) or content.get("format") != _FORMAT:
             raise CatalogueFileError(path, "is not the manifest of a catalogue")
-        if content.get("schema_version") not in SCHEMA_VERSIONS:
+        if content.get("schema_version") != SCHEMA_VERSION:
             found = content.get("schema_version")
-            rule = f"has schema version {found}; this program reads {SCHEMA_VERSIONS_SAID}"
+            rule = f"has schema version {found}; this program reads {SCHEMA_VERSION}: build the catalogue anew"
             raise CatalogueMismatchError(directory.root, rule)
         try:
             if content.pop("checksum") != content_digest(content):
@@ -134,7 +136,7 @@ class Manifest:
                 machine_content=parse_machine(content["machine"], str(path)).canonical_json(),
                 recipe=Recipe.from_content(content["recipe"]),
                 plan=parse_plan(content["plan"], str(path)),
-                solver_version=str(content["solver_version"]),
+                numbers_version=int(content["numbers_version"]),
                 versions=dict(content["versions"]),
                 platform=str(content["platform"]),
                 created=str(content["created"]),
@@ -147,13 +149,13 @@ class Manifest:
         """As it is written, with a checksum over everything else in it."""
         content: dict[str, Any] = {
             "format": _FORMAT,
-            "schema_version": schema_version(self.recipe),
+            "schema_version": SCHEMA_VERSION,
             "machine_key": self.machine.content_key,
             "recipe": self.recipe.content,
             "plan": self.plan.content,
             "plan_hash": self.plan.hash,
             "band_edges_orders": list(self.recipe.scheme.edges),
-            "solver_version": self.solver_version,
+            "numbers_version": self.numbers_version,
             "versions": dict(self.versions),
             "platform": self.platform,
             "created": self.created,
@@ -169,7 +171,7 @@ class Manifest:
 
     def root_of(self, shards: tuple[str, ...]) -> str:
         """Root hash of the catalogue if it consists of these shards (names, sorted)."""
-        return root_hash(schema_version(self.recipe), self.machine.content_key, self.recipe.content, shards)
+        return root_hash(SCHEMA_VERSION, self.machine.content_key, self.recipe.content, shards)
 
     @cached_property
     def machine(self) -> Machine:
@@ -182,7 +184,7 @@ class Manifest:
             machine=self.machine_content,
             recipe=self.recipe,
             plan=plan.content,
-            solver_version=self.solver_version,
+            numbers_version=self.numbers_version,
             versions=package_versions(),
         )
 
@@ -192,14 +194,15 @@ class Manifest:
         Raises
         ------
         CatalogueMismatchError
-            Another machine, solver version, setting of the computation, or scatter of the uncertain numbers.
+            Another machine, version of numbers, setting of the computation, or scatter of the uncertain numbers.
         """
         if machine.content_key != self.machine.content_key:
             raise CatalogueMismatchError(where, f"is a catalogue of another machine: {self._difference(machine)}")
-        if self.solver_version != solver.__version__:
-            rule = f"was built by solver {self.solver_version}, this is {solver.__version__}: build into another folder"
+        if self.numbers_version != solver.NUMBERS_VERSION:
+            theirs, ours = self.numbers_version, solver.NUMBERS_VERSION
+            rule = f"holds numbers of version {theirs}, this program computes version {ours}: build into another folder"
             raise CatalogueMismatchError(where, rule)
-        self.recipe.check_same(plan.recipe(machine, settled=self.recipe.settled), str(where))
+        self.recipe.check_same(plan.recipe(machine), str(where))
         different = self.plan.difference(plan, machine)
         if different:
             raise CatalogueMismatchError(where, f"was drawn with another {different}: build into another folder")

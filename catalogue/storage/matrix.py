@@ -34,7 +34,7 @@ __all__ = ["FeatureMatrix", "Guard", "Ranges"]
 class FeatureMatrix:
     """Entries of one catalogue, one a row; made by :meth:`open`, :meth:`publish` or :meth:`in_memory`.
 
-    Rows are sorted by hypothesis (healthy, as-new, then faults by number of joints and name), stratum and number of the
+    Rows are sorted by hypothesis (healthy, then faults by number of joints and name), stratum and number of the
     draw; entries without a spectrum stand behind all others.
 
     Parameters

@@ -40,7 +40,7 @@ class Ranges:
     speed : (float, float)
         Least and greatest drive speed, without its sign [rad/s].
     clearance : mapping of str to (float, float)
-        By hypothesis: of the joints that are worn under it; of the as-new machine, of all joints [m].
+        By hypothesis: of the joints that are worn under it [m].
     parameters : mapping of str to (float, float)
         Of the numbers that vary, by path, SI.
     """

@@ -69,15 +69,16 @@ class ShardHeader:
         How the cases were computed.
     plan : mapping
         The plan that asked for them, as plain data.
-    solver_version : str
+    numbers_version : int
+        :data:`solver.NUMBERS_VERSION` of the program that computed them.
     versions : mapping of str to str
-        Versions of Python and of the packages that shape the numbers.
+        Versions of Python, of this program and of the packages that shape the numbers.
     """
 
     machine: str
     recipe: Recipe
     plan: Mapping[str, Any]
-    solver_version: str
+    numbers_version: int
     versions: Mapping[str, str]
 
 

@@ -57,7 +57,7 @@ def _check_keys(shard: Shard, path: Path) -> None:
         for position in range(shard.count):
             entry: Entry = shard.entry(position)
             content = shard.header.recipe.content
-            version, variant = shard.header.solver_version, entry.variant.content
+            version, variant = shard.header.numbers_version, entry.variant.content
             key = entry_key(machine.content_key, entry.fault, entry.parameters, content, version, variant)
             if key != entry.key:
                 raise CatalogueFileError(path, f"entry {entry.key[:12]} does not match its key")

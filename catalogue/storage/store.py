@@ -140,7 +140,7 @@ class Catalogue:
     def entries(self) -> EntryTable:
         """Entries that have a spectrum, one a row of :attr:`matrix` and of :meth:`power`, in the same order.
 
-        Healthy first, then as-new, then faults by number of joints and name; within a hypothesis by stratum and number
+        Healthy first, then faults by number of joints and name; within a hypothesis by stratum and number
         of the draw.
         """
         return self.matrix.table(self.matrix.all_rows)

@@ -195,7 +195,8 @@ class _Check:
                 manifest.write(self._layout)
                 self._note(self._layout.manifest, "was missing or damaged", "made again from the shards")
             header = shard.header
-            if (header.machine, header.recipe) != (manifest.machine_content, manifest.recipe):
+            own = (manifest.machine_content, manifest.recipe, manifest.numbers_version)
+            if (header.machine, header.recipe, header.numbers_version) != own:
                 raise CatalogueFileError(path, "belongs to another machine or other settings")
         except CatalogueFileError as error:
             aside = self._layout.move_to_quarantine(path)

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from catalogue.errors import DiagnosisError
+from catalogue.matching.coherence import SCALE, common_noise, compose, decompose, noise_alike, with_more_noise
 from catalogue.matching.observation import Discrepancy, Sensing, grouped, observe, rounded_sensing, rounded_up
 from catalogue.matching.transfer import RandomTransfer
 from catalogue.storage.cross_power import pack
 from catalogue.storage.feature_bands import feature_vector
 from solver.spectra.sensor import rigid_body, sensor_transform
 
-NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0)
+NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0, delay=0.0, phase=0.0)
 TRANSFORM = sensor_transform(
     [[0.2, -0.1], [0.2, -0.1], [-0.2, 0.1], [-0.2, 0.1]], [[1, 0], [0, 1], [1, 0], [0, 1]], [0.0, 0.0]
 )
@@ -22,6 +23,7 @@ INVERSE = rigid_body(TRANSFORM).inverse
 assert INVERSE is not None
 CUTS = (0, 1, 2, 4, 7)
 BODY = Sensing(TRANSFORM, INVERSE, CUTS, np.full((4, 3), 1e-12), np.full(4, 40.0))
+LEVELS = BODY.noise.size
 
 
 def entries(count: int = 5, bands: int = 8) -> np.ndarray:
@@ -40,23 +42,74 @@ def test_without_noise_and_discrepancy_it_is_the_feature_vector() -> None:
     power = entries()
     features, entry = observe(stored(power), BODY, NOTHING, np.ones(5, np.int64))
     assert list(entry) == [0, 1, 2, 3, 4]
-    assert np.allclose(features, feature_vector(power, CUTS), atol=1e-3)
+    assert np.allclose(features[:, :LEVELS], feature_vector(power, CUTS), atol=1e-3)
+    joint = np.add.reduceat(power[:, : CUTS[-1]], CUTS[:-1], axis=1)
+    root = np.sqrt(np.einsum("ngii->ngi", joint).real)
+    for place, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+        expected = joint[..., i, j] / (root[..., i] * root[..., j])
+        parts = features[:, LEVELS:].reshape(5, 2, 4, 3)[..., place] / SCALE
+        assert np.allclose(parts[:, 0] + 1j * parts[:, 1], expected, atol=1e-4)
     corner = Sensing(TRANSFORM[:2], np.eye(2), CUTS, np.full((4, 2), 1e-12), np.full(4, 40.0))
     features, _ = observe(stored(power), corner, NOTHING, np.ones(5, np.int64))
-    assert np.allclose(features, feature_vector(power, CUTS, TRANSFORM[:2]), atol=1e-3)
+    assert np.allclose(features[:, :8], feature_vector(power, CUTS, TRANSFORM[:2]), atol=1e-3)
+    without, _ = observe(stored(power), replace(corner, phases=False), NOTHING, np.ones(5, np.int64))
+    assert np.allclose(without, features[:, :8], atol=2e-3)
 
 
 def test_noise_has_the_stated_mean_and_scatter() -> None:
     power = entries(1)
     noisy = replace(BODY, noise=np.full((4, 3), 20.0))
     features, _ = observe(stored(power), noisy, NOTHING, np.array([20_000]))
-    clean = noisy.powers(stored(power))[0].ravel()
-    measured = 10.0 ** (0.1 * features)
+    clean, cross = noisy.powers(stored(power))
+    clean = clean[0].ravel()
+    measured = 10.0 ** (0.1 * features[:, :LEVELS])
     # Clipping lifts what falls below the noise; with these powers next to nothing does.
     assert np.allclose(measured.mean(axis=0), clean + 20.0, rtol=0.02)
     expected = np.sqrt((20.0**2 + 2.0 * clean * 20.0) / 20.0)
     assert np.allclose(measured.std(axis=0), expected, rtol=0.1)
-    assert features.min() >= 10.0 * np.log10(20.0) - 1e-9
+    assert features[:, :LEVELS].min() >= 10.0 * np.log10(20.0) - 1e-9
+    # Cross-powers keep their mean but for what noise of the same sensors has in common.
+    _, seen = decompose(features, 4, 3)
+    assert seen is not None
+    assert cross is not None
+    expected = cross[0] + common_noise(noisy.noise, noisy.alike)
+    assert np.abs(seen.mean(axis=0) - expected).max() < 0.03 * np.abs(expected).max()
+
+
+def test_noise_of_channels_made_of_the_same_sensors_is_alike() -> None:
+    generator = np.random.default_rng(1)
+    channels = INVERSE @ generator.normal(size=(4, 200_000))
+    expected = np.corrcoef(channels)[[0, 0, 1], [1, 2, 2]]
+    assert np.allclose(noise_alike(INVERSE), expected, atol=0.01)
+
+
+def test_noise_added_later_is_noise_that_was_there() -> None:
+    power = entries(3)
+    quiet, _ = observe(stored(power), BODY, NOTHING, np.ones(3, np.int64))
+    more = np.linspace(1.0, 30.0, 12).reshape(4, 3)
+    clean, cross = BODY.powers(stored(power))
+    assert cross is not None
+    whole = compose(clean + more, cross + common_noise(more, BODY.alike))
+    assert np.allclose(with_more_noise(quiet, more, BODY.alike), whole, atol=1e-3)
+    assert with_more_noise(quiet, np.zeros((4, 3)), BODY.alike) is quiet
+
+
+def test_delays_and_phase_errors_turn_coherences_and_leave_levels() -> None:
+    power, edges = stored(entries(1)), np.array([5.0, 20.0, 200.0, 700.0, 3000.0])
+    plain, _ = observe(power, BODY, NOTHING, np.array([1]), edges_hz=edges)
+    late, _ = observe(power, BODY, replace(NOTHING, delay=1e-5), np.array([4000]), edges_hz=edges)
+    assert np.allclose(late[:, :LEVELS], plain[:, :LEVELS], atol=1e-3)
+    (_, first), (_, turned) = decompose(plain, 4, 3), decompose(late, 4, 3)
+    assert first is not None
+    assert turned is not None
+    angle = np.angle(turned / first).std(axis=0)
+    # Two channels err: twice the variance of one.
+    expected = 2.0 * np.pi * 1e-5 * np.sqrt(2.0) * 0.5 * (edges[:-1] + edges[1:])
+    assert np.allclose(angle, expected[:, None], rtol=0.1)
+    smooth, _ = observe(power, BODY, replace(NOTHING, phase=0.1), np.array([4000]))
+    _, turned = decompose(smooth, 4, 3)
+    assert turned is not None
+    assert np.angle(turned / first).std() == pytest.approx(0.1 * np.sqrt(2.0), rel=0.1)
 
 
 def test_gain_errors_of_sensors_leak_into_rotation() -> None:
@@ -64,7 +117,7 @@ def test_gain_errors_of_sensors_leak_into_rotation() -> None:
     power[..., 0, 0] = 1.0  # the frame moves along x only
     exact, _ = observe(stored(power), BODY, NOTHING, np.array([1]))
     off, _ = observe(stored(power), BODY, replace(NOTHING, gain=0.03), np.array([500]))
-    x, theta = slice(0, None, 3), slice(2, None, 3)
+    x, theta = slice(0, LEVELS, 3), slice(2, LEVELS, 3)
     assert exact[:, theta].max() < -110.0
     assert np.median(off[:, theta]) > -32.0
     assert off[:, x].std(axis=0).max() < 0.5
@@ -134,7 +187,7 @@ def test_transfer_functions_are_drawn_where_asked_for() -> None:
     power, edges = stored(entries()), np.array([5.0, 20.0, 200.0, 700.0, 3000.0])
     plain, _ = observe(power, BODY, NOTHING, np.full(5, 100))
     bent, _ = observe(power, BODY, replace(NOTHING, transfer=RandomTransfer()), np.full(5, 100), edges_hz=edges)
-    difference = (bent - plain).reshape(500, 4, 3)
+    difference = (bent - plain)[:, :LEVELS].reshape(500, 4, 3)
     # Below all modes the frame is rigid; above them it is not.
     assert np.abs(difference[:, 0]).mean() < 1.0
     assert difference[:, 2].std() > 2.0
