@@ -1,0 +1,162 @@
+"""What the links of an ideal machine do to its frame in one revolution, and what further forces would add.
+
+The links' motion relative to the frame is prescribed, so the frame with its links is one body on its supports: the
+forces of inertia and weight of the links, and forces from outside wherever they act, move it as a wrench on a rigid
+body does. That holds for the low orders, where play adds little.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from catalogue.errors import DiagnosisError
+from catalogue.plans.parameters import DRIVE_SPEED
+from solver.cases.history import Case, Settings, Status
+from solver.machines.machine import Machine
+from solver.simulation.simulate import simulate_batch
+
+__all__ = ["Revolution", "wrench_orders"]
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+SAMPLES = 256
+"""Points of a revolution: orders up to 20 need a fraction of them, rough loads more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Revolution:
+    """Poses of the moving links at evenly spaced drive angles, the frame standing still.
+
+    Parameters
+    ----------
+    machine : Machine
+    speed : float
+        rad/s.
+    links : tuple of str
+        Moving links.
+    place : (n, k, 2) array
+        Centres of gravity of k links [m].
+    angle : (n, k) array
+        Angles since the drawn pose [rad], without whole turns.
+    turns : (k,) array
+        Whole turns of each link in the revolution.
+    """
+
+    machine: Machine
+    speed: float
+    links: tuple[str, ...]
+    place: FloatArray
+    angle: FloatArray
+    turns: FloatArray
+
+    @classmethod
+    def of(cls, machine: Machine, speed: float) -> Revolution:
+        """Simulate it.
+
+        Raises
+        ------
+        DiagnosisError
+            The ideal machine does not come round.
+        """
+        frame = machine.links[machine.frame].model_copy(update={"fixed": True})
+        held = machine.model_copy(update={"links": {**machine.links, machine.frame: frame}})
+        rate = SAMPLES * abs(speed) / (2.0 * math.pi)
+        settings = Settings(sample_rate=rate, revolutions=1.0 + 2.0 / SAMPLES, links=True)
+        history = next(iter(simulate_batch(held, [Case(parameters={DRIVE_SPEED: speed})], settings)))
+        if history.status is not Status.OK or history.links is None:
+            raise DiagnosisError(f"{machine.name} with its frame held: {history.status.value} {history.message}")
+        moving = [index for index, name in enumerate(history.links.links) if name != machine.frame]
+        last = history.links.displacement[-SAMPLES - 1 :, moving]
+        names = tuple(history.links.links[index] for index in moving)
+        drawn = np.array([machine.links[name].cg for name in names])
+        whole = (last[-1, :, 2] - last[0, :, 2]) / (2.0 * math.pi)
+        turns = np.rint(whole)
+        even = 2.0 * math.pi * turns * np.arange(SAMPLES)[:, None] / SAMPLES
+        return cls(machine, speed, names, last[:-1, :, :2] + drawn, last[:-1, :, 2] - even, turns)
+
+    def inertial(self, factors: dict[str, float] | None = None) -> FloatArray:
+        """Wrench (n, 3) of inertia and weight on the frame, masses of some links times a factor."""
+        return self._inertial(self.place, self.angle, factors or {})
+
+    def rippled(self, order: int, sine: float, cosine: float) -> FloatArray:
+        """Wrench (n, 3) with a ripple [rad] of the drive angle."""
+        at = 2.0 * math.pi * np.arange(SAMPLES) / SAMPLES
+        late = sine * np.sin(order * at) + cosine * np.cos(order * at)
+        shift = np.sign(self.speed) * late
+        place = np.stack([_shifted(self.place[..., axis], shift) for axis in (0, 1)], axis=-1)
+        angle = _shifted(self.angle, shift) + self.turns * late[:, None]
+        return self._inertial(place, angle, {})
+
+    def force(
+        self, link: str, at: tuple[float, float], force: FloatArray, torque: FloatArray | float = 0.0
+    ) -> FloatArray:
+        """Wrench (n, 3) of a force (n, 2) at a point of a link, given where it was drawn, and a torque on it."""
+        index = self.links.index(link)
+        drawn = np.array(at) - np.array(self.machine.links[link].cg)
+        even = 2.0 * math.pi * self.turns[index] * np.arange(SAMPLES) / SAMPLES
+        angle = self.angle[:, index] + even
+        arm = np.stack(
+            [drawn[0] * np.cos(angle) - drawn[1] * np.sin(angle), drawn[0] * np.sin(angle) + drawn[1] * np.cos(angle)],
+            axis=1,
+        )
+        return self._wrench(self.place[:, index] + arm, force, np.broadcast_to(torque, len(force)))
+
+    def rotating(self, centre: tuple[float, float], product: float, phase: float) -> FloatArray:
+        """Wrench (n, 3) of a mass times radius [kg m] that turns with the drive about a point of the frame."""
+        angle = np.sign(self.speed) * 2.0 * math.pi * np.arange(SAMPLES) / SAMPLES + phase
+        pull = product * self.speed**2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        weight = -product * (self.machine.gravity or 0.0) * np.cos(angle)
+        return self._wrench(np.broadcast_to(centre, pull.shape), pull, weight)
+
+    def velocity(self, link: str, direction: tuple[float, float]) -> FloatArray:
+        """Velocity (n,) of a link's centre of gravity along a direction, m/s; of its angle where that is (0, 0)."""
+        index = self.links.index(link)
+        if direction == (0.0, 0.0):
+            return _derived(self.angle[:, index], abs(self.speed)) + self.turns[index] * abs(self.speed)
+        return _derived(self.place[:, index] @ np.array(direction), abs(self.speed))
+
+    def _inertial(self, place: FloatArray, angle: FloatArray, factors: dict[str, float]) -> FloatArray:
+        total = np.zeros((SAMPLES, 3))
+        for index, name in enumerate(self.links):
+            body, factor = self.machine.links[name], factors.get(name, 1.0)
+            mass, inertia = factor * (body.mass or 0.0), factor * (body.inertia or 0.0)
+            motion = np.concatenate([place[:, index], angle[:, index, None]], axis=1)
+            acceleration = _derived(_derived(motion, abs(self.speed)), abs(self.speed))
+            push = -mass * acceleration[:, :2]
+            push[:, 1] -= mass * (self.machine.gravity or 0.0)
+            total += self._wrench(place[:, index], push, -inertia * acceleration[:, 2])
+        return total
+
+    def _wrench(self, at: FloatArray, force: FloatArray, torque: FloatArray) -> FloatArray:
+        arm = at - np.array(self.machine.links[self.machine.frame].cg)
+        moment = arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0] + torque
+        return np.column_stack([force, moment])
+
+
+def wrench_orders(wrench: FloatArray, orders: int) -> ComplexArray:
+    """Complex amplitudes (orders, 3) of a wrench (n, 3) at orders 1 and up; its rms in an order is sqrt(2) of them."""
+    found: ComplexArray = np.fft.rfft(wrench, axis=0)[1 : orders + 1] / len(wrench)
+    return found
+
+
+def _derived(values: FloatArray, speed: float) -> FloatArray:
+    """Derivative in time of values (n, ...) over one revolution at a speed, rad/s."""
+    spectrum = np.fft.rfft(values, axis=0)
+    harmonic = 1j * speed * np.arange(len(spectrum)).reshape(-1, *(1,) * (values.ndim - 1))
+    harmonic[-1] = 0.0  # half the sample rate has no sign
+    return np.fft.irfft(spectrum * harmonic, len(values), axis=0)
+
+
+def _shifted(values: FloatArray, shift: FloatArray) -> FloatArray:
+    """Values (n, k) over one revolution, taken at angles later by a shift (n,), rad."""
+    spectrum = np.fft.rfft(values, axis=0) / len(values)
+    at = 2.0 * math.pi * np.arange(len(values)) / len(values) + shift
+    basis = np.exp(1j * np.outer(at, np.arange(len(spectrum))))
+    weight = np.full(len(spectrum), 2.0)
+    weight[[0, -1]] = 1.0
+    return np.asarray((basis @ (weight[:, None] * spectrum)).real, dtype=np.float64)
