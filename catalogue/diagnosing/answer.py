@@ -10,7 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from catalogue.signals.recipe_steps import RecipeStep
 
 Effort = Literal["fast", "standard", "thorough"]
-Verdict = Literal["fault", "healthy", "unknown"]
+Verdict = Literal["worn", "in_order", "changed", "unknown"]
+Bound = Literal["none", "at_least", "at_most"]
+Condition = Literal["worn", "in_order", "open"]
 Mode = Literal["trusted", "robust"]
 ModeAsked = Literal["auto", "trusted", "robust"]
 
@@ -26,13 +28,81 @@ class JointClearance(_Frozen):
     interval_um: tuple[float, float]
 
 
+class JointState(_Frozen):
+    """What a recording says of one joint, whatever the others are like.
+
+    Attributes
+    ----------
+    condition : {"worn", "in_order", "open"}
+        The only one of worn and in order that is left at the coverage asked for; open where both are, or neither is.
+    p_worn : float
+        Probability of play beyond that of a fit.
+    p_over_limit : float
+        Probability of a clearance above `limit_um`.
+    limit_um : float
+        From which on the joint is worn out, as the machine file says.
+    clearance_um, interval_um : float
+        Median and central 90 % interval of its clearance, micrometres, of fit or wear.
+    bound : {"none", "at_least", "at_most"}
+        Whether the clearance reaches the largest or the smallest the catalogue holds: then it is a bound.
+    detectable_from_um : float or None
+        Smallest clearance that such a recording would have shown with 95 % probability, the other joints as they are;
+        None where no clearance of the catalogue would.
+    """
+
+    condition: Condition
+    p_worn: Annotated[float, Field(ge=0.0, le=1.0)]
+    p_over_limit: Annotated[float, Field(ge=0.0, le=1.0)]
+    limit_um: float
+    clearance_um: float
+    interval_um: tuple[float, float]
+    bound: Bound
+    detectable_from_um: float | None
+
+
+class Cause(_Frozen):
+    """Something other than play that would make such a recording.
+
+    Attributes
+    ----------
+    name : str
+        "mount 1", "unbalance", "load", "ripple of the drive, order 6" ...
+    size : float
+    unit : str
+        What the size is in: "x stiffness", "kg m", "N" ...
+    probability : float
+        Among the causes that were tried, play alone among them.
+    """
+
+    name: str
+    size: float
+    unit: str
+    probability: Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class SensorFlaw(_Frozen):
+    """What is wrong with sensors.
+
+    Attributes
+    ----------
+    sensors : tuple of str
+    kind : {"swapped", "inverted", "dead", "gain", "contradicts"}
+    said : str
+        In a sentence.
+    """
+
+    sensors: tuple[str, ...]
+    kind: Literal["swapped", "inverted", "dead", "gain", "contradicts"]
+    said: str
+
+
 class Hypothesis(_Frozen):
     """One explanation.
 
     Attributes
     ----------
     label : str
-        Its name in the catalogue: "F", "A+C", "healthy", "as-new".
+        Its name in the catalogue: "F", "A+C", "healthy".
     joints : mapping of str to JointClearance
         Worn joints; empty for a healthy machine.
     probability : float
@@ -237,9 +307,16 @@ class Diagnosis(_Frozen):
         As asked.
     effort_spent : EffortSpent
     mode : ModeUsed
-    verdict : {"fault", "healthy", "unknown"}
+    verdict : {"worn", "in_order", "changed", "unknown"}
+        Changed is a machine that is not as its file says, and not by play.
+    joints : mapping of str to JointState
+        Every joint of the catalogue by itself.
     hypotheses : tuple of Hypothesis
         All of the catalogue, most probable first.
+    causes : tuple of Cause
+        Other than play, most probable first; empty where play is enough, or none of those known is.
+    sensors : tuple of SensorFlaw
+        What is wrong with which of them.
     joint_probabilities : mapping of str to float
         Of each joint, to be among the worn ones.
     candidate_set : tuple of str
@@ -268,7 +345,10 @@ class Diagnosis(_Frozen):
     effort_spent: EffortSpent
     mode: ModeUsed
     verdict: Verdict
+    joints: Mapping[str, JointState]
     hypotheses: tuple[Hypothesis, ...]
+    causes: tuple[Cause, ...]
+    sensors: tuple[SensorFlaw, ...]
     joint_probabilities: Mapping[str, float]
     candidate_set: tuple[str, ...]
     coverage: float
