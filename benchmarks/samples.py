@@ -52,13 +52,13 @@ def is_right(truth: Mapping[str, Any], answer: Diagnosis) -> bool:
     """Say whether an answer keeps the rules above."""
     worn = frozenset(truth["worn_um"])
     if truth["other_cause"]:
-        return answer.verdict == "unknown"
+        return answer.verdict in ("changed", "unknown")
     if not worn:
-        return answer.verdict == "healthy"
+        return answer.verdict == "in_order"
     if len(worn) == 1:
-        return answer.verdict == "fault" and frozenset(answer.hypotheses[0].joints) == worn
+        return answer.verdict == "worn" and frozenset(answer.hypotheses[0].joints) == worn
     named = [frozenset(hypothesis.joints) for hypothesis in answer.hypotheses[:2]]
-    return answer.verdict == "fault" and worn <= frozenset().union(*named)
+    return answer.verdict == "worn" and worn <= frozenset().union(*named)
 
 
 def judged(catalogues: Path, machine: str | None, effort: Effort, mode: ModeAsked) -> list[Judged]:
