@@ -218,7 +218,7 @@ def answer(
         without=without,
         most=most,
     )
-    trusted_p = result.p_value if result.mode == "trusted" else result.trusted_p_value
+    trusted_p = result.trusted_p_value
     causes = causes_shown(prepared, catalogue, result) if needs_cause(result) else ()
     p_value, verdict = judged(result, question.coverage, causes)
     spent = EffortSpent(simulations=0, generations=0, note="")

@@ -238,7 +238,7 @@ class MatchResult:
     mode : {"trusted", "robust"}
         How the draws it learned from were made.
     trusted_p_value : float, optional
-        Where the trusted mode was tried first and did not explain the measurement: its p-value.
+        P-value in the trusted mode, where it was tried.
     notes : tuple of str
         What was done, and what is doubtful, in words.
     network : str, optional
