@@ -283,6 +283,7 @@ def test_scheduler_that_does_not_answer_is_not_waited_for_in_silence(tmp_path: P
     ]
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
     arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "thorough"]
     with subprocess.Popen([*JOINTPLAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
@@ -330,6 +331,7 @@ def test_accuracy_and_tolerance_exclude_each_other(tmp_path: Path) -> None:
     assert_refused(result, 2, "not both")
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_serve_runs_until_ctrl_c(tmp_path: Path) -> None:
     command = [*JOINTPLAY, "serve", "--port", "0", "--data", str(tmp_path / "data"), "--catalogues", str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:

@@ -105,6 +105,7 @@ def test_case_that_kills_its_worker_is_found_and_the_others_are_kept(
 
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("moment", [0.0, 3.0])  # s: while workers start, and when they compute
+@pytest.mark.usefixtures("ctrl_c")
 def test_interrupt_of_the_builder_ends_workers_at_once(tmp_path: Path, moment: float) -> None:
     with start(tmp_path / "catalogue", FAKE_SECONDS="60") as builder:
         assert builder.stdout is not None
@@ -124,6 +125,7 @@ def test_interrupt_of_the_builder_ends_workers_at_once(tmp_path: Path, moment: f
     assert_complete(tmp_path / "catalogue")
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_interrupt_while_workers_start_waits_until_they_have_their_orders() -> None:
     finish = threading.Event()
     other = threading.Thread(target=finish.wait)  # does not block the signal, as threads of libraries
