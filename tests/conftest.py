@@ -9,13 +9,16 @@ from pathlib import Path
 
 import databases
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # What tests ask a service is not who may ask; those that ask just that make keys of their own.
 os.environ.setdefault("JOINTPLAY_KEYS", "off")
 
-# Examples are drawn the same way in every run, and a slow first call (an import, a compilation) is no failure.
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)
+# Examples are drawn the same way in every run, and slowness (an import, a compilation, other work) is no failure.
+UNHURRIED = [HealthCheck.too_slow]
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, max_examples=50, suppress_health_check=UNHURRIED
+)
 settings.load_profile("repeatable")
 
 
