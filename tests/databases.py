@@ -19,7 +19,7 @@ POSTGRES = os.environ.get("JOINTPLAY_TEST_POSTGRES", "postgresql://postgres@127.
 
 
 def answers() -> bool:
-    engine = create_engine(POSTGRES.replace("postgresql:", "postgresql+psycopg:"), connect_args={"connect_timeout": 2})
+    engine = create_engine(POSTGRES.replace("postgresql:", "postgresql+psycopg:"), connect_args={"connect_timeout": 20})
     try:
         engine.connect().close()
     except OperationalError:

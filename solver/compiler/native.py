@@ -29,10 +29,16 @@ def cache_directory() -> Path:
 
 @cache
 def processor() -> tuple[str, str]:
-    """Name and features of the processor that code is compiled for."""
+    """Name and features of the processor that code is compiled for.
+
+    This one, unless ``NUMBA_CPU_NAME`` and ``NUMBA_CPU_FEATURES`` name another, as they do for what Numba compiles.
+    """
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    name, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+    if features is None:
+        features = "" if name == "generic" else llvm.get_host_cpu_features().flatten()
+    return name or llvm.get_host_cpu_name(), features
 
 
 def _target_machine() -> llvm.TargetMachine:

@@ -45,7 +45,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def settings(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Settings:
     """Settings of a small service."""
     data = tmp_path_factory.mktemp("data")
-    return Settings(catalogues=shelf, data=data, max_upload_mb=3.0, time_limit_s=60.0, workers=1)
+    return Settings(catalogues=shelf, data=data, max_upload_mb=3.0, time_limit_s=300.0, workers=1)
 
 
 @pytest.fixture(scope="session")
@@ -58,7 +58,7 @@ def server(settings: Settings) -> Iterator[str]:
 @pytest.fixture(scope="session")
 def client(server: str) -> Iterator[httpx.Client]:
     """A client of the running service."""
-    with httpx.Client(base_url=server, timeout=90) as running:
+    with httpx.Client(base_url=server, timeout=300) as running:
         yield running
 
 

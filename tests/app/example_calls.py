@@ -87,9 +87,9 @@ class ExampleService:
         self._stack = ExitStack()
         enter = self._stack.enter_context
         enter(mock.patch.object(WebhookSender, "step", return_value=False))  # nobody is told of examples
-        self.client = enter(httpx.Client(base_url=enter(serving(Settings(**settings, keys="off"))), timeout=90))
+        self.client = enter(httpx.Client(base_url=enter(serving(Settings(**settings, keys="off"))), timeout=300))
         locked = Settings(**{**settings, "data": data / "locked"}, keys="required")
-        self.locked = enter(httpx.Client(base_url=enter(serving(locked)), timeout=90))
+        self.locked = enter(httpx.Client(base_url=enter(serving(locked)), timeout=300))
         self._data, self._worn = data, worn
         self.document: dict[str, Any] = self.client.get("/openapi.json").json()
         #: Example of an id, or of an entry's key, to the real one.

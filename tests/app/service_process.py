@@ -46,7 +46,7 @@ class ServiceProcess:
             return next((match for line in self.written if (match := re.search(pattern, line))), None)
 
         with self.heard:
-            match = self.heard.wait_for(found, 90)
+            match = self.heard.wait_for(found, 300)
         assert match is not None, "".join(self.written)
         return match
 
@@ -81,4 +81,4 @@ def service_process(folder: Path, *options: str, **environment: str) -> Iterator
 
 def client_of(running: ServiceProcess) -> httpx.Client:
     """A client of a service."""
-    return httpx.Client(base_url=running.address, timeout=60)
+    return httpx.Client(base_url=running.address, timeout=300)

@@ -36,7 +36,7 @@ def running(application: FastAPI) -> Iterator[str]:
     server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning"))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 300
     while not server.started:
         assert thread.is_alive() and time.monotonic() < deadline, "the server did not start"
         time.sleep(0.02)
@@ -50,7 +50,7 @@ def running(application: FastAPI) -> Iterator[str]:
 
 @contextmanager
 def asking(
-    settings: Settings, *, timeout: float = 90.0, headers: Mapping[str, str] | None = None
+    settings: Settings, *, timeout: float = 300.0, headers: Mapping[str, str] | None = None
 ) -> Iterator[httpx.Client]:
     """Run a real server in a thread; gives a client of it."""
     with serving(settings) as address, httpx.Client(base_url=address, timeout=timeout, headers=headers) as client:

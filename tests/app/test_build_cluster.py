@@ -22,14 +22,13 @@ TINY = {**PLAN, "draws": {"healthy": 3, "single": 4}, "guard": 0}
 ASKED = {"machine": "slider-crank", "plan": TINY, "catalogue": "made", "workers": 1}
 
 
-@pytest.mark.timeout(240)
 def test_a_build_is_computed_by_the_cluster(tmp_path: Path, url: str) -> None:
     options = {"processes": False, "dashboard_address": ":0", "protocol": "tcp"}
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
         settings = Settings(
             catalogues=tmp_path / "c", data=tmp_path / "d", database=url, scheduler=cluster.scheduler_address, workers=1
         )
-        with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
+        with serving(settings) as address, httpx.Client(base_url=address, timeout=300) as client:
             place = client.post(f"{API}/builds", json=ASKED).headers["location"]
             with client.stream("GET", f"{place}/events") as stream:
                 states = [json.loads(line[6:]) for line in stream.iter_lines() if line.startswith("data: ")]
@@ -42,7 +41,7 @@ def test_a_build_is_computed_by_the_cluster(tmp_path: Path, url: str) -> None:
 
 def test_a_scheduler_that_is_not_there_fails_the_build_in_one_line(tmp_path: Path) -> None:
     settings = Settings(catalogues=tmp_path / "c", data=tmp_path / "d", scheduler="tcp://127.0.0.1:1", workers=1)
-    with serving(settings) as address, httpx.Client(base_url=address, timeout=60) as client:
+    with serving(settings) as address, httpx.Client(base_url=address, timeout=300) as client:
         place = client.post(f"{API}/builds", json=ASKED).headers["location"]
         with client.stream("GET", f"{place}/events") as stream:
             states = [json.loads(line[6:]) for line in stream.iter_lines() if line.startswith("data: ")]

@@ -142,13 +142,12 @@ def command(folder: Path) -> Iterator[tuple[subprocess.Popen[str], httpx.Client]
             heard = iter(process.stderr.readline, "")
             address = next(found[0] for line in heard if (found := re.search(r"http://127\.0\.0\.1:\d+", line)))
             next(line for line in heard if "startup complete" in line)
-            with httpx.Client(base_url=address, timeout=60) as client:
+            with httpx.Client(base_url=address, timeout=300) as client:
                 yield process, client
         finally:
             process.kill()
 
 
-@pytest.mark.timeout(240)
 def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path, worn: bytes) -> None:
     with command(tmp_path) as (process, client):
         kept = client.post(f"{API}/measurements", files={"file": ("worn.csv", worn)})
@@ -162,7 +161,7 @@ def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path, worn: 
         there = next(state for state in following if state["attempts"] == 2 and state["cases_done"])
         process.send_signal(signal.SIGTERM)
         rest = list(following)  # it ends, and lets the server go
-        assert process.wait(60) == 0
+        assert process.wait(300) == 0
     assert there["cases_done"] < there["cases_total"]
     assert all(state["state"] in ("running", "queued") for state in rest)
 

@@ -260,19 +260,17 @@ def test_cluster_has_its_own_workers(tmp_path: Path) -> None:
     assert_refused(invoke("build", *arguments), 2, "--workers is for processes here; a cluster has its own")
 
 
-@pytest.mark.timeout(60)
 def test_no_address_of_a_scheduler_is_bad_input_and_ends(tmp_path: Path) -> None:
     """In a process of its own: a client of Dask with a bad address keeps its process from ending."""
     folder = tmp_path / "c"
     arguments = ["build", "quick-return", "--catalogue", str(folder), "--scheduler", "foo"]
-    ended = subprocess.run([*JOINTPLAY, *arguments], capture_output=True, text=True, timeout=50, check=False)
+    ended = subprocess.run([*JOINTPLAY, *arguments], capture_output=True, text=True, timeout=300, check=False)
     assert ended.returncode == 2
     assert ended.stderr.startswith("jointplay: foo: is no address of a scheduler, tcp://host:8786 (")
     assert ended.stderr.count("\n") == 1
     assert not folder.exists()
 
 
-@pytest.mark.timeout(60)
 def test_scheduler_that_does_not_answer_is_not_waited_for_in_silence(tmp_path: Path) -> None:
     arguments = ("quick-return", "--catalogue", tmp_path / "c", "--plan", "quick", "--scheduler", "tcp://127.0.0.1:1")
     result = invoke("build", *arguments)
@@ -283,13 +281,14 @@ def test_scheduler_that_does_not_answer_is_not_waited_for_in_silence(tmp_path: P
     ]
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
     arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "thorough"]
     with subprocess.Popen([*JOINTPLAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         shown = list(itertools.takewhile(lambda line: not line.startswith("building: 0 of "), process.stderr))
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
+        assert process.wait(300) == 130
         assert re.fullmatch(r"plan thorough, [0-9a-f]{12}: 41472 cases \(20736 trusted, 20736 wide\)\n", shown[0])
         assert "hypotheses: healthy, as-new, 5 of a single, 10 of a pair\n" in shown
         assert process.stderr.read().splitlines()[-1] == "jointplay: interrupted"
@@ -330,6 +329,7 @@ def test_accuracy_and_tolerance_exclude_each_other(tmp_path: Path) -> None:
     assert_refused(result, 2, "not both")
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_serve_runs_until_ctrl_c(tmp_path: Path) -> None:
     command = [*JOINTPLAY, "serve", "--port", "0", "--data", str(tmp_path / "data"), "--catalogues", str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -344,4 +344,4 @@ def test_serve_runs_until_ctrl_c(tmp_path: Path) -> None:
         assert taken.returncode == 1
         assert "in use" in taken.stderr.splitlines()[-1]
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
+        assert process.wait(300) == 130

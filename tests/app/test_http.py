@@ -236,7 +236,7 @@ def refusal_of(server: str, header: str, body: bytes) -> bytes:
         f"POST {API}/measurements HTTP/1.1\r\nHost: localhost\r\n"
         f"Content-Type: multipart/form-data; boundary=x\r\n{header}\r\n\r\n"
     )
-    with socket.create_connection((url.host, url.port), timeout=20) as connection:
+    with socket.create_connection((url.host, url.port), timeout=300) as connection:
         connection.sendall(head.encode() + body)
         return connection.recv(65536)
 
@@ -404,7 +404,7 @@ def test_workers_that_loaded_models_beforehand_answer_the_same(
     assert tasks.warm([(str(folder), stamp_of(folder)), (str(tmp_path / "gone"), "")]) > 0
     with (
         serving(settings.model_copy(update={"data": tmp_path}), warm=True) as address,
-        httpx.Client(base_url=address, timeout=90) as warmed,
+        httpx.Client(base_url=address, timeout=300) as warmed,
     ):
         assert warmed.get("/readyz").status_code == 200
         sent = send(warmed, worn).json()
@@ -434,6 +434,6 @@ def hurried(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[s
 
 
 def test_work_that_takes_too_long_is_stopped(hurried: str, worn: bytes) -> None:
-    with httpx.Client(base_url=hurried, timeout=60) as client:
+    with httpx.Client(base_url=hurried, timeout=300) as client:
         assert_problem(send(client, worn, "worn.csv"), 504, "stopped after 0.2 s", "time-limit")
         assert client.get("/healthz").status_code == 200

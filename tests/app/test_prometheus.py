@@ -129,7 +129,7 @@ def test_a_database_that_is_gone_is_counted_as_such(tmp_path: Path) -> None:
     def gone(*_arguments: object) -> None:
         raise OperationalError("SELECT", {}, OSError("gone"))
 
-    with running(application) as address, httpx.Client(base_url=address, timeout=60) as client:
+    with running(application) as address, httpx.Client(base_url=address, timeout=300) as client:
         event.listen(application.state.service.store.database.engine, "before_cursor_execute", gone)
         found = asked(client)
     assert value(found, "database_up") == 0

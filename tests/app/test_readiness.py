@@ -30,7 +30,7 @@ def application(tmp_path: Path, data: Path) -> FastAPI:
 
 @pytest.fixture
 def client(application: FastAPI) -> Iterator[httpx.Client]:
-    with running(application) as address, httpx.Client(base_url=address, timeout=60) as found:
+    with running(application) as address, httpx.Client(base_url=address, timeout=300) as found:
         yield found
 
 

@@ -10,8 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
 HEADING = "## From nothing to a diagnosis over HTTP"
 
@@ -28,7 +26,6 @@ def test_there_are_five_commands() -> None:
     assert sum(command.startswith("curl ") for command in commands()) == 2
 
 
-@pytest.mark.timeout(480)
 def test_the_commands_of_the_readme_lead_to_a_diagnosis(tmp_path: Path) -> None:
     for entry in ROOT.iterdir():  # the checkout, without what was made in it
         if not entry.name.startswith(".") and entry.name != "build":

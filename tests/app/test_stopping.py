@@ -67,9 +67,9 @@ def test_what_runs_is_answered_and_streams_end(folder: Path, worn: bytes) -> Non
                 httpx.get(f"{running.address}/healthz")
             assert not answer.done()
             worker.resume()
-            response = answer.result(60)
+            response = answer.result(300)
         assert (response.status_code, rest[-1]) == (201, "")
-        assert running.process.wait(60) == 0
+        assert running.process.wait(300) == 0
     assert not psutil.pid_exists(worker.pid)
 
 
@@ -79,8 +79,8 @@ def test_what_takes_longer_than_the_limit_is_told(folder: Path, worn: bytes) -> 
         held(running, worn) as (worker, answer),
     ):
         running.process.send_signal(signal.SIGTERM)
-        response = answer.result(60)
-        assert running.process.wait(60) == 0
+        response = answer.result(300)
+        assert running.process.wait(300) == 0
     assert response.status_code == 503, response.text
     assert response.headers["retry-after"] == "5"
     assert response.json()["type"] == "urn:jointplay:problem:not-ready"
@@ -95,8 +95,8 @@ def test_a_build_is_given_back(folder: Path) -> None:
             next(line for line in stream.iter_lines() if '"running"' in line)
             children = psutil.Process(running.process.pid).children(recursive=True)
             os.kill(running.process.pid, signal.SIGTERM)
-            assert running.process.wait(60) == 0
-        assert psutil.wait_procs(children, 30)[1] == []
+            assert running.process.wait(300) == 0
+        assert psutil.wait_procs(children, 300)[1] == []
     with service_process(folder, builds="0") as running, client_of(running) as client:
         found = client.get(place).json()
     assert (found["state"], found["attempts"]) == ("queued", 0)

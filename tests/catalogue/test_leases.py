@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,7 +18,7 @@ from catalogue.errors import CatalogueFileError
 from catalogue.storage.database import VERSION_TABLE, Database, database_url
 from catalogue.storage.directory import CatalogueDirectory
 from catalogue.storage.index import EntriesPresentError, Index
-from catalogue.storage.leases import ChunkRow, ChunkStatus
+from catalogue.storage.leases import ChunkRow, ChunkStatus, Leases
 from catalogue.storage.location import IndexLocation
 from catalogue.storage.manifest import Manifest
 from catalogue.storage.shard import Shard
@@ -62,15 +61,20 @@ def test_two_builders_never_get_the_same_chunk(url: str, index: Index) -> None:
     assert {row.attempts for row in rows.values()} == {1}
 
 
-def test_lease_ends_unless_it_is_extended(index: Index) -> None:
+def test_lease_ends_unless_it_is_extended(index: Index, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Leases._now
+
+    def pass_until(seconds: float) -> None:
+        monkeypatch.setattr(Leases, "_now", lambda leases: clock(leases) + seconds)
+
     index.leases.plan(CHUNKS[:2], alone=True)
-    assert index.leases.claim("first", IDS[:1], 0.3) == {IDS[0]}
-    assert index.leases.claim("second", IDS[:2], 60) == {IDS[1]}
+    assert index.leases.claim("first", IDS[:1], 3000) == {IDS[0]}
+    assert index.leases.claim("second", IDS[:2], 60_000) == {IDS[1]}
     assert index.leases.states(IDS[:2]) == dict.fromkeys(IDS[:2], ChunkStatus.RUNNING)
-    index.leases.extend("first", 0.8)
-    time.sleep(0.4)
+    index.leases.extend("first", 8000)
+    pass_until(4000)
     assert index.leases.claim("second", IDS[:1], 60) == set()
-    time.sleep(0.6)
+    pass_until(10_000)
     assert index.leases.states(IDS[:2]) == {IDS[0]: ChunkStatus.PENDING, IDS[1]: ChunkStatus.RUNNING}
     assert index.leases.claim("third", IDS[:2], 60) == {IDS[0]}
     index.leases.extend("first", 60)  # too late: it is another's now

@@ -295,7 +295,7 @@ def test_a_process_that_does_nothing_at_all_is_killed_at_its_cap(monkeypatch: py
     stuck = cell.CELL._process
     os.kill(stuck.pid, signal.SIGSTOP)
     assert "NPZ file: its reader ended early" in refusal(npz(), "s.npz", limits=Limits(reader_seconds=0.1))
-    assert stuck.wait(30) == -signal.SIGKILL
+    assert stuck.wait(300) == -signal.SIGKILL
     assert held(read_measurement(npz(), name="s.npz"))
 
 

@@ -53,6 +53,20 @@ def test_other_content_is_another_file(cache: Path) -> None:
     assert len(list(cache.iterdir())) == 2
 
 
+def _compile_for(directory: str, name: str) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NUMBA_CPU_NAME", name)
+        patch.setenv("NUMBA_CPU_FEATURES", "")
+        return _compile_elsewhere(directory, 5.5)
+
+
+def test_another_processor_is_another_file(cache: Path) -> None:
+    """Each in a process of its own, which asks once what it compiles for."""
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        pool.starmap(_compile_for, [(str(cache.parent), name) for name in ("generic", "", "generic")], chunksize=1)
+    assert len(list(cache.iterdir())) == 2
+
+
 @pytest.mark.parametrize("damage", [b"", b"not an object file", None])
 def test_a_damaged_file_is_compiled_again(cache: Path, damage: bytes | None) -> None:
     code = _doubling(4.0)

@@ -53,7 +53,7 @@ class Cell:
         with self._lock:
             process = self._running()
             assert process.stdin is not None and process.stdout is not None
-            guard = threading.Timer(limits.reader_seconds + _GRACE, self._kill, [process])
+            guard = threading.Timer(limits.reader_clock_seconds + _GRACE, self._kill, [process])
             guard.start()
             try:
                 process.stdin.write(json.dumps(request).encode() + b"\n")
@@ -70,9 +70,9 @@ class Cell:
 
     def _judged(self, kind: Kind, head: dict[str, Any], body: bytes, source: str, limits: Limits) -> RawRecording:
         ended = head["signal"]
-        if ended == signal.SIGALRM:
-            rule = f"{kind.name} file: takes longer than {limits.reader_seconds:g} s to be read"
-            raise MeasurementError(source, rule=rule)
+        if ended in (signal.SIGPROF, signal.SIGALRM):
+            seconds = limits.reader_seconds if ended == signal.SIGPROF else limits.reader_clock_seconds
+            raise MeasurementError(source, rule=f"{kind.name} file: takes longer than {seconds:g} s to be read")
         if ended:
             name = signal.Signals(ended).name
             raise MeasurementError(source, rule=f"{kind.name} file: is damaged: its reader was ended by {name}")

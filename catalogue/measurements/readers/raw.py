@@ -27,7 +27,7 @@ class Limits:
     reader_memory : int
         Bytes that the process of a foreign reader may take beyond what it has before it sees the file.
     reader_seconds : float
-        Its time for one file.
+        Its time of a processor for one file; by the clock it may take ten times as long, as beside other work it does.
     """
 
     file_bytes: int = 200_000_000
@@ -36,6 +36,11 @@ class Limits:
     min_samples: int = 256
     reader_memory: int = 1_000_000_000
     reader_seconds: float = 20.0
+
+    @property
+    def reader_clock_seconds(self) -> float:
+        """Time by the clock after which a reader is ended even if it computes nothing."""
+        return 10.0 * self.reader_seconds
 
 
 @dataclass(frozen=True)

@@ -77,9 +77,11 @@ def answer_and_leave(asked: dict[str, Any], data: bytes, limits: Limits, file: A
 
 
 def restrict(limits: Limits) -> None:
-    """Limit memory (beyond what is taken now), processor time, size of files; end after the time by the clock."""
+    """Limit memory (beyond what is taken now), processor time, time by the clock, and size of files."""
+    signal.signal(signal.SIGPROF, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_PROF, limits.reader_seconds)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, limits.reader_seconds)
+    signal.setitimer(signal.ITIMER_REAL, limits.reader_clock_seconds)
     with contextlib.suppress(OSError, ValueError):
         with open("/proc/self/statm") as counted:
             taken = int(counted.read().split()[0]) * resource.getpagesize()
