@@ -10,7 +10,7 @@ import numpy as np
 
 from second_simulator.individual import Individual, log_uniform
 from second_simulator.machine import Body, Machine, Mount
-from second_simulator.process import constant_load, stroke_load
+from second_simulator.process import loaded
 from second_simulator.turning import Ripple
 
 Fault = Callable[[Individual, np.random.Generator], None]
@@ -73,14 +73,14 @@ def frame_mass(individual: Individual, draw: np.random.Generator) -> None:
 def load_constant(individual: Individual, draw: np.random.Generator) -> None:
     """A force of 60 to 150 N on the output."""
     force = float(draw.uniform(60, 150) * draw.choice([-1, 1]))
-    individual.machine = constant_load(individual.machine, force)
+    individual.machine = loaded(individual.machine, constant=force)
     individual.blame("load-constant", "", force, "N")
 
 
 def load_cyclic(individual: Individual, draw: np.random.Generator) -> None:
     """A force of 100 to 150 N against the output on one stroke."""
     force, sense = float(draw.uniform(100, 150)), int(draw.choice([-1, 1]))
-    individual.machine = stroke_load(individual.machine, force, sense)
+    individual.machine = loaded(individual.machine, stroke=force, sense=sense)
     individual.blame("load-cyclic", "", force, "N")
 
 

@@ -1,4 +1,4 @@
-"""The machine without play on a frame that stands still: places and velocities of all bodies at an angle of the drive."""
+"""The machine without play on a frame that stands still: where all bodies are at an angle of the drive."""
 
 from __future__ import annotations
 
@@ -65,26 +65,42 @@ class Ideal:
 
     def places(self, theta: float, near: Array) -> Array:
         """Coordinates (N, 3) at an angle, from coordinates nearby."""
+        return self._closed(theta, near)[0]
+
+    def _closed(self, theta: float, near: Array) -> tuple[Array, Array]:
+        """Coordinates at an angle, and the derivatives of the equations there."""
         q = near.copy()
         for _ in range(30):
             value, rows = self.equations(q, theta)
             if np.abs(value).max() < 1e-13:
-                return q
-            q -= np.linalg.lstsq(rows, value, rcond=None)[0].reshape(q.shape)
+                return q, rows
+            q -= _solved(rows, value).reshape(q.shape)
         raise ArithmeticError(f"{self.machine.name} does not close at {theta:.3f} rad")
 
     def velocities(self, q: Array, theta: float, speed: float) -> Array:
         """Velocities (N, 3) at a speed of the drive."""
-        value, rows = self.equations(q, theta)
-        wanted = np.zeros(len(value))
-        wanted[-4] = speed
-        return np.asarray(np.linalg.lstsq(rows, wanted, rcond=None)[0].reshape(q.shape))
+        _, rows = self.equations(q, theta)
+        return self._rates(rows, speed).reshape(q.shape)
+
+    def _rates(self, rows: Array, speed: float) -> Array:
+        wanted = np.zeros(len(rows))
+        wanted[-4] = speed  # the drive's row; the frame's three come last
+        return _solved(rows, wanted)
 
     def revolution(self, count: int) -> tuple[Array, Array]:
         """Places and velocities for a speed of 1 rad/s, each (count, N, 3), over one turn."""
-        q, places, rates = self.drawn, [], []
-        for theta in 2 * math.pi * np.arange(count) / count:
-            q = self.places(theta, q)
+        q, step, places, rates = self.drawn, 2 * math.pi / count, [], []
+        v = np.zeros_like(q)
+        for k in range(count):
+            q, rows = self._closed(k * step, q + step * v)
+            v = self._rates(rows, 1.0).reshape(q.shape)
             places.append(q)
-            rates.append(self.velocities(q, theta, 1.0))
+            rates.append(v)
         return np.array(places), np.array(rates)
+
+
+def _solved(rows: Array, wanted: Array) -> Array:
+    """Solution of all equations; of bodies that none of them holds, the least."""
+    if rows.shape[0] == rows.shape[1]:
+        return np.asarray(np.linalg.solve(rows, wanted))
+    return np.asarray(np.linalg.lstsq(rows, wanted, rcond=None)[0])

@@ -25,7 +25,7 @@ Shaking = Callable[["Individual", Array, np.random.Generator], Array]
 class Individual:
     """A machine of its own numbers, what is the matter with it, and the loggers' chain of its sensors.
 
-    ``causes`` are plain: name, target, size, unit. ``shaking`` is a force and torque (n, 3) on the frame at given times.
+    ``causes`` are plain: name, target, size, unit. ``shaking`` gives forces and torques (n, 3) on the frame at times.
     """
 
     filed: Machine
@@ -78,11 +78,11 @@ def scattered_contacts(machine: Machine, contact: Contact, draw: np.random.Gener
     return replace(machine, contacts=contacts)
 
 
-def erred(machine: Machine, draw: np.random.Generator, factor: float = 1.0) -> Machine:
+def erred(machine: Machine, draw: np.random.Generator) -> Machine:
     """The machine with numbers that a file has slightly wrong: frame 2 to 3 %, mounts 3 %, dampers 10 %, links 1 %."""
     bodies = {}
     for name, body in machine.bodies.items():
-        mass, inertia = (0.02 * factor, 0.03 * factor) if name == machine.frame else (0.01, 0.01)
+        mass, inertia = (0.02, 0.03) if name == machine.frame else (0.01, 0.01)
         bodies[name] = replace(
             body,
             mass=body.mass * math.exp(draw.normal(0, mass)),
@@ -90,7 +90,7 @@ def erred(machine: Machine, draw: np.random.Generator, factor: float = 1.0) -> M
         )
     mounts = []
     for mount in machine.mounts:
-        stiff, damp = np.exp(draw.normal(0, 0.03 * factor)), np.exp(draw.normal(0, 0.1 * factor))
+        stiff, damp = np.exp(draw.normal(0, 0.03)), np.exp(draw.normal(0, 0.1))
         stiffness = (mount.stiffness[0] * stiff, mount.stiffness[1] * stiff)
         mounts.append(replace(mount, stiffness=stiffness, damping=(mount.damping[0] * damp, mount.damping[1] * damp)))
     return replace(machine, bodies=bodies, mounts=tuple(mounts))

@@ -49,23 +49,17 @@ def output(machine: Machine) -> Output:
     return Output(body, end, across, rates[:, index[body], 2] * float(np.hypot(*arm)))
 
 
-def constant_load(machine: Machine, force: float) -> Machine:
-    """The machine with a force [N] on its output that always acts the same way along its path."""
-    found = output(machine)
-    table = np.column_stack([force * found.direction, np.zeros(TABLE)])
-    return replace(machine, loads=(*machine.loads, Load(found.body, found.at, table)))
+def loaded(machine: Machine, constant: float = 0.0, stroke: float = 0.0, sense: int = 1) -> Machine:
+    """The machine with forces [N] on its output.
 
-
-def stroke_load(machine: Machine, force: float, sense: int = 1) -> Machine:
-    """The machine with a force [N] that resists its output on one stroke: the forward one, or (sense -1) the other.
-
-    The tables are over the drive's angle; a drive that turns backwards has the same strokes at the same angles.
+    ``constant`` always acts the same way along its path; ``stroke`` resists it on the forward stroke, or (sense -1) on
+    the other, whichever way the drive turns.
     """
     found = output(machine)
     assert machine.drive is not None
     working = (found.speed * sense * math.copysign(1.0, machine.drive.speed) > 0).astype(float)
-    width = round(EDGE * TABLE)
-    window = np.hanning(width + 2)[1:-1]
+    window = np.hanning(round(EDGE * TABLE) + 2)[1:-1]
     soft = np.convolve(np.concatenate([working] * 3), window / window.sum(), mode="same")[TABLE : 2 * TABLE]
-    table = np.column_stack([-sense * force * soft[:, None] * found.direction, np.zeros(TABLE)])
+    force = constant - sense * stroke * soft
+    table = np.column_stack([force[:, None] * found.direction, np.zeros(TABLE)])
     return replace(machine, loads=(*machine.loads, Load(found.body, found.at, table)))

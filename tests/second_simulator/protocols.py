@@ -22,7 +22,7 @@ from second_simulator.individual import (
     scattered_contacts,
 )
 from second_simulator.machine import Machine
-from second_simulator.process import constant_load, stroke_load
+from second_simulator.process import loaded
 from second_simulator.turning import Ripple
 
 #: Random numbers that belong to given names and numbers.
@@ -93,8 +93,7 @@ def _ripples(individual: Individual, draw: np.random.Generator) -> None:
 def _cyclic_load(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
     _every_other(individual, number, draw, streams)
     force, part = float(draw.uniform(120, 150)), float(draw.uniform(0.1, 0.3))
-    machine = constant_load(individual.machine, -part * force)
-    individual.machine = stroke_load(machine, force, int(draw.choice([-1, 1])))
+    individual.machine = loaded(individual.machine, -part * force, force, int(draw.choice([-1, 1])))
     individual.notes["load_n"] = {"constant": -part * force, "stroke": force}
     _ripples(individual, draw)
 
@@ -105,7 +104,7 @@ def _other_cause(individual: Individual, number: int, draw: np.random.Generator,
 
 
 def _sensor_flaws(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
-    _every_other(individual, (number + 1) // 2, draw, streams)
+    _every_other(individual, number + (number - 1) // 4, draw, streams)
     one, other = (str(name) for name in draw.choice(list(individual.chain.gains), 2, replace=False))
     kind = ("swapped", "inverted", "dead", "half")[(number - 1) % 4]
     flaws = {one: other, other: one} if kind == "swapped" else {one: kind}
@@ -114,8 +113,9 @@ def _sensor_flaws(individual: Individual, number: int, draw: np.random.Generator
 
 
 def _drop_outs(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
-    _every_other(individual, number, draw, streams)
-    short = (number - 1) // 2 % 2 == 0
+    fours = (number - 1) // 4
+    _every_other(individual, number + fours, draw, streams)
+    short = ((number - 1) // 2 + fours) % 2 == 0
     if short:
         individual.longest = 3.0
     kind = ("rows", "nan", "held", "zero")[(number - 1) % 4]
@@ -124,11 +124,14 @@ def _drop_outs(individual: Individual, number: int, draw: np.random.Generator, s
 
 def _model_errors(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
     _worn(2)(individual, number, draw, streams)
-    machine = scattered_contacts(erred(individual.filed, draw, 2.5), drawn_contact(draw, 1.6), draw)
+    machine = scattered_contacts(erred(individual.filed, draw), drawn_contact(draw, 1.6), draw)
+    frame, (heavier, lazier) = machine.bodies[machine.frame], draw.uniform(0.9, 1.1, 2)
+    machine = machine.with_body(machine.frame, mass=frame.mass * heavier, inertia=frame.inertia * lazier)
     for place in range(len(machine.mounts)):
         machine = soften(machine, place, float(draw.uniform(0.9, 1.1)))
-    machine = constant_load(machine, float(draw.uniform(-40, 40)))
-    individual.machine = stroke_load(machine, float(draw.uniform(0, 60)), int(draw.choice([-1, 1])))
+    constant, stroke = float(draw.uniform(-40, 40)), float(draw.uniform(0, 60))
+    individual.machine = loaded(machine, constant, stroke, int(draw.choice([-1, 1])))
+    individual.notes["load_n"] = {"constant": constant, "stroke": stroke}
     gains = {name: float(1 + draw.uniform(-0.1, 0.1)) for name in individual.chain.gains}
     individual.chain = replace(individual.chain, gains=gains)
     _ripples(individual, draw)
