@@ -1,0 +1,34 @@
+"""``python -m second_simulator --protocol singles --machine four-bar --count 12 --out recordings``: make recordings.
+
+What is there already is kept, so that the same command goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from second_simulator.machine_file import read
+from second_simulator.protocols import PROTOCOLS
+from second_simulator.recording import write
+
+
+def main() -> None:
+    """Write recordings and their truth."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--protocol", choices=[*PROTOCOLS], required=True)
+    parser.add_argument("--machine", required=True, help="name of a shipped machine, or a machine file")
+    parser.add_argument("--count", type=int, default=1, help="recordings; of growing wear, 16 are a series")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    machine = read(given.machine)
+    for number in range(1, given.count + 1):
+        began = time.perf_counter()
+        name, made = write(machine, given.protocol, number, given.seed, given.out)
+        print(f"{name}: {f'{time.perf_counter() - began:.1f} s' if made else 'kept'}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

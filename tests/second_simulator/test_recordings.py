@@ -1,0 +1,168 @@
+"""Recordings: repeatable, converged in their step, like those of a third simulator, and what their protocols say."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import TRUTH, unpacked
+
+from second_simulator import recording
+from second_simulator.individual import Individual, drawn_individual
+from second_simulator.machine import Array, Contact, Sensor
+from second_simulator.machine_file import read
+from second_simulator.orders import order_levels
+from second_simulator.protocols import GROWN, PROTOCOLS, individual_of
+from second_simulator.sensors import FINE_RATE, RATE, Chain, decimated, logged, point_accelerations
+from second_simulator.simulation import run
+
+MACHINES = ("slider-crank", "four-bar", "quick-return")
+
+
+def of(machine: str, protocol: str, number: int = 1, seed: int = 1) -> Individual:
+    """The individual machine of a recording."""
+    return individual_of(
+        read(machine), protocol, number, lambda *parts: recording.stream(seed, machine, protocol, *parts)
+    )
+
+
+def frame_levels(individual: Individual, steps: int) -> Array:
+    made = run(individual, recording.stream("levels"), steps)
+    accelerations = np.diff(made.motion[:, 3:], axis=0) * FINE_RATE
+    return order_levels(accelerations, FINE_RATE, individual.speed / (2 * math.pi))
+
+
+def test_levels_do_not_change_with_half_the_step() -> None:
+    individual = replace(of("slider-crank", "sound"), revolutions=15.0)
+    individual.wear({"B": 3e-4})
+    assert np.abs(frame_levels(individual, 20) - frame_levels(individual, 10)).mean() < 0.1
+
+
+@pytest.mark.parametrize("name", ["slider-crank-02", "four-bar-04"])
+def test_recordings_are_like_those_of_a_third_simulator(name: str) -> None:
+    # Its joints that are not worn are ideal: very stiff contacts with hardly any play stand for them.
+    truth = TRUTH[name]
+    filed = read(truth["machine"])
+    law = truth["contact"]
+    worn = Contact("hertz", law["stiffness"], restitution=law["damping_or_restitution"], friction=law["friction"])
+    ideal = Contact("linear", 5e8, 6e3, friction=0.0)
+    machine = replace(filed, contacts={pin: worn if pin in truth["worn_um"] else ideal for pin in filed.pins})
+    names, speed = [sensor.name for sensor in filed.sensors], truth["speed_rpm"] * math.pi / 30
+    individual = Individual(
+        filed=filed,
+        machine=machine,
+        clearances={pin: 1e-6 * truth["worn_um"].get(pin, 1.0) for pin in filed.pins},
+        speed=speed,
+        wander=np.zeros((0, 3)),
+        chain=Chain(dict.fromkeys(names, 1.0), 1e-4, 0.0, 0.0),
+        revolutions=20.0,
+    )
+    columns, _ = recording.recorded(individual, recording.stream("third"), 20)
+    mine = np.column_stack([columns[each] for each in names])
+    theirs = np.genfromtxt(io.BytesIO(unpacked(f"{name}.csv")), delimiter=",", skip_header=1)[:, 1:] / truth["gain"]
+    turns = speed / (2 * math.pi)
+    away = order_levels(mine, RATE, turns) - order_levels(theirs, RATE, turns)
+    assert np.median(np.abs(away)) < 0.7
+    assert np.quantile(np.abs(away), 0.9) < 2.5
+
+
+def test_same_seed_same_recording_and_what_is_there_is_kept(tmp_path: Path) -> None:
+    machine = read("slider-crank")
+    for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
+        assert recording.write(machine, "singles", 1, seed, tmp_path / folder) == ("slider-crank-singles-01", True)
+    a, b, c = (dict(np.load(tmp_path / folder / "slider-crank-singles-01.npz")) for folder in "abc")
+    assert list(a) == ["units", "time", *(sensor.name for sensor in machine.sensors)]
+    assert all(np.array_equal(a[key], b[key]) for key in a)
+    assert not np.array_equal(a["s1-x"][:1000], c["s1-x"][:1000])
+    truth = json.loads((tmp_path / "a" / "truth.json").read_text())["slider-crank-singles-01"]
+    assert len(truth["worn_um"]) == 1
+    assert truth["duration_s"] == pytest.approx(40 * 60 / truth["speed_rpm"], rel=0.03)
+    assert recording.write(machine, "singles", 1, 1, tmp_path / "a") == ("slider-crank-singles-01", False)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_protocols_are_what_they_say(machine: str, protocol: str) -> None:
+    counts = {"singles": 1, "pairs": 2, "triples": 3, "beyond-range": 1, "growing": 1, "disturbed-worn": 1}
+    for number in range(1, 6):
+        found = of(machine, protocol, number)
+        sound = {name: each for name, each in found.clearances.items() if name not in found.worn}
+        assert all(3e-6 <= each <= 15e-6 for each in sound.values())
+        assert abs(found.speed / read(machine).drive.speed - 1) <= 0.02  # type: ignore[union-attr]
+        if protocol in counts:
+            assert len(found.worn) == counts[protocol]
+        if protocol in ("singles", "pairs", "triples"):
+            assert all(80e-6 <= each <= 800e-6 for each in found.worn.values())
+        if protocol in ("sound", "disturbed-sound", "other-cause"):
+            assert not found.worn
+        assert bool(found.causes) == (protocol in ("other-cause", "sensor-flaws"))
+        assert bool(found.disturbance) == protocol.startswith("disturbed")
+
+
+def test_eight_causes_come_in_eight_recordings() -> None:
+    names = {of("four-bar", "other-cause", number).causes[0]["name"] for number in range(1, 9)}
+    wanted = {"mount", "mounts", "unbalance", "mass", "load-constant", "load-cyclic", "mode", "ripple"}
+    assert names == wanted
+
+
+def test_growing_wear_is_of_one_machine() -> None:
+    series = [of("four-bar", "growing", number) for number in range(1, GROWN + 1)]
+    assert len({tuple(each.worn) for each in series}) == 1
+    assert len({each.machine.contacts["O"].stiffness for each in series}) == 1
+    sizes = [next(iter(each.worn.values())) for each in series]
+    assert sizes[0] == pytest.approx(25e-6)
+    assert sizes[-1] == pytest.approx(600e-6)
+    assert all(low < high for low, high in pairwise(sizes))
+    assert len({each.speed for each in series}) == GROWN
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4])
+def test_disturbances_shake_the_frame(number: int) -> None:
+    found = of("quick-return", "disturbed-sound", number)
+    assert found.shaking is not None
+    shaking = found.shaking(found, np.arange(50_000) / FINE_RATE, recording.stream("shaking"))
+    assert shaking.shape == (50_000, 3)
+    assert np.isfinite(shaking).all()
+    assert shaking[:, :2].std() > 0.1
+
+
+def test_a_sensor_feels_where_it_sits() -> None:
+    machine = replace(read("slider-crank"), sensors=(Sensor("r", (0.2, -0.1), (1.0, 0.0)),))
+    t, spin = np.arange(2000) / FINE_RATE, 3.0
+    motion = np.column_stack([0 * t, 0 * t, spin * t, 0 * t, 0 * t, spin + 0 * t])
+    # Towards the centre, along an axis that turns with the frame.
+    assert point_accelerations(machine, motion, FINE_RATE)["r"] == pytest.approx(-0.2 * spin**2, rel=1e-5)
+
+
+def test_what_would_alias_is_filtered() -> None:
+    t = np.arange(50_000) / FINE_RATE
+    low, high = (decimated(np.sin(2 * math.pi * f * t))[200:-200] for f in (3000.0, 6000.0))
+    assert low == pytest.approx(np.sin(2 * math.pi * 3000.0 * np.arange(10_000) / RATE)[200:-200], abs=1e-3)
+    assert np.abs(high).max() < 1e-3
+
+
+def test_flaws_and_clipping() -> None:
+    draw = recording.stream("flaws")
+    names = [sensor.name for sensor in read("four-bar").sensors]
+    clean = {name: (1 + k) * np.sin(np.arange(20_000) * 0.1) for k, name in enumerate(names)}
+    plain = Chain(dict.fromkeys(names, 1.0), 1e-3, 0.0, 0.0)
+    flaws = {"s1-x": "s1-y", "s1-y": "s1-x", "s2-x": "inverted", "s2-y": "dead"}
+    found = logged(clean, replace(plain, flaws=flaws), draw)
+    assert found["s1-x"] == pytest.approx(clean["s1-y"], abs=0.01)
+    assert found["s2-x"] == pytest.approx(-clean["s2-x"], abs=0.01)
+    assert np.abs(found["s2-y"]).max() < 0.01
+    clipped = logged(clean, replace(plain, clipped=0.05), draw)
+    assert np.mean(np.abs(clipped["s2-y"]) >= 0.999 * np.abs(clipped["s2-y"]).max()) > 0.1
+
+
+def test_individuals_differ() -> None:
+    machine = read("four-bar")
+    one, other = (drawn_individual(machine, recording.stream(seed)) for seed in (1, 2))
+    assert one.machine.bodies["frame"].mass != other.machine.bodies["frame"].mass
+    assert one.machine.bodies["frame"].mass == pytest.approx(20.0, rel=0.1)
