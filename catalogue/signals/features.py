@@ -21,6 +21,7 @@ from catalogue.signals.noise import NoiseFloor, noise_floor
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.recipe_steps import RecipeStep
 from catalogue.signals.resampling import WANDER, at_mean_speed
+from catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
 from catalogue.signals.sensors import SensorMap, map_sensors, without_columns
 from catalogue.signals.spectrum_features import prepare_spectrum
 from catalogue.signals.steadiness import LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
@@ -124,6 +125,8 @@ def prepare(
     bands = band_matrix(even, rate, estimate.speed, scheme, channels=sensing.sensors, derivatives=derivatives)
     edges = scheme.edges_hz(estimate.speed)
     cuts = usable_cuts(scheme, estimate.speed, rate)
+    flaws = find_sensor_flaws(sensing, bands, floor)
+    warnings += [flaw.text for flaw in flaws]
     if round(revolutions) < FEW_REVOLUTIONS:
         warnings.append(f"only {revolutions:.1f} revolutions: results are less certain below {FEW_REVOLUTIONS:g}")
     if abs(estimate.speed / abs(nominal) - 1.0) > FAR_FROM_NOMINAL:
@@ -161,6 +164,7 @@ def prepare(
             found=f"{bands.segments} windows; {', '.join(sensing.compared)} in {len(cuts) - 1} bands"
             f" up to {edges[cuts[-1]]:.4g} Hz",
         ),
+        RecipeStep(name="sensors checked", version="1", parameters={}, found=_flaws_note(flaws, sensing)),
     )
     notes = [*measurement.import_report, steps[2].found]
     notes += [
@@ -186,6 +190,7 @@ def prepare(
         warnings=tuple(warnings),
         notes=tuple(notes),
         steps=steps,
+        flaws=flaws,
     )
 
 
@@ -266,6 +271,14 @@ def _floor_note(floor: NoiseFloor, sensing: SensorMap) -> str:
         ]
         text += f" but for {', '.join(standing)}"
     return text
+
+
+def _flaws_note(flaws: tuple[SensorFlaw, ...], sensing: SensorMap) -> str:
+    if flaws:
+        return "; ".join(flaw.text for flaw in flaws)
+    if np.linalg.matrix_rank(sensing.transform) < len(sensing.sensors):
+        return "agree as parts of one rigid frame"
+    return "no more than the motions they see: nothing to check them by"
 
 
 def _refuse_short(name: str, duration: float, speed: float, allowance: float = 0.0) -> float:

@@ -19,6 +19,7 @@ from catalogue.measurements.drivespeed import SpeedEstimate
 from catalogue.signals.hum import SteadyLine
 from catalogue.signals.noise import NoiseFloor
 from catalogue.signals.recipe_steps import RecipeStep
+from catalogue.signals.sensor_flaws import SensorFlaw
 from catalogue.signals.sensors import SensorMap
 from catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, joined
 from solver.spectra.band_power import BandMatrix, transform_power
@@ -56,6 +57,8 @@ class PreparedMeasurement:
         What was understood and done, without alarm.
     steps : tuple of RecipeStep
         What was done, in order.
+    flaws : tuple of SensorFlaw
+        Sensors that cannot be as the machine file has them. Nothing was corrected: levels are as recorded.
     """
 
     name: str
@@ -70,6 +73,7 @@ class PreparedMeasurement:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     steps: tuple[RecipeStep, ...]
+    flaws: tuple[SensorFlaw, ...] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -15,7 +15,8 @@ class RecipeStep(BaseModel):
     Parameters
     ----------
     name : str
-        "sensors", "steady part", "drive speed", "hum", "noise floor", "angular resampling", "bands", "gains".
+        "sensors", "steady part", "drive speed", "hum", "noise floor", "angular resampling", "bands",
+        "sensors checked", "gains".
     version : str
         Raised when the step would do something else with the same recording.
     parameters : mapping of str to number or str

@@ -366,6 +366,7 @@ def test_dropouts_are_passed_by(machine: Machine) -> None:
 def test_the_recipe_is_kept_in_order(machine: Machine) -> None:
     prepared = prepare(recorded(at_sensors(machine, frame_motion())), machine)
     names = ["sensors", "steady part", "drive speed", "hum", "noise floor", "angular resampling", "bands"]
+    names.append("sensors checked")
     assert [step.name for step in prepared.steps] == names
     assert all(step.version and step.found and "\n" not in step.found for step in prepared.steps)
     assert prepared.steps[0].found == f"columns {', '.join(NAMES)} as {', '.join(NAMES)}"
