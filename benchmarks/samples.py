@@ -7,7 +7,7 @@ Files in other clothes (WAV, UFF, MAT, TDMS, decimal commas, a spectrum) stand b
 the plain one does.
 
 Exit status 1 where a rule is broken: every single worn joint is the first hypothesis, the joints of double faults are
-within the first two, a loosened mount is unknown, healthy machines are healthy.
+within the first two, a loosened mount is a change or unknown, machines in order are in order.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ def is_right(truth: Mapping[str, Any], answer: Diagnosis) -> bool:
     """Say whether an answer keeps the rules above."""
     worn = frozenset(truth["worn_um"])
     if truth["other_cause"]:
-        return answer.verdict == "unknown"
+        return answer.verdict in ("changed", "unknown")
     if not worn:
-        return answer.verdict == "healthy"
+        return answer.verdict == "in_order"
     if len(worn) == 1:
-        return answer.verdict == "fault" and frozenset(answer.hypotheses[0].joints) == worn
+        return answer.verdict == "worn" and frozenset(answer.hypotheses[0].joints) == worn
     named = [frozenset(hypothesis.joints) for hypothesis in answer.hypotheses[:2]]
-    return answer.verdict == "fault" and worn <= frozenset().union(*named)
+    return answer.verdict == "worn" and worn <= frozenset().union(*named)
 
 
 def judged(catalogues: Path, machine: str | None, effort: Effort, mode: ModeAsked) -> list[Judged]:
@@ -102,7 +102,7 @@ def row(item: Judged) -> tuple[str, ...]:
     trusted = answer.mode.trusted_p_value
     return (
         item.name,
-        worn or truth["other_cause"] or "healthy",
+        worn or truth["other_cause"] or "in order",
         truth["contact"]["law"],
         "yes" if item.right else "NO",
         answer.verdict,
