@@ -23,7 +23,6 @@ from catalogue.diagnosing.answer import (
 from catalogue.diagnosing.baseline import fit_baseline
 from catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
 from catalogue.diagnosing.evidence import (
-    edge_warnings,
     evidence,
     hypothesis_shown,
     number_warnings,
@@ -31,10 +30,11 @@ from catalogue.diagnosing.evidence import (
     speed_warnings,
     suggestions_shown,
 )
+from catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from catalogue.diagnosing.known_machine import KnownMachine
 from catalogue.diagnosing.separation import suggest
 from catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
-from catalogue.diagnosing.verdict import judged
+from catalogue.diagnosing.verdict import causes_shown, judged, needs_cause
 from catalogue.errors import DiagnosisError
 from catalogue.matching.gaussian import GaussianAlongClearance
 from catalogue.matching.libraries import library_of
@@ -218,8 +218,9 @@ def answer(
         without=without,
         most=most,
     )
-    p_value, verdict = judged(result, question.coverage)
-    trusted_p = result.p_value if result.mode == "trusted" else result.trusted_p_value
+    trusted_p = result.trusted_p_value
+    causes = causes_shown(prepared, catalogue, result) if needs_cause(result) else ()
+    p_value, verdict = judged(result, question.coverage, causes)
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and matcher is None:
         if verdict == "unknown":
@@ -235,19 +236,19 @@ def answer(
             )
             result = refined.result
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
-            p_value, verdict = judged(result, question.coverage)
+            p_value, verdict = judged(result, question.coverage, causes)
     candidates = result.set(question.coverage)
     method = matcher or GaussianAlongClearance()
     warnings = [
         *prepared.warnings,
         *speed_warnings(prepared, catalogue),
-        *edge_warnings(result, catalogue),
+        *edge_warnings(result.best, catalogue),
         *result.notes,
         *(known.baseline.warnings if known else ()),
         # Entries count by how near they are to the machine's numbers: then some have to be near.
         *(number_warnings(known.baseline, catalogue) if known and weights is not None else ()),
     ]
-    unclear = suggesting and verdict != "unknown" and result.best.probability < CLEAR
+    unclear = suggesting and verdict in ("worn", "in_order") and result.best.probability < CLEAR
     provenance = Provenance(
         measurement=prepared.name,
         measurement_sha256=sha256,
@@ -278,7 +279,10 @@ def answer(
         "effort_spent": spent,
         "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=trusted_p),
         "verdict": verdict,
+        "joints": joint_states(result, catalogue, question.coverage),
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
+        "causes": causes,
+        "sensors": (),
         "joint_probabilities": result.joint_probabilities(),
         "candidate_set": candidates.labels,
         "coverage": candidates.coverage,

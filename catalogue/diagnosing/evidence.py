@@ -14,7 +14,6 @@ from catalogue.signals.features import PreparedMeasurement
 from catalogue.storage.store import Catalogue
 
 __all__ = [
-    "edge_warnings",
     "evidence",
     "hypothesis_shown",
     "number_warnings",
@@ -22,9 +21,6 @@ __all__ = [
     "speed_warnings",
     "suggestions_shown",
 ]
-
-EDGE = 0.02
-"""Share of the catalogue's clearance range, at either end, in which an estimate is warned of."""
 
 
 def hypothesis_shown(match: HypothesisMatch) -> Hypothesis:
@@ -110,24 +106,4 @@ def number_warnings(baseline: Baseline, catalogue: Catalogue) -> list[str]:
                 f"baseline: {name}, {estimate.factor:.3g} times the file's, lies outside the catalogue's"
                 f" {min(drawn):.3g} to {max(drawn):.3g}"
             )
-    return warnings
-
-
-def edge_warnings(result: MatchResult, catalogue: Catalogue) -> list[str]:
-    """Warn of clearances at the ends of what the catalogue holds."""
-    span = catalogue.matrix.ranges.clearance.get(result.best.label)
-    if span is None:
-        return []
-    low, high = math.log(span[0]), math.log(span[1])
-    margin = EDGE * (high - low)
-    warnings = []
-    for found in result.best.clearances:
-        # What was simulated anew may have an interval that goes beyond them.
-        for bound, beyond, inside in (
-            (low, "smallest", math.log(found.low) - low),
-            (high, "largest", high - math.log(found.high)),
-        ):
-            if inside <= margin:
-                um = 1e6 * math.exp(bound)
-                warnings.append(f"clearance of {found.joint} reaches the catalogue's {beyond}, {um:.3g} um")
     return warnings

@@ -14,6 +14,7 @@ from catalogue.matching.conformal import Conformal
 from catalogue.matching.curves import CurveModel, averaged
 from catalogue.matching.matcher import FloatArray, IntArray, TrainingSet
 from catalogue.matching.network import Opinion
+from catalogue.matching.sightings import Sightings
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class Calibration:
         Per hypothesis: how much rather a machine seems to differ from its file; empty where no network says so.
     share : float
         Exponent of a network's opinion beside them, whose own is 1 / `temperature`; 0 where there is none.
+    sightings : Sightings
+        What was seen of each joint; None where the clearances of the draws are not known.
     """
 
     temperature: float
@@ -42,6 +45,7 @@ class Calibration:
     conformal: Conformal
     share: float = 0.0
     doubts: tuple[Tail, ...] = ()
+    sightings: Sightings | None = None
 
 
 def calibrated(
@@ -54,6 +58,7 @@ def calibrated(
     evidence: list[FloatArray] = []
     opinions: list[FloatArray] = []
     truth: list[IntArray] = []
+    worn: list[FloatArray] = []
     distances: list[list[FloatArray]] = []
     orders: list[list[FloatArray]] = []
     doubts: list[list[FloatArray]] = []
@@ -83,6 +88,7 @@ def calibrated(
         if opinion is not None:
             opinions.append(opinion.log_evidences(features, held.labels))
         truth.append(index)
+        worn.append(_worn(held))
     stacked = np.concatenate(truth)
     weights = row_weights(stacked)
     joined = np.concatenate(evidence)
@@ -102,7 +108,22 @@ def calibrated(
         Conformal.fit(posterior, stacked, weights),
         share,
         () if witness is None else tuple(Tail.of(np.concatenate(values)) for values in doubts),
+        Sightings.of(
+            held.joints, [draws.joints for draws in held.hypotheses], np.concatenate(worn), posterior, weights
+        ),
     )
+
+
+def _worn(held: TrainingSet) -> FloatArray:
+    """Logarithm of the clearance (m, joints) of each joint that is worn in each row, NaN where it is not."""
+    found = np.full((sum(len(draws.features) for draws in held.hypotheses), len(held.joints)), np.nan)
+    begin = 0
+    for draws in held.hypotheses:
+        end = begin + len(draws.features)
+        for column, joint in zip(draws.log_clearance.T, draws.joints, strict=False):
+            found[begin:end, held.joints.index(joint)] = column
+        begin = end
+    return found
 
 
 def _clearance_temperature(own: Sequence[tuple[FloatArray, IntArray]]) -> float:

@@ -90,7 +90,7 @@ class GaussianAlongClearance:
     ridge: float = 0.05
     fold_count: int = 4
     name: str = field(default="gaussian-along-clearance", init=False)
-    version: str = field(default="5", init=False)
+    version: str = field(default="6", init=False)
 
     def fit(
         self,
@@ -177,8 +177,9 @@ def _estimate(joint: str, axis: FloatArray, density: FloatArray) -> ClearanceEst
     step = axis[1] - axis[0]
     edges = np.clip(np.r_[axis - 0.5 * step, axis[-1] + 0.5 * step], axis[0], axis[-1])
     cumulated = np.r_[0.0, np.cumsum(density)]
-    low, median, high = np.exp(np.interp([0.05, 0.5, 0.95], cumulated / cumulated[-1], edges))
-    return ClearanceEstimate(joint, float(median), float(low), float(high))
+    cumulated /= cumulated[-1]
+    low, median, high = np.exp(np.interp([0.05, 0.5, 0.95], cumulated, edges))
+    return ClearanceEstimate(joint, float(median), float(low), float(high), (edges, cumulated))
 
 
 @dataclass(frozen=True)
@@ -247,7 +248,7 @@ class FittedGaussian:
                     curve.full.spread_at(best)[0],
                 )
             )
-        return ranked(matches, self.calibration.conformal)
+        return ranked(matches, self.calibration.conformal, self.calibration.sightings)
 
     def _clearances(self, curve: Curve, likelihood: FloatArray) -> tuple[ClearanceEstimate, ...]:
         axes = curve.grid.axes

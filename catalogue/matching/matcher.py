@@ -8,20 +8,25 @@ every hypothesis is, with which clearance, and whether any of them explains the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from catalogue.errors import MatchingError
 from catalogue.matching.conformal import CandidateSet, Conformal
+from catalogue.matching.sightings import Sightings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 HEALTHY = "healthy"
+
+NORMAL_90 = 1.645
+"""Half the width of a central 90 % interval, in standard deviations of a normal law."""
 
 Mode = Literal["trusted", "robust"]
 """How far a model is believed: as simulated, or with everything that may differ in the real machine."""
@@ -134,6 +139,11 @@ class TrainingSet:
         return tuple(draws.label for draws in self.hypotheses)
 
     @property
+    def joints(self) -> tuple[str, ...]:
+        """All joints that a hypothesis names, in alphabetical order."""
+        return tuple(sorted({joint for draws in self.hypotheses for joint in draws.joints}))
+
+    @property
     def length(self) -> int:
         """Number of features d."""
         return int(self.hypotheses[0].features.shape[1])
@@ -159,12 +169,31 @@ class TrainingSet:
 
 @dataclass(frozen=True)
 class ClearanceEstimate:
-    """Posterior of one joint's radial clearance, m: median and central 90 % interval."""
+    """Posterior of one joint's radial clearance, m: median and central 90 % interval.
+
+    Parameters
+    ----------
+    joint : str
+    median, low, high : float
+    course : (ndarray, ndarray), optional
+        ln(clearance) in rising order, and the probability below each; log-normal halves on either side of the median
+        unless given.
+    """
 
     joint: str
     median: float
     low: float
     high: float
+    course: tuple[FloatArray, FloatArray] | None = field(default=None, compare=False, repr=False)
+
+    def below(self, log_clearance: FloatArray) -> FloatArray:
+        """Return the probability (n,) of a clearance smaller than each, given by its logarithm."""
+        if self.course is not None:
+            return np.asarray(np.interp(log_clearance, *self.course, left=0.0, right=1.0))
+        away = log_clearance - np.log(self.median)
+        lower, upper = np.log(self.median / self.low), np.log(self.high / self.median)
+        found: FloatArray = ndtr(NORMAL_90 * away / np.maximum(np.where(away < 0.0, lower, upper), 1e-9))
+        return found
 
 
 @dataclass(frozen=True)
@@ -209,11 +238,13 @@ class MatchResult:
     mode : {"trusted", "robust"}
         How the draws it learned from were made.
     trusted_p_value : float, optional
-        Where the trusted mode was tried first and did not explain the measurement: its p-value.
+        P-value in the trusted mode, where it was tried.
     notes : tuple of str
         What was done, and what is doubtful, in words.
     network : str, optional
         SHA-256 of the network whose opinion counted, too.
+    sightings : Sightings, optional
+        What held-out draws showed of each joint.
     """
 
     hypotheses: tuple[HypothesisMatch, ...]
@@ -222,11 +253,17 @@ class MatchResult:
     trusted_p_value: float | None = None
     notes: tuple[str, ...] = ()
     network: str | None = None
+    sightings: Sightings | None = None
 
     @property
     def best(self) -> HypothesisMatch:
         """The most probable hypothesis."""
         return self.hypotheses[0]
+
+    @property
+    def p_worn(self) -> float:
+        """Probability that any joint is worn."""
+        return min(1.0, sum(match.probability for match in self.hypotheses if match.joints))
 
     @property
     def p_value(self) -> float:
@@ -296,6 +333,9 @@ class Matcher(Protocol):
         """Learn a training set."""
 
 
-def ranked(matches: Sequence[HypothesisMatch], conformal: Conformal | None = None) -> MatchResult:
+def ranked(
+    matches: Sequence[HypothesisMatch], conformal: Conformal | None = None, sightings: Sightings | None = None
+) -> MatchResult:
     """Sort hypotheses by falling probability; equal ones keep their order."""
-    return MatchResult(tuple(sorted(matches, key=lambda match: -match.probability)), conformal)
+    hypotheses = tuple(sorted(matches, key=lambda match: -match.probability))
+    return MatchResult(hypotheses, conformal, sightings=sightings)

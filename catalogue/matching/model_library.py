@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from catalogue.errors import DiagnosisError
+from catalogue.matching.blending import blended
 from catalogue.matching.coherence import with_more_noise
 from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
 from catalogue.matching.learning import Learning, rows_of, training_set
@@ -35,7 +36,7 @@ LOADED = 4
 """Models read from files at once when a server starts: two modes at two steps of noise, some 100 MB."""
 
 DOUBTED_BELOW = 0.05
-"""P-value of the trusted mode below which the robust one answers."""
+"""P-value of the trusted mode below which the robust one has a say."""
 
 
 class ModelLibrary:
@@ -95,7 +96,7 @@ class ModelLibrary:
             ``fast`` looks up the model of the next higher noise step. ``standard`` refits the hypotheses it leaves open
             to the recording's noise; ``thorough`` does the same here (what it does beyond is no matter of models).
         mode : {"auto", "trusted", "robust"}
-            ``auto`` trusts the model unless the recording then has a p-value below 0.05.
+            ``auto`` trusts the model unless the recording then has a p-value below 0.05; both modes are then heard.
         speed : float, optional
             Drive speed, rad/s: which entries are used where the catalogue has several speeds.
         matcher : Matcher, optional
@@ -124,13 +125,13 @@ class ModelLibrary:
         # On one thread: the matrices are small, and threads that wait for each other cost eleven times the time of the
         # sums they share (measured on two busy cores: 11 s against 1 s).
         with _libraries().limit(limits=1, user_api="blas"):
-            if mode != "auto":
+            if mode == "robust":
                 return self._answer(question, effort, Learning.of(mode, without=without, most=most), matcher)
             trusted = self._answer(question, effort, Learning.of("trusted", without=without, most=most), matcher)
-            if trusted.p_value >= DOUBTED_BELOW:
-                return trusted
+            if mode == "trusted" or trusted.p_value >= DOUBTED_BELOW:
+                return replace(trusted, trusted_p_value=trusted.p_value)
             robust = self._answer(question, effort, Learning.of("robust", without=without, most=most), matcher)
-        return replace(robust, trusted_p_value=trusted.p_value)
+        return blended(trusted, robust)
 
     def fitted(
         self,

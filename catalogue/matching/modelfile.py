@@ -18,10 +18,11 @@ from catalogue.matching.curve_calibration import Calibration
 from catalogue.matching.curves import Curve, CurveModel
 from catalogue.matching.gaussian import FittedGaussian
 from catalogue.matching.network import Network, Opinion
+from catalogue.matching.sightings import Sightings
 from catalogue.matching.tube import ClearanceGrid, Tube
 from catalogue.storage.directory import publish
 
-FORMAT = 4
+FORMAT = 5
 """Of the files; others are fitted anew."""
 
 KEPT = 16
@@ -29,8 +30,8 @@ KEPT = 16
 
 _TYPES = {
     kind.__name__: kind
-    for kind in (FittedGaussian, CurveModel, Curve, ClearanceGrid, Tube, Calibration, Tail, Conformal, Network, Opinion)
-}
+    for kind in (FittedGaussian, CurveModel, Curve, ClearanceGrid, Tube, Calibration, Tail, Conformal, Sightings)
+} | {kind.__name__: kind for kind in (Network, Opinion)}
 
 
 def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:

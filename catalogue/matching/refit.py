@@ -96,4 +96,6 @@ def merged(first: MatchResult, refitted: MatchResult) -> MatchResult:
         replace(again[match.label], probability=mean[match.label] * scale) if match.label in again else match
         for match in first.hypotheses
     ]
-    return replace(ranked(matches, refitted.conformal), mode=first.mode, notes=first.notes, network=first.network)
+    # What can be seen of a joint is known of all hypotheses, not only of those that were refitted.
+    found = ranked(matches, refitted.conformal, first.sightings)
+    return replace(found, mode=first.mode, notes=first.notes, network=first.network)

@@ -130,13 +130,15 @@ class _Drawing:
             spread = {path: number for path, number in spread.items() if path not in SHARED}
         laws = plan.law_weights(self.machine) if opened else {AS_FILED.law: 1.0}
         seed = seed_from(plan.seed, hypothesis.label, stratum, float(sequence.speed))
-        # Coordinates: clearances, contact law, then what is uncertain in alphabetical order, contacts joint by joint.
+        # Coordinates: clearances, contact law, silence, then what is uncertain in alphabetical order, contacts joint by
+        # joint.
         columns = sum(len(opened) if path in SHARED else 1 for path in spread)
-        points = unit_draws(seed, len(opened) + 1 + columns, sequence.count)
+        points = unit_draws(seed, len(opened) + 2 + columns, sequence.count)
         joints = tuple(sorted(opened))
         for draw, point in enumerate(points.tolist()):
+            is_silent = point[len(opened) + 1] < plan.fits.silent
             sizes = {
-                joint: self._clearance(joint, joint in hypothesis.joints, u)
+                joint: self._clearance(joint, u, is_worn=joint in hypothesis.joints, is_silent=is_silent)
                 for joint, u in zip(opened, point, strict=False)
             }
             variant = self._variant(spread, _choice(laws, point[len(opened)]))
@@ -147,7 +149,7 @@ class _Drawing:
                 hypothesis=hypothesis,
                 joints=joints,
                 clearances=tuple(sizes[joint] for joint in joints),
-                parameters=scatter.parameters(point[len(opened) + 1 :], sequence.speed),
+                parameters=scatter.parameters(point[len(opened) + 2 :], sequence.speed),
                 draw=draw,
                 stratum=stratum,
                 speed=sequence.speed,
@@ -155,11 +157,11 @@ class _Drawing:
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _clearance(self, joint: str, is_worn: bool, u: float) -> float:
+    def _clearance(self, joint: str, u: float, *, is_worn: bool, is_silent: bool) -> float:
         part = self.machine.joints[joint]
         assert isinstance(part, TurningJoint)
         if not is_worn:
-            return self.plan.fits.quantile(u, part)
+            return self.plan.fits.quantile(u, part, is_silent=is_silent)
         bounds = self.plan.clearance
         low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(part)[1])
         return log_uniform(low, max(min(bounds.high, travel(self.machine, joint)), 2.0 * low), u)

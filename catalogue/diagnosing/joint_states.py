@@ -1,0 +1,106 @@
+"""Every joint by itself, as the answer shows it: worn or in order, how far, and what could not have been seen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from catalogue.diagnosing.answer import Bound, Condition, JointState
+from catalogue.matching.joint_posterior import JointPosterior, joint_posteriors
+from catalogue.matching.matcher import HEALTHY, FloatArray, HypothesisMatch, MatchResult
+from catalogue.storage.store import Catalogue
+from solver.machines.joints import TurningJoint
+
+__all__ = ["edge_warnings", "joint_states"]
+
+EDGE = 0.02
+"""Share of the catalogue's clearance range, at either end, which an interval has to reach to be a bound."""
+
+
+def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> dict[str, JointState]:
+    """Return what a recording says of every turning joint of the catalogue's hypotheses.
+
+    Parameters
+    ----------
+    result : MatchResult
+    catalogue : Catalogue
+    coverage : float
+        Of the set, of worn and in order, that a condition is the only member of.
+    """
+    joints = sorted({joint for match in result.hypotheses for joint in match.joints})
+    worn = {found.joint: found.median for found in result.best.clearances}
+    posteriors = joint_posteriors(result, {joint: _plays(catalogue, joint) for joint in joints})
+    states = {}
+    for joint, posterior in posteriors.items():
+        sightings = result.sightings
+        is_worn = sightings.condition(posterior.p_worn, coverage) if sightings else None
+        condition: Condition = "open" if is_worn is None else "worn" if is_worn else "in_order"
+        least = sightings.detectable_from(joint, worn) if sightings and joint in sightings.joints else None
+        part = catalogue.machine.joints[joint]
+        assert isinstance(part, TurningJoint)
+        limit = part.worn_out_from
+        low, median, high = (1e6 * posterior.quantile(share) for share in (0.05, 0.5, 0.95))
+        states[joint] = JointState(
+            condition=condition,
+            p_worn=posterior.p_worn,
+            p_over_limit=posterior.above(limit),
+            limit_um=1e6 * limit,
+            clearance_um=median,
+            interval_um=(low, high),
+            bound=_bound(posterior, catalogue),
+            detectable_from_um=None if least is None else 1e6 * least,
+        )
+    return states
+
+
+def _plays(catalogue: Catalogue, joint: str) -> FloatArray:
+    """Plays [m] of a joint in the catalogue's machines in order; those of its fit where there are none."""
+    matrix = catalogue.matrix
+    rows = matrix.rows(HEALTHY)
+    if len(rows) and joint in matrix.joints:
+        found = matrix.clearance(rows)[:, matrix.joints.index(joint)]
+        if (found > 0.0).any():
+            return np.asarray(found[found > 0.0], np.float64)
+    part = catalogue.machine.joints[joint]
+    assert isinstance(part, TurningJoint)
+    return np.array(part.play_as_new)
+
+
+def _span(catalogue: Catalogue, joint: str) -> tuple[float, float] | None:
+    """Least and greatest clearance [m] that the catalogue has of a worn joint: where it alone is, or else with others.
+
+    None where the clearances of its entries are not known.
+    """
+    spans = catalogue.matrix.ranges.clearance
+    labels = [known.label for known in catalogue.matrix.hypotheses if joint in known.joints and known.label in spans]
+    found = [spans[joint]] if joint in labels else [spans[label] for label in labels]
+    return (min(low for low, _ in found), max(high for _, high in found)) if found else None
+
+
+def _bound(posterior: JointPosterior, catalogue: Catalogue) -> Bound:
+    span = _span(catalogue, posterior.joint)
+    if span is None or posterior.p_worn < 0.5:
+        return "none"
+    margin = EDGE * math.log(span[1] / span[0])
+    if math.log(span[1] / posterior.quantile(0.95)) <= margin:
+        return "at_least"
+    return "at_most" if math.log(posterior.quantile(0.05) / span[0]) <= margin else "none"
+
+
+def edge_warnings(best: HypothesisMatch, catalogue: Catalogue) -> list[str]:
+    """Warn of clearances at the ends of what the catalogue holds."""
+    warnings = []
+    for found in best.clearances:
+        span = _span(catalogue, found.joint)
+        if span is None:
+            continue
+        margin = EDGE * math.log(span[1] / span[0])
+        # What was simulated anew may have an interval that goes beyond them.
+        for bound, beyond, inside in (
+            (span[0], "smallest", math.log(found.low / span[0])),
+            (span[1], "largest", math.log(span[1] / found.high)),
+        ):
+            if inside <= margin:
+                warnings.append(f"clearance of {found.joint} reaches the catalogue's {beyond}, {1e6 * bound:.3g} um")
+    return warnings
