@@ -7,7 +7,7 @@ Files in other clothes (WAV, UFF, MAT, TDMS, decimal commas, a spectrum) stand b
 the plain one does.
 
 Exit status 1 where a rule is broken: every single worn joint is the first hypothesis, the joints of double faults are
-within the first two, a loosened mount is unknown, healthy machines are healthy.
+within the first two, a loosened mount is a change or unknown, machines in order are in order.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def row(item: Judged) -> tuple[str, ...]:
     trusted = answer.mode.trusted_p_value
     return (
         item.name,
-        worn or truth["other_cause"] or "healthy",
+        worn or truth["other_cause"] or "in order",
         truth["contact"]["law"],
         "yes" if item.right else "NO",
         answer.verdict,

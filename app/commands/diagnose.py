@@ -175,8 +175,10 @@ def told_of(
 
 def report(result: Mapping[str, Any]) -> str:
     """Return a diagnosis as plain text."""
-    parts = [
-        words.sentence(result),
+    parts = [words.sentence(result), *words.remarks(result)]
+    if result["joints"]:
+        parts += [words.joints_sentence(result), indented(joints(result))]
+    parts += [
         f"drive speed {result['drive_speed_rpm']:.6g} rpm; {words.fit_sentence(result)}",
         words.mode_sentence(result),
         indented(ranking(result)),
@@ -188,6 +190,16 @@ def report(result: Mapping[str, Any]) -> str:
         parts += ["What would tell them apart:", indented(suggestions(result))]
     parts += [f"warning: {line}" for line in result["warnings"]]
     return "\n".join(parts)
+
+
+def joints(result: Mapping[str, Any]) -> str:
+    """Return what is said of every joint as a table, the most probably worn first."""
+    rows = [
+        (row.name, row.said, row.percent, row.clearance, row.shows or "-", row.limit, row.beyond)
+        for row in words.joint_rows(result)
+    ]
+    head = ("joint", "state", "worn", "radial clearance (90 % interval)", "wear shows from", "limit", "beyond")
+    return table(head, rows, frozenset({2, 4, 5, 6}))
 
 
 def suggestions(result: Mapping[str, Any]) -> str:

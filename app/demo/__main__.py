@@ -39,6 +39,8 @@ def demo() -> None:
         click.echo(f"\n{name}.csv.gz")
         click.echo(f"  verdict: {words.sentence(result)}")
         click.echo(f"  truth:   {truth_sentence(truth)}")
+        for line in (*words.remarks(result), words.joints_sentence(result)):
+            click.echo(f"  {line}")
         click.echo(indented(ranking({**result, "hypotheses": result["hypotheses"][:3]}), "    "))
         for warning in result["warnings"]:
             click.echo(f"  warning: {warning}")

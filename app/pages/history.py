@@ -40,20 +40,15 @@ def history(
 def diagnosis_row(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
     """Return the row of a diagnosis in the table."""
     result = row.result
-    worn = worn_of(result)
+    worn = words.named_joints(result)
     return {
         "id": row.id,
         "verdict": result["verdict"],
         "short": words.short(result),
         "clearances": [
-            (joint if len(worn["joints"]) > 1 else "", *words.clearance_parts(found))
-            for joint, found in worn["joints"].items()
-        ]
-        if worn
-        else [],
-        "percent": words.percent(worn["probability"] if worn else words.sound(result["hypotheses"]))
-        if result["verdict"] != "unknown"
-        else "–",
+            (joint if len(worn) > 1 else "", *words.clearance_parts(found)) for joint, found in worn.items()
+        ],
+        "percent": words.probability(result),
         "sent": moment(measurement.created_at),
         "diagnosed": moment(row.created_at),
         "recording": measurement.name,
@@ -70,14 +65,6 @@ def finding_row(row: FindingRow) -> dict[str, Any]:
         "joints": ", ".join(found),
         "text": row.text,
     }
-
-
-def worn_of(result: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the hypothesis that a verdict of wear names; ``None`` for another verdict."""
-    if result["verdict"] != "fault":
-        return None
-    found: Mapping[str, Any] | None = next((entry for entry in result["hypotheses"] if entry["joints"]), None)
-    return found
 
 
 def latest(diagnoses: Sequence[DiagnosisRow]) -> list[DiagnosisRow]:
@@ -99,11 +86,10 @@ def chart(
     for row in shown:
         at = seconds(measurements[row.measurement].created_at)
         order += [name for name in row.machine["joints"] if name not in order]
-        worn = worn_of(row.result)
-        if worn is None:
+        worn = words.named_joints(row.result)
+        if not worn:
             events.append({"at": at, "kind": row.result["verdict"]})
-            continue
-        for joint, found in worn["joints"].items():
+        for joint, found in worn.items():
             low, high = found["interval_um"]
             points.setdefault(joint, []).append({"at": at, "um": found["clearance_um"], "low": low, "high": high})
     for finding in findings:

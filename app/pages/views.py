@@ -32,6 +32,8 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "verdict": result["verdict"],
         "sentence": words.sentence(result),
         "short": words.short(result),
+        "remarks": words.remarks(result),
+        "joints": words.joint_rows(result),
         "machine": result["machine"],
         "speed": f"{result['drive_speed_rpm']:.5g} rpm",
         "recording": measurement.name,
@@ -39,6 +41,9 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "created": f"{aware(row.created_at):%Y-%m-%d %H:%M} UTC",
         "warnings": result["warnings"],
         "ranking": ranking(result),
+        "in_order": "“healthy”"
+        if all(each["label"] != "as-new" for each in result["hypotheses"])
+        else "“healthy”, “as-new”",
         "set_sentence": words.set_sentence(result),
         "chart_hint": words.fit_sentence(result),
         "drawing": machine_picture(parse_machine(row.machine), result["joint_probabilities"]),

@@ -21,9 +21,18 @@ NO_ZONE = (
     " measured as they ask."
 )
 LIMITS = (
-    "Links are taken to be rigid and to move in a plane. Compared were only the hypotheses of this catalogue: a cause"
-    " that is not among them (a loose mount, a bearing, an unbalance) is not named, and probabilities count among"
-    " these hypotheses alone. Intervals hold the clearance in 90 % of cases if the hypothesis is right."
+    "Links are taken to be rigid and to move in a plane. Wear was compared with the hypotheses of this catalogue alone,"
+    " and probabilities count among these. Other causes are named from the few that are known (mounts, masses, an"
+    " unbalance, loads, a ripple of the drive); any other (a bearing, a crack) is a change without a name, or no"
+    " verdict. Intervals hold the clearance in 90 % of cases."
+)
+JOINT_COLUMNS = (
+    "Joint",
+    "State",
+    "Worn, probability",
+    "Radial clearance (90 % interval)",
+    "Wear shows from",
+    "Beyond its limit, probability",
 )
 
 
@@ -43,13 +52,17 @@ class Report:
     ----------
     title : str
     verdict : str
-        fault, healthy or unknown.
+        worn, in_order, changed or unknown.
     sentence : str
         The verdict in one sentence.
+    remarks : tuple of str
+        What belongs to it: limits, other causes, sensors.
     facts : tuple of Named
         Asset, machine and measurement.
     likelihood, severity : tuple of str
         How sure, and how large: never mixed.
+    joints : tuple of tuple of str
+        By `JOINT_COLUMNS`; none for answers that say nothing of single joints.
     hypotheses : tuple of tuple of str
         Label, probability, clearance with interval, distance.
     suggestions : tuple of str
@@ -64,9 +77,11 @@ class Report:
     title: str
     verdict: str
     sentence: str
+    remarks: tuple[str, ...]
     facts: tuple[Named, ...]
     likelihood: tuple[str, ...]
     severity: tuple[str, ...]
+    joints: tuple[tuple[str, ...], ...]
     hypotheses: tuple[tuple[str, str, str, str], ...]
     suggestions: tuple[str, ...]
     inspection: tuple[str, ...]
@@ -91,12 +106,14 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         title=f"Joint play of {cut(asset or result['machine'])}",
         verdict=result["verdict"],
         sentence=words.sentence(result),
+        remarks=tuple(cut(line, 240) for line in words.remarks(result)),
         facts=facts(row, measurement, asset),
         likelihood=(
             words.set_sentence(result),
-            f"{capital(words.fit_sentence(result))}. {words.mode_sentence(result)}",
+            f"{words.capital(words.fit_sentence(result))}. {words.mode_sentence(result)}",
         ),
         severity=(*sizes(result), NO_ZONE),
+        joints=tuple(joint_row(row) for row in words.joint_rows(result)),
         hypotheses=tuple(ranked(entry) for entry in result["hypotheses"][:SHOWN_HYPOTHESES]),
         suggestions=suggestions(result),
         inspection=inspection(result),
@@ -134,21 +151,19 @@ def ranked(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
     return words.label(entry), words.percent(entry["probability"]), found or "–", f"{entry['distance_db']:.1f} dB"
 
 
+def joint_row(row: words.JointRow) -> tuple[str, ...]:
+    """Return one row of the table of joints."""
+    beyond = f"{row.beyond} ({row.limit})"
+    return row.name, row.said, row.percent, row.clearance, row.shows or "–", beyond
+
+
 def sizes(result: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return how large the play is, if there is any, whatever its probability."""
-    worn = suspected(result)
-    if worn is None:
+    """Return how large the play of worn joints is, if there are any, whatever its probability."""
+    worn = words.named_joints(result)
+    if not worn:
         return ("No size of play is given, because no joint is named as worn.",)
-    found = "; ".join(f"{joint}: {words.clearance(each, '', '90 %: ')}" for joint, each in worn["joints"].items())
-    return (f"Radial clearance if {words.label(worn)} is the cause: {found}.",)
-
-
-def suspected(result: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the most probable hypothesis of a worn joint of a verdict "fault"; ``None`` for other verdicts."""
-    if result["verdict"] != "fault":
-        return None
-    hypotheses: Sequence[Mapping[str, Any]] = result["hypotheses"]
-    return next((entry for entry in hypotheses if entry["joints"]), None)
+    found = "; ".join(f"{joint}: {words.clearance(each, '', '90 %: ')}" for joint, each in worn.items())
+    return (f"Radial clearance if {words.enumerate_words(list(worn))} is the cause: {found}.",)
 
 
 def suggestions(result: Mapping[str, Any]) -> tuple[str, ...]:
@@ -156,8 +171,8 @@ def suggestions(result: Mapping[str, Any]) -> tuple[str, ...]:
     first = {words.label(entry) for entry in result["hypotheses"][:2]}
     wanted = [each for each in result["suggestions"] if first <= set(each["hypotheses"])] or result["suggestions"]
     lines = tuple(
-        f"{capital(each['kind'])} {each['what']}: {' and '.join(each['hypotheses'])} are mistaken for each other in"
-        f" {words.percent(each['error'])} of cases then, {words.percent(each['error_now'])} now."
+        f"{words.capital(each['kind'])} {each['what']}: {' and '.join(each['hypotheses'])} are mistaken for each other"
+        f" in {words.percent(each['error'])} of cases then, {words.percent(each['error_now'])} now."
         for each in wanted[:SHOWN_SUGGESTIONS]
     )
     if lines:
@@ -174,10 +189,20 @@ def suggestions(result: Mapping[str, Any]) -> tuple[str, ...]:
 def inspection(result: Mapping[str, Any]) -> tuple[str, ...]:
     """Return what to look at, by verdict."""
     back = "Report what was found to this diagnosis (its finding), so that later answers can be judged by it."
-    if result["verdict"] == "healthy":
+    if result["verdict"] == "in_order":
         return ("No inspection follows from this recording. Repeat the measurement at the usual interval.",)
-    worn = suspected(result)
-    if worn is None:
+    if result["verdict"] == "changed":
+        named = [words.cause(each) for each in result["causes"]]
+        looked = (
+            f"Look at what may have changed: {'; or '.join(named)}."
+            if named
+            else (
+                "Look for what has changed since the machine file was written: mounts, foundation, masses, load, drive."
+            )
+        )
+        return (looked, "No joint is to be opened for this. Measure again when it is put right, or the file is.", back)
+    worn = words.named_joints(result)
+    if not worn:
         return (
             "No joint can be named. Check sensors, their mounting and directions, the drive speed, mounts and"
             " foundation, then measure again; inspect for causes that the catalogue does not hold.",
@@ -186,9 +211,10 @@ def inspection(result: Mapping[str, Any]) -> tuple[str, ...]:
     lines = [
         f"Joint {joint}: with the drive locked out, measure the play across the pin; expected are {double(each)} of"
         " diametral play (twice the radial clearance)."
-        for joint, each in worn["joints"].items()
+        for joint, each in worn.items()
     ]
-    others = [label for label in result["candidate_set"] if label not in (words.label(worn), "healthy", "as-new")]
+    sound = {words.label(entry) for entry in result["hypotheses"] if set(entry["joints"]) <= set(worn)}
+    others = [label for label in result["candidate_set"] if label not in sound]
     if others:
         lines.append(f"If that is not found, look at {words.enumerate_words(others)} next.")
     return (*lines, back)
@@ -196,8 +222,9 @@ def inspection(result: Mapping[str, Any]) -> tuple[str, ...]:
 
 def double(entry: Mapping[str, Any]) -> str:
     """Return the interval of the diametral play."""
-    low, high = entry["interval_um"]
-    return f"{words.micrometres(2 * low)} to {words.micrometres(2 * high)} µm"
+    low, high = (2.0 * end for end in entry["interval_um"])
+    play = {**entry, "interval_um": (low, high)}
+    return words.between(low, high) if entry.get("bound", "none") == "none" else words.clearance(play)
 
 
 def method(row: DiagnosisRow) -> tuple[Named, ...]:
@@ -232,8 +259,3 @@ def warnings(lines: Sequence[str]) -> list[str]:
 def cut(text: str, width: int = SHOWN_WIDTH) -> str:
     """Return a text from outside at a bounded length."""
     return text if len(text) <= width else f"{text[: width - 1]}…"
-
-
-def capital(text: str) -> str:
-    """Return a text with its first letter as a capital."""
-    return text[:1].upper() + text[1:]

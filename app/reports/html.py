@@ -9,7 +9,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from app.reports.content import Report
+from app.reports.content import JOINT_COLUMNS, Report
 from app.reports.figures import Figures
 
 TEMPLATES = Path(__file__).parent.parent / "templates" / "report"
@@ -26,7 +26,7 @@ def html(report: Report, figures: Figures) -> str:
         SVG of our own making.
     """
     template = environment().get_template("report.html")
-    return template.render(report=report, figures=figures, style=style())
+    return template.render(report=report, figures=figures, style=style(), joint_columns=JOINT_COLUMNS)
 
 
 def policy() -> str:

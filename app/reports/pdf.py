@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
-from app.reports.content import Named, Report
+from app.reports.content import JOINT_COLUMNS, Named, Report
 from app.reports.figures import Figures
 
 REGULAR, BOLD, OBLIQUE = "DejaVuSans", "DejaVuSans-Bold", "DejaVuSans-Oblique"
@@ -20,7 +20,7 @@ MARGIN = 11 * MM
 GUTTER = 5 * MM
 FIGURE_HEIGHT = 46 * MM
 ACCENT, SOFT, LINE, BACK = "#1f5fa8", "#566373", "#d4dae1", "#f3f5f8"
-SIDES = {"fault": "#c2570c", "healthy": "#1d7a46", "unknown": "#7a5b00"}
+SIDES = {"worn": "#c2570c", "in_order": "#1d7a46", "changed": "#6b4fa0", "unknown": "#7a5b00"}
 
 _lock = threading.Lock()  # the library keeps fonts and styles for the whole process
 
@@ -78,7 +78,9 @@ def content(report: Report, figures: Figures, wide: float) -> list[Any]:
     return [
         text(report.title, 14, bold=True),
         verdict(report, wide),
+        *texts(report.remarks),
         beside(left, right, half),
+        *([heading("Joints"), joints(report.joints, wide)] if report.joints else []),
         heading("Hypotheses"),
         ranking(report.hypotheses, wide),
         heading("Measured against matched levels"),
@@ -141,8 +143,17 @@ def facts(rows: Sequence[Named], wide: float, size: float) -> Any:
 def ranking(rows: Sequence[Sequence[str]], wide: float) -> Any:
     """Return the table of hypotheses."""
     names = ("Worn", "Probability", "Radial clearance (90 % interval)", "Distance")
+    return listed(names, rows, wide, (0.2, 0.15, 0.5, 0.15))
+
+
+def joints(rows: Sequence[Sequence[str]], wide: float) -> Any:
+    """Return the table of joints."""
+    return listed(JOINT_COLUMNS, rows, wide, (0.1, 0.15, 0.15, 0.25, 0.15, 0.2))
+
+
+def listed(names: Sequence[str], rows: Sequence[Sequence[str]], wide: float, parts: Sequence[float]) -> Any:
+    """Return a table with names of its columns, which take parts of the width."""
     cells = [[text(name, 7.5, SOFT) for name in names], *([text(cell, 7.5) for cell in row] for row in rows)]
-    parts = (0.2, 0.15, 0.5, 0.15)
     return table(cells, [wide * part for part in parts], ("LINEBELOW", (0, 0), (-1, -1), 0.4, LINE))
 
 

@@ -188,7 +188,7 @@ class DiagnosisItem(Shape):
     catalogue: str
     measurement: str
     asset: str | None
-    verdict: str
+    verdict: Literal["worn", "in_order", "changed", "unknown"]
     candidate_set: list[str]
 
 

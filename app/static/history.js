@@ -3,7 +3,7 @@
 
 (() => {
   const drawn = new Map();
-  const SYMBOLS = { healthy: "✓", unknown: "?", finding: "◆" };
+  const SYMBOLS = { in_order: "✓", changed: "△", unknown: "?", finding: "◆" };
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -55,7 +55,7 @@
     ctx.textBaseline = "middle";
     for (const event of data.events) {
       const y = chart.valToPos(event.um ?? 0, "y", true) - (event.um == null ? 9 * scale : 0);
-      ctx.fillStyle = colour(`--mark-${event.kind}`);
+      ctx.fillStyle = colour(`--mark-${event.kind.replace("_", "-")}`);
       const x = chart.valToPos(event.at, "x", true);
       ctx.fillText(SYMBOLS[event.kind], x, y);
       if (event.joint) ctx.fillText(event.joint, x + 15 * scale, y);

@@ -11,15 +11,23 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.storage.store import DiagnosisRow, aware
 from catalogue.diagnosing.answer import (
     BaselineShown,
+    Cause,
     Effort,
     EffortSpent,
     Evidence,
     GoodnessOfFit,
     Hypothesis,
+    JointState,
     ModeUsed,
     Provenance,
+    SensorFlaw,
     SuggestionShown,
     Verdict,
+)
+
+VERDICT = (
+    "`worn`: some joint is; `in_order`: none is; `changed`: the machine is not as its file says, and not by play;"
+    " `unknown`: nothing explains the measurement."
 )
 
 
@@ -38,8 +46,15 @@ class DiagnosisOut(BaseModel):
     effort: Effort = Field(description="How much was computed.")
     effort_spent: EffortSpent = Field(description="What was simulated for this answer alone.")
     mode: ModeUsed = Field(description="How far the model of the machine was believed.")
-    verdict: Verdict
+    verdict: Verdict = Field(description=VERDICT)
+    joints: Mapping[str, JointState] = Field(
+        description="Every joint by itself; of answers from before 2.0 those alone that were found worn."
+    )
     hypotheses: tuple[Hypothesis, ...] = Field(description="The most probable first; no joints: no wear.")
+    causes: tuple[Cause, ...] = Field(
+        description="Other than play, the most probable first; empty: none is needed or known."
+    )
+    sensors: tuple[SensorFlaw, ...] = Field(description="What is wrong with which sensors.")
     joint_probabilities: Mapping[str, float] = Field(description="Of each joint, to be among the worn ones.")
     candidate_set: tuple[str, ...] = Field(description="Labels of the hypotheses that hold the truth at `coverage`.")
     coverage: float = Field(description="As asked.")

@@ -16,10 +16,12 @@ from typing import Any, BinaryIO, ClassVar, TypeVar
 
 from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select, text
 from sqlalchemy.engine import URL
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, reconstructor
+from sqlalchemy.orm.attributes import set_committed_value
 
 from app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
 from app.storage.database import Database, UtcDateTime, database_url
+from app.storage.older_results import in_present_form
 from app.storage.told import Told
 from catalogue.storage.directory import sync_folder
 
@@ -66,7 +68,8 @@ class MeasurementRow(Base):
 class DiagnosisRow(Base):
     """A finished diagnosis: what was asked, of which machine, and what was answered.
 
-    The machine is kept with it, because a catalogue that has grown has another id than when it was asked.
+    The machine is kept with it, because a catalogue that has grown has another id than when it was asked. An answer of
+    an older version stays as it was stored, and has the present form wherever it is read.
     """
 
     __tablename__ = "diagnoses"
@@ -79,6 +82,10 @@ class DiagnosisRow(Base):
     created_at: Mapped[datetime]
     request: Mapped[dict[str, Any]]
     result: Mapped[dict[str, Any]]
+
+    @reconstructor
+    def _read(self) -> None:
+        set_committed_value(self, "result", in_present_form(self.result, self.machine))
 
 
 Row = TypeVar("Row", MeasurementRow, DiagnosisRow)

@@ -36,7 +36,7 @@ class Answered:
     found : mapping of str to (float, float, float)
         Clearance, and its interval's ends, of the joints of the most probable hypothesis, um.
     candidates : tuple of str
-    verdict : {"fault", "healthy", "unknown"}
+    verdict : {"worn", "in_order", "changed", "unknown"}
     p_value : float
         Of the explanation that the verdict rests on: in the mode that answered.
     trusted_p_value : float or None
@@ -131,10 +131,10 @@ class Figures:
         Share of those with the truth inside the 90 % interval.
     set_coverage, set_size : float or None
         Share with the truth in the candidate set; its mean size.
-    unknown, healthy : float or None
+    unknown, changed, in_order : float or None
         Share with these verdicts.
     wrong_verdict : float or None
-        Share called healthy that is worn, or called worn that is not.
+        Share called in order that is worn, or called worn that is not.
     auroc_deciding, auroc_trusted : float or None
         Probability that a recording of this set has a smaller p-value than a listed one: of the mode that answered, of
         the trusted model.
@@ -168,7 +168,8 @@ class Figures:
     set_coverage: float | None
     set_size: float | None
     unknown: float | None
-    healthy: float | None
+    changed: float | None
+    in_order: float | None
     wrong_verdict: float | None
     auroc_deciding: float | None
     auroc_trusted: float | None
@@ -229,8 +230,9 @@ def figures(
         set_coverage=_mean([answer.label in answer.candidates for answer in known]),
         set_size=_mean([len(answer.candidates) for answer in answers]),
         unknown=_mean([answer.verdict == "unknown" for answer in answers]),
-        healthy=_mean([answer.verdict == "healthy" for answer in answers]),
-        wrong_verdict=_mean([answer.verdict == ("healthy" if answer.worn else "fault") for answer in answers]),
+        changed=_mean([answer.verdict == "changed" for answer in answers]),
+        in_order=_mean([answer.verdict == "in_order" for answer in answers]),
+        wrong_verdict=_mean([answer.verdict == ("in_order" if answer.worn else "worn") for answer in answers]),
         auroc_deciding=auroc([-answer.p_value for answer in answers], [-answer.p_value for answer in listed]),
         auroc_trusted=auroc(_trusted(answers), _trusted(listed)),
         rejected=rejected([answer.p_value for answer in answers], [answer.p_value for answer in listed]),

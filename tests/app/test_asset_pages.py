@@ -143,7 +143,9 @@ def diagnosed(number: int, verdict: str, made: int = 0, effort: str = "fast", **
         {"joints": joints, "probability": 0.9, "label": "+".join(worn)},
         {"joints": {}, "probability": 0.1, "label": "healthy"},
     ]
-    result = {"verdict": verdict, "hypotheses": hypotheses if worn else hypotheses[1:], "effort": effort}
+    said = {name: {**each, "condition": "worn", "p_worn": 0.9} for name, each in joints.items()}
+    result: dict[str, Any] = {"verdict": verdict, "joints": said, "causes": [], "effort": effort}
+    result["hypotheses"] = hypotheses if worn else hypotheses[1:]
     machine = {"joints": {"O": {}, "A": {}, "B": {}}}
     return DiagnosisRow(
         id=f"d{number}{made}", measurement=f"m{number}", created_at=day(number + made), machine=machine, result=result
@@ -152,33 +154,42 @@ def diagnosed(number: int, verdict: str, made: int = 0, effort: str = "fast", **
 
 def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> None:
     past = [
-        diagnosed(1, "fault", made=9, effort="thorough", B=105.0),
+        diagnosed(1, "worn", made=9, effort="thorough", B=105.0),
+        diagnosed(5, "changed"),
         diagnosed(4, "unknown", A=300.0),
-        diagnosed(3, "fault", A=80.0, B=150.0),
-        diagnosed(2, "healthy"),
-        diagnosed(1, "fault", B=100.0),
+        diagnosed(3, "worn", A=80.0, B=150.0),
+        diagnosed(2, "in_order"),
+        diagnosed(1, "worn", B=100.0),
     ]
     text_only = FindingRow(at=day(5), joints={}, text="noise", diagnosis="d30")
-    shown = history(past, {f"m{number}": measured(number) for number in range(1, 5)}, [text_only])
-    assert [row["short"] for row in shown["rows"]] == ["B worn", "no verdict", "A+B worn", "no wear", "B worn"]
-    assert [row["percent"] for row in shown["rows"]] == ["90 %", "–", "90 %", "10 %", "90 %"]
-    assert shown["rows"][2]["clearances"] == [("A", "80 µm", "64 to 96"), ("B", "150 µm", "120 to 180")]
+    shown = history(past, {f"m{number}": measured(number) for number in range(1, 6)}, [text_only])
+    assert [row["short"] for row in shown["rows"]] == [
+        "B worn",
+        "changed",
+        "no verdict",
+        "A+B worn",
+        "in order",
+        "B worn",
+    ]
+    assert [row["percent"] for row in shown["rows"]] == ["90 %", "–", "–", "90 %", "10 %", "90 %"]
+    assert shown["rows"][3]["clearances"] == [("A", "80 µm", "64 to 96"), ("B", "150 µm", "120 to 180")]
     drawn = shown["chart"]["data"]
     points = {joint["name"]: [(point["at"], point["um"]) for point in joint["points"]] for joint in drawn["joints"]}
     third = day(3).timestamp()
     assert points == {"A": [(third, 80.0)], "B": [(day(1).timestamp(), 105.0), (third, 150.0)]}
     assert [(joint["name"], joint["look"]) for joint in drawn["joints"]] == [("A", 1), ("B", 2)]
     assert [(event["kind"], event.get("um")) for event in drawn["events"]] == [
-        ("healthy", None),
+        ("in_order", None),
         ("unknown", None),
+        ("changed", None),
         ("finding", None),
     ]
     assert shown["chart"]["summary"] == (
-        "Radial clearance over time, of 4 recordings and 1 finding. Found worn: A once, 80 µm; B from 105 to 150 µm."
+        "Radial clearance over time, of 5 recordings and 1 finding. Found worn: A once, 80 µm; B from 105 to 150 µm."
         " The tables below have the values."
     )
 
 
 def test_a_past_without_wear_is_drawn() -> None:
-    drawn = chart([diagnosed(2, "healthy")], {"m2": measured(2)}, [])
+    drawn = chart([diagnosed(2, "in_order")], {"m2": measured(2)}, [])
     assert drawn["joints"] == [] and "No joint was found worn." in drawn["summary"]

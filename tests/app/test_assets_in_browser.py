@@ -56,7 +56,7 @@ def test_an_asset_from_its_name_to_its_past(visit: Visit, worn: bytes, in_order:
     rows = page.get_by_role("region", name="Diagnoses").get_by_role("row")
     expect(rows).to_have_count(3)
     expect(rows.nth(1)).to_contain_text("B worn")
-    expect(rows.nth(2)).to_contain_text("no wear")
+    expect(rows.nth(2)).to_contain_text("in order")
     past = page.get_by_role("img", name="Radial clearance over time, of 2 recordings")
     expect(past.locator("canvas")).to_have_count(1)
     assert has_drawn(past.locator("canvas"))

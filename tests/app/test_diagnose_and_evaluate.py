@@ -26,7 +26,7 @@ def test_diagnose_finds_the_worn_joint(shelf: Path, recording: Path, tmp_path: P
     assert "hypothesis  probability" in result.stdout
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
     document = json.loads(invoke("diagnose", recording, "--catalogue", catalogue, "--json").stdout)
-    assert document["verdict"] == "fault"
+    assert document["verdict"] == "worn"
     assert document["hypotheses"][0]["joints"].keys() == {"B"}
     assert document["mode"]["used"] == "trusted"
     assert "The machine is taken to be as simulated (trusted)." in result.stdout

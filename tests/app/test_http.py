@@ -266,7 +266,7 @@ def test_bad_uploads(client: httpx.Client, arguments: dict[str, Any], status: in
 def test_a_diagnosis(client: httpx.Client, diagnosis: httpx.Response, measurement: dict[str, Any]) -> None:
     assert diagnosis.status_code == 201, diagnosis.text
     document = diagnosis.json()
-    assert document["verdict"] == "fault"
+    assert document["verdict"] == "worn"
     assert document["measurement"] == measurement["id"]
     assert document["machine"] == "slider-crank"
     assert document["drive_speed_rpm"] == pytest.approx(606.8)
@@ -309,7 +309,7 @@ def test_diagnoses_are_listed_newest_first(client: httpx.Client, diagnosis: http
     newer = client.post(f"{API}/diagnoses", json={**body, "effort": "fast"}).json()
     first = client.get(f"{API}/diagnoses", params={"limit": 1}).json()
     assert first["items"][0]["id"] == newer["id"]
-    assert first["items"][0]["verdict"] == "fault"
+    assert first["items"][0]["verdict"] == "worn"
     second = client.get(f"{API}/diagnoses", params={"limit": 1, "cursor": first["next_cursor"]}).json()
     assert second["items"][0]["id"] != newer["id"]
     assert client.get(f"{API}/measurements").json()["items"]

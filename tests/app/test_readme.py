@@ -46,7 +46,7 @@ def test_the_commands_of_the_readme_lead_to_a_diagnosis(tmp_path: Path) -> None:
     ready, end = json.JSONDecoder().raw_decode(done.stdout, done.stdout.index("{"))
     assert ready == {"status": "ready", "catalogues": 1}
     result = json.loads(done.stdout[end:])
-    assert (result["machine"], result["verdict"]) == ("slider-crank", "fault")
+    assert (result["machine"], result["verdict"]) == ("slider-crank", "worn")
     assert list(result["hypotheses"][0]["joints"]) == ["B"]
     clearance = result["hypotheses"][0]["joints"]["B"]
     low, high = clearance["interval_um"]

@@ -138,7 +138,8 @@ def test_the_play_to_be_measured_is_twice_the_clearance(rows: tuple[DiagnosisRow
         {"label": "B", "joints": {"B": {"clearance_um": 90.0, "interval_um": [60.0, 99.0]}}, "probability": 0.2},
     ]
     told = [{**entry, "distance_db": 1.0} for entry in hypotheses]
-    report = report_of(changed(row, verdict="fault", hypotheses=told, candidate_set=["A", "B"]), measurement)
+    members = {"verdict": "worn", "hypotheses": told, "candidate_set": ["A", "B"], "joints": {}}
+    report = report_of(changed(row, **members), measurement)
     assert "300 to 520 µm of diametral play" in report.inspection[0]
     assert report.inspection[1] == "If that is not found, look at B next."
     assert report.suggestions[0].endswith("the second hypothesis, B, has a probability of 20 %.")
@@ -157,7 +158,7 @@ def test_what_tells_the_first_two_apart_comes_first(rows: tuple[DiagnosisRow, Me
     assert report.suggestions[0].startswith(f"Sensor s3-y: {first} and {second} are mistaken")
 
 
-@pytest.mark.parametrize("verdict", ["healthy", "unknown"])
+@pytest.mark.parametrize("verdict", ["in_order", "changed", "unknown"])
 def test_no_joint_is_to_be_opened_without_a_fault(rows: tuple[DiagnosisRow, MeasurementRow], verdict: str) -> None:
     report = report_of(changed(rows[0], verdict=verdict), rows[1])
     assert "drive locked out" not in everything(report)

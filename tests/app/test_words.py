@@ -14,27 +14,131 @@ def hypothesis(label: str, probability: float, **joints: float) -> dict[str, Any
     return {"label": label, "joints": found, "probability": probability, "distance_db": 1.0}
 
 
-def result(verdict: str, *hypotheses: dict[str, Any]) -> dict[str, Any]:
-    return {"verdict": verdict, "hypotheses": list(hypotheses), "coverage": 0.95, "candidate_set": []}
+def joint(condition: str, um: float, p_worn: float, **more: Any) -> dict[str, Any]:
+    found = {"p_over_limit": 0.0, "limit_um": 200.0, "bound": "none", "detectable_from_um": 35.0, **more}
+    return {
+        "condition": condition,
+        "p_worn": p_worn,
+        "clearance_um": um,
+        "interval_um": [0.9 * um, 1.1 * um],
+        **found,
+    }
+
+
+def result(verdict: str, *hypotheses: dict[str, Any], **more: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {"joints": {}, "causes": [], "sensors": [], "goodness_of_fit": {"p_value": 0.004}, **more}
+    return {"verdict": verdict, "hypotheses": list(hypotheses), "coverage": 0.95, "candidate_set": [], **found}
+
+
+def cause(name: str, size: float, unit: str, probability: float) -> dict[str, Any]:
+    return {"name": name, "size": size, "unit": unit, "probability": probability}
+
+
+SOUND = {"A": joint("in_order", 9.0, 0.01), "B": joint("in_order", 12.0, 0.02, detectable_from_um=28.0)}
+WORN = {"O": joint("worn", 463.0, 1.0, interval_um=[405, 528], p_over_limit=0.97), **SOUND}
+SWAPPED = {"sensors": ["s1-x", "s2-y"], "kind": "swapped", "said": "s1-x and s2-y seem to be swapped"}
 
 
 def test_one_worn_joint() -> None:
-    found = result("fault", hypothesis("F", 0.93, F=210), hypothesis("healthy", 0.07))
-    assert words.sentence(found) == "Joint F is worn: radial clearance 210 µm (90 %: 189 to 231), probability 93 %."
-    assert words.short(found) == "F worn"
+    found = result("worn", hypothesis("O", 0.93, O=460), hypothesis("healthy", 0.07), joints=WORN)
+    assert words.sentence(found) == "Joint O is worn: radial clearance 463 µm (90 %: 405 to 528), probability > 99 %."
+    assert words.short(found) == "O worn"
+    assert words.remarks(found) == ["O is beyond its limit of 200 µm, probability 97 %."]
+    assert words.joints_sentence(found) == (
+        "O: worn, 463 µm (405 to 528). A, B: in order; wear from 35 µm on would have shown."
+    )
 
 
 def test_two_worn_joints() -> None:
-    found = result("fault", hypothesis("A+C", 0.8, A=250, C=8))
+    joints = {"A": joint("worn", 250.0, 0.97, p_over_limit=0.9), "C": joint("worn", 80.0, 0.96, p_over_limit=0.02)}
+    found = result("worn", hypothesis("A+C", 0.8, A=250, C=80), joints=joints)
+    assert words.sentence(found) == (
+        "Joints A and C are worn: radial clearance A 250 µm (90 %: 225 to 275), probability 97 %; "
+        "C 80 µm (90 %: 72 to 88), probability 96 %."
+    )
+    assert words.probability(found) == "96 %"
+    assert words.remarks(found) == [
+        "A is beyond its limit of 200 µm, probability 90 %. C is within its limit of 200 µm, probability 98 %."
+    ]
+
+
+def test_wear_of_which_the_joint_is_not_sure() -> None:
+    joints = {"A": joint("open", 250.0, 0.7, p_over_limit=0.6), "C": joint("open", 80.0, 0.3)}
+    found = result("worn", hypothesis("A", 0.7, A=250), hypothesis("C", 0.3, C=80), joints=joints)
+    assert words.sentence(found) == (
+        "Probably joint A is worn: radial clearance 250 µm (90 %: 225 to 275), probability 70 %."
+    )
+    assert words.short(found) == "A probably worn"
+
+
+def test_where_nothing_was_said_of_single_joints_the_hypothesis_is_named() -> None:
+    found = result("worn", hypothesis("A+C", 0.8, A=250, C=8))
     assert words.sentence(found) == (
         "Joints A and C are worn: radial clearance A 250 µm (90 %: 225 to 275); C 8.0 µm (90 %: 7.2 to 8.8), "
         "probability 80 %."
     )
+    assert (words.short(found), words.joints_sentence(found), words.remarks(found)) == ("A+C worn", "", [])
 
 
-def test_a_healthy_machine_counts_the_new_one_in() -> None:
-    found = result("healthy", hypothesis("as-new", 0.5), hypothesis("healthy", 0.4), hypothesis("F", 0.1, F=20))
-    assert words.sentence(found).endswith("probability 90 %.")
+@pytest.mark.parametrize(
+    ("bound", "interval", "text"),
+    [
+        ("none", [900.0, 1500.0], "1.2 mm (0.9 to 1.5)"),
+        ("at_least", [2000.0, 2000.0], "at least 2 mm"),
+        ("at_least", [405.0, 2000.0], "at least 405 µm"),
+        ("at_most", [3.0, 9.5], "at most 9.5 µm"),
+    ],
+)
+def test_clearances_and_bounds(bound: str, interval: list[float], text: str) -> None:
+    assert words.clearance(joint("worn", 1200.0, 1.0, bound=bound, interval_um=interval)) == text
+
+
+def test_a_machine_in_order() -> None:
+    found = result("in_order", hypothesis("healthy", 0.9), hypothesis("B", 0.1, B=20), joints=SOUND)
+    assert words.sentence(found) == "No worn joint: the recording fits a machine in order, probability 90 %."
+    assert words.short(found) == "in order"
+    joints = {**SOUND, "B": joint("open", 40.0, 0.4, interval_um=[20, 60]), "E": joint("in_order", 9.0, 0.0)}
+    joints["E"]["detectable_from_um"] = None
+    open_joint = {**found, "joints": joints}
+    assert words.sentence(open_joint).endswith("probability 90 %; joint B cannot be told.")
+    assert words.joints_sentence(open_joint) == (
+        "A: in order; wear from 35 µm on would have shown. E: in order. B: cannot be told (20 to 60 µm)."
+    )
+
+
+def test_a_machine_that_has_changed() -> None:
+    mount = cause("mount 1", 0.4, "x stiffness", 0.82)
+    found = result("changed", hypothesis("healthy", 0.9), joints=SOUND, causes=[mount])
+    assert words.sentence(found) == "Changed, but not by play: mount 1 at 0.4 times its stiffness, 82 %."
+    assert (words.short(found), words.probability(found)) == ("changed: mount 1", "82 %")
+    assert words.joints_sentence(found).startswith("A, B: in order")
+    assert words.remarks(found) == []
+    load = cause("load", -150.0, "N", 0.12)
+    assert words.remarks({**found, "causes": [mount, load]}) == ["It may also be: load, −150 N, 12 %."]
+    nameless = {**found, "causes": []}
+    assert words.sentence(nameless) == "Changed, but not by play; none of the known causes explains it."
+    assert (words.short(nameless), words.probability(nameless)) == ("changed", "–")
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "unit", "text"),
+    [
+        ("all mounts", 0.5, "x stiffness", "all mounts at 0.5 times their stiffness"),
+        ("mass of ram", 1.2, "x mass", "ram at 1.2 times its mass"),
+        ("unbalance", 0.01234, "kg m", "unbalance, 0.0123 kg m"),
+        ("ripple of the drive, order 6", 0.005, "rad", "ripple of the drive, order 6, 0.005 rad"),
+    ],
+)
+def test_causes(name: str, size: float, unit: str, text: str) -> None:
+    assert words.cause(cause(name, size, unit, 0.5)) == text
+
+
+def test_causes_and_sensors_beside_wear() -> None:
+    found = result("worn", joints=WORN, causes=[cause("all mounts", 0.5, "x stiffness", 0.3)], sensors=[SWAPPED])
+    assert words.remarks(found)[1:] == [
+        "Other than play, there may be a change: all mounts at 0.5 times their stiffness, 30 %.",
+        "s1-x and s2-y seem to be swapped.",
+    ]
 
 
 def test_why_a_model_is_not_believed() -> None:
@@ -48,7 +152,7 @@ def test_why_a_model_is_not_believed() -> None:
 
 
 def test_a_widened_set_promises_nothing() -> None:
-    found = {**result("fault", hypothesis("F", 0.6, F=20)), "candidate_set": ["F"]}
+    found = {**result("worn", hypothesis("F", 0.6, F=20)), "candidate_set": ["F"]}
     assert words.set_sentence(found) == "Candidates, which hold the true cause in 95 % of cases: F."
     assert words.set_sentence({**found, "widened": True}) == (
         "Candidates, from a set widened because the one for 95 % was empty: F."
@@ -58,9 +162,14 @@ def test_a_widened_set_promises_nothing() -> None:
 def test_nothing_known() -> None:
     found = result("unknown", hypothesis("F", 1.0, F=20))
     assert words.sentence(found) == (
-        "No verdict: the recording fits none of the hypotheses of this catalogue; the closest is F."
+        "No verdict: the recording fits none of the hypotheses of this catalogue, p = 0.004; the closest is F."
     )
+    assert (words.short(found), words.probability(found)) == ("no verdict", "–")
+    flawed = {**found, "sensors": [SWAPPED]}
+    assert words.sentence(flawed) == "No verdict: s1-x and s2-y seem to be swapped."
+    assert words.remarks(flawed) == []
     assert "none of them explains the recording" in words.set_sentence(found)
+    assert "what has changed is none of them" in words.set_sentence({**found, "verdict": "changed"})
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def answered(
         joint_probabilities=joints,
         found=dict.fromkeys(sorted(JOINTS[first]), (110.0, 90.0, 120.0)),
         candidates=(first,),
-        verdict="fault" if JOINTS[first] else "healthy",
+        verdict="worn" if JOINTS[first] else "in_order",
         p_value=p_value,
         trusted_p_value=trusted,
         seconds=0.1,
@@ -52,7 +52,7 @@ def test_ranks_sets_and_verdicts() -> None:
     assert found.log_loss == pytest.approx(-np.mean(np.log([0.8, 0.3, 0.9, 0.1])))
     assert found.set_coverage == 0.5
     assert found.set_size == 1.0
-    assert (found.unknown, found.healthy, found.wrong_verdict) == (0.0, 0.25, 0.0)
+    assert (found.unknown, found.changed, found.in_order, found.wrong_verdict) == (0.0, 0.0, 0.25, 0.0)
     assert found.labels == ("healthy", "A", "A+B")
     assert found.confusion == ((1, 0, 0, 0), (0, 1, 0, 1), (0, 1, 0, 0))
     assert found.clearance_median == pytest.approx(0.1)
