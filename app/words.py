@@ -59,9 +59,8 @@ def sentence(result: Mapping[str, Any]) -> str:
     """
     verdict = result["verdict"]
     if verdict == "in_order":
-        return (
-            f"No worn joint: the recording fits a machine in order, probability {probability(result)}{_untold(result)}."
-        )
+        none = "No worn joint" if sound(result) >= result["coverage"] else "Probably no worn joint"
+        return f"{none}: the recording fits a machine in order, probability {probability(result)}{_untold(result)}."
     if verdict == "changed":
         return f"Changed, but not by play{_first_cause(result)}."
     if verdict == "unknown" or not (named := named_joints(result)):
@@ -106,13 +105,15 @@ def probability(result: Mapping[str, Any]) -> str:
 def named_joints(result: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the joints that a verdict of wear names, with what is known of their clearance; none for other verdicts.
 
-    These are the joints that are worn for sure; where there are none, those of the most probable hypothesis of wear.
+    These are the joints that are worn for sure; where there are none, those of the most probable hypothesis of wear,
+    with the clearance that they have then.
     """
     if result["verdict"] != "worn":
         return {}
     joints: Mapping[str, Mapping[str, Any]] = result["joints"]
     worn = {name: state for name, state in joints.items() if state["condition"] == "worn"}
-    return worn or {name: joints.get(name, entry) for name, entry in _first_worn(result)["joints"].items()}
+    guessed = _first_worn(result)["joints"].items()
+    return worn or {name: {**joints.get(name, {}), "bound": "none", **entry} for name, entry in guessed}
 
 
 def is_sure(result: Mapping[str, Any]) -> bool:
@@ -154,8 +155,8 @@ def _no_verdict(result: Mapping[str, Any]) -> str:
 
 
 def joint_rows(result: Mapping[str, Any]) -> list[JointRow]:
-    """Return what is said of every joint, the most probably worn first."""
-    joints: Mapping[str, Mapping[str, Any]] = result["joints"]
+    """Return what is said of every joint, the most probably worn first; nothing for the verdict unknown."""
+    joints: Mapping[str, Mapping[str, Any]] = {} if result["verdict"] == "unknown" else result["joints"]
     return [
         JointRow(
             name,
@@ -173,7 +174,7 @@ def joint_rows(result: Mapping[str, Any]) -> list[JointRow]:
 
 
 def joints_sentence(result: Mapping[str, Any]) -> str:
-    """Return what is said of every joint, in one line; empty where nothing was said of single joints."""
+    """Return what is said of every joint, in one line; empty where nothing is said of single joints."""
     rows = sorted(joint_rows(result), key=lambda row: row.name)
     parts = [f"{row.name}: worn, {row.clearance}." for row in rows if row.condition == "worn"]
     states = result["joints"]
@@ -193,8 +194,10 @@ def joints_sentence(result: Mapping[str, Any]) -> str:
 
 
 def limit_sentence(result: Mapping[str, Any]) -> str:
-    """Return which joints are beyond their limit, and which worn ones are not; empty where that is not the question."""
-    parts = []
+    """Return which joints are beyond their limit, and which worn ones are not; empty for other verdicts than worn."""
+    parts: list[str] = []
+    if result["verdict"] != "worn":
+        return ""
     for name, state in result["joints"].items():
         limit, beyond = length(state["limit_um"]), state["p_over_limit"]
         if beyond >= EVEN:
@@ -233,7 +236,18 @@ def remarks(result: Mapping[str, Any]) -> list[str]:
     flaws = sensor_sentences(result)
     if result["verdict"] == "unknown":
         flaws = flaws[1:]
-    return [said for said in (limit_sentence(result), causes_sentence(result), *flaws) if said]
+    return [said for said in (limit_sentence(result), causes_sentence(result), _reserve(result), *flaws) if said]
+
+
+def _reserve(result: Mapping[str, Any]) -> str:
+    """How far a change lets joints be judged that are not in order."""
+    doubted = [name for name, state in result["joints"].items() if state["condition"] != "in_order"]
+    if result["verdict"] != "changed" or not doubted:
+        return ""
+    joints = f"joint{'s' if len(doubted) > 1 else ''} {enumerate_words(doubted)}"
+    return (
+        f"Whether there is wear in {joints} as well is told with reserve: measure again when the change is put right."
+    )
 
 
 def sound(result: Mapping[str, Any]) -> float:

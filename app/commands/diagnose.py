@@ -176,7 +176,7 @@ def told_of(
 def report(result: Mapping[str, Any]) -> str:
     """Return a diagnosis as plain text."""
     parts = [words.sentence(result), *words.remarks(result)]
-    if result["joints"]:
+    if words.joint_rows(result):
         parts += [words.joints_sentence(result), indented(joints(result))]
     parts += [
         f"drive speed {result['drive_speed_rpm']:.6g} rpm; {words.fit_sentence(result)}",

@@ -69,6 +69,9 @@ def test_wear_of_which_the_joint_is_not_sure() -> None:
         "Probably joint A is worn: radial clearance 250 µm (90 %: 225 to 275), probability 70 %."
     )
     assert words.short(found) == "A probably worn"
+    assert list(words.named_joints(found)) == ["A"]
+    joints["A"] = joint("open", 90.0, 0.7)  # of fit or wear; what is said is its size if it is worn
+    assert "radial clearance 250 µm" in words.sentence({**found, "joints": joints})
 
 
 def test_where_nothing_was_said_of_single_joints_the_hypothesis_is_named() -> None:
@@ -95,7 +98,9 @@ def test_clearances_and_bounds(bound: str, interval: list[float], text: str) -> 
 
 def test_a_machine_in_order() -> None:
     found = result("in_order", hypothesis("healthy", 0.9), hypothesis("B", 0.1, B=20), joints=SOUND)
-    assert words.sentence(found) == "No worn joint: the recording fits a machine in order, probability 90 %."
+    assert words.sentence(found) == "Probably no worn joint: the recording fits a machine in order, probability 90 %."
+    sure = {**found, "coverage": 0.9}
+    assert words.sentence(sure) == "No worn joint: the recording fits a machine in order, probability 90 %."
     assert words.short(found) == "in order"
     joints = {**SOUND, "B": joint("open", 40.0, 0.4, interval_um=[20, 60]), "E": joint("in_order", 9.0, 0.0)}
     joints["E"]["detectable_from_um"] = None
@@ -115,6 +120,10 @@ def test_a_machine_that_has_changed() -> None:
     assert words.remarks(found) == []
     load = cause("load", -150.0, "N", 0.12)
     assert words.remarks({**found, "causes": [mount, load]}) == ["It may also be: load, −150 N, 12 %."]
+    doubted = {**found, "joints": {**SOUND, "O": joint("worn", 300.0, 0.96)}}
+    assert words.remarks(doubted) == [
+        "Whether there is wear in joint O as well is told with reserve: measure again when the change is put right."
+    ]
     nameless = {**found, "causes": []}
     assert words.sentence(nameless) == "Changed, but not by play; none of the known causes explains it."
     assert (words.short(nameless), words.probability(nameless)) == ("changed", "–")
@@ -165,7 +174,8 @@ def test_nothing_known() -> None:
         "No verdict: the recording fits none of the hypotheses of this catalogue, p = 0.004; the closest is F."
     )
     assert (words.short(found), words.probability(found)) == ("no verdict", "–")
-    flawed = {**found, "sensors": [SWAPPED]}
+    flawed = {**found, "sensors": [SWAPPED], "joints": WORN}
+    assert (words.joint_rows(flawed), words.joints_sentence(flawed)) == ([], "")
     assert words.sentence(flawed) == "No verdict: s1-x and s2-y seem to be swapped."
     assert words.remarks(flawed) == []
     assert "none of them explains the recording" in words.set_sentence(found)

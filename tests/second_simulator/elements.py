@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -92,9 +92,9 @@ def elements(machine: Machine, clearances: Mapping[str, float]) -> Elements:
     )
 
 
-def _table(rows: list[tuple[float, ...]], width: int) -> Array:
+def _table(rows: Sequence[tuple[float, ...]], width: int) -> Array:
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-def _indices(rows: list[tuple[int, ...]], width: int) -> Indices:
+def _indices(rows: Sequence[tuple[int, ...]], width: int) -> Indices:
     return np.array(rows, dtype=np.int64).reshape(-1, width)

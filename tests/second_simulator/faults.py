@@ -20,8 +20,8 @@ def soften(machine: Machine, place: int, factor: float) -> Machine:
     """The machine with another stiffness of one mount; its damping goes with the root."""
     mounts, old = list(machine.mounts), machine.mounts[place]
     root = math.sqrt(factor)
-    stiffness, damping = tuple(factor * each for each in old.stiffness), tuple(root * each for each in old.damping)
-    mounts[place] = replace(old, stiffness=stiffness, damping=damping)
+    (kx, ky), (cx, cy) = old.stiffness, old.damping
+    mounts[place] = replace(old, stiffness=(factor * kx, factor * ky), damping=(root * cx, root * cy))
     return replace(machine, mounts=tuple(mounts))
 
 

@@ -42,8 +42,8 @@ class Ideal:
         for pin in machine.pins.values():
             one, by_one = self._point(q, pin.pin, pin.at)
             other, by_other = self._point(q, pin.socket, pin.at)
-            for c in (0, 1):
-                add(one[c] - other[c], (pin.pin, by_one[c]), (pin.socket, -by_other[c]))
+            for axis in (0, 1):
+                add(float(one[axis] - other[axis]), (pin.pin, by_one[axis]), (pin.socket, -by_other[axis]))
         for guide in machine.guides.values():
             one, by_one = self._point(q, guide.slider, guide.at)
             other, by_other = self._point(q, guide.rail, guide.at)
@@ -53,14 +53,14 @@ class Ideal:
                 [c * guide.direction[0] - s * guide.direction[1], s * guide.direction[0] + c * guide.direction[1]]
             )
             n, apart = np.array([-d[1], d[0]]), one - other
-            add(n @ apart, (guide.slider, n @ by_one), (guide.rail, -n @ by_other - d @ apart * turn))
+            add(float(n @ apart), (guide.slider, n @ by_one), (guide.rail, -n @ by_other - d @ apart * turn))
             add(q[index[guide.slider], 2] - angle, (guide.slider, turn), (guide.rail, -turn))
         drive = machine.drive
         assert drive is not None
         add(q[index[drive.driven], 2] - q[index[drive.base], 2] - theta, (drive.driven, turn), (drive.base, -turn))
         frame = index[machine.frame]
-        for c in range(3):
-            add(q[frame, c] - self.drawn[frame, c], (machine.frame, np.eye(3)[c]))
+        for axis in range(3):
+            add(q[frame, axis] - self.drawn[frame, axis], (machine.frame, np.eye(3)[axis]))
         return np.array(values), np.array(rows)
 
     def places(self, theta: float, near: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,15 +107,20 @@ def _pin(said: Mapping[str, Any]) -> Pin:
 def _guide(said: Mapping[str, Any]) -> Guide:
     x, y = point(said["direction"])
     length = math.hypot(x, y)
-    rubs = {key: number(said[key]) for key in ("friction", "viscous", "friction_velocity") if key in said}
-    return Guide(*said["links"], point(said["at"]), (x / length, y / length), **rubs)
+    slider, rail = said["links"]
+    guide = Guide(slider, rail, point(said["at"]), (x / length, y / length))
+    rubs: dict[str, Any] = {
+        key: number(said[key]) for key in ("friction", "viscous", "friction_velocity") if key in said
+    }
+    return replace(guide, **rubs)
 
 
 def _contact(said: Mapping[str, Any]) -> Contact:
     if said.get("law", "linear") != "linear":
         raise ValueError("contacts of a file are linear here; others are drawn")
     names = ("stiffness", "damping", "friction", "friction_velocity")
-    return Contact(**{name: number(said[name]) for name in names if name in said})
+    numbers: dict[str, Any] = {name: number(said[name]) for name in names if name in said}
+    return Contact(**numbers)
 
 
 def _mount(said: Mapping[str, Any]) -> Mount:

@@ -18,11 +18,16 @@ from solver.machines.machine import shipped_machine
 from solver.simulation.simulate import Status, simulate
 
 #: Differences as parts of the largest value. Both sides take the same steps; their sines round differently, and impacts
-#: amplify that. Measured with AVX-512: at most 5e-12, 8e-11 and 8e-10, with AVX2 thirty times that; ten times those
-#: are allowed for other processors.
-CLOSE = {"displacement": 2e-9, "velocity": 2e-8, "acceleration": 2e-7, "band_limited_acceleration": 2e-7}
-#: The same where rounding decided one trial step among hundreds otherwise, which leaves errors of steps: measured 130.
-DECIDED_OTHERWISE = 1e3
+#: amplify that. What rounding can do was measured by moving speeds and clearances of each case 300 times by up to 1, 4
+#: and 16 units in their last place, and between threads and lanes, compiled for AVX-512, AVX2 and SSE2 with the libraries
+#: held to the same: at most 7e-12, 1.9e-10, 1.4e-9, 9e-10, and 5e-11 at the end. About ten times that is allowed.
+CLOSE = {"displacement": 7e-11, "velocity": 2e-9, "acceleration": 1.4e-8, "band_limited_acceleration": 1e-8}
+CLOSE_END = 5e-10
+#: The same where rounding decides one trial step among hundreds otherwise, which leaves errors of steps: 1.1e-10, 7e-9,
+#: 2e-7, 5e-6, and 5e-6 at the end; the mean step 8e-3. As many trials may be otherwise ones, so one case is named.
+LOOSE = {"displacement": 1e-9, "velocity": 7e-8, "acceleration": 2e-6, "band_limited_acceleration": 5e-5}
+LOOSE_END = 5e-5
+DECIDED_BY_ROUNDING = ("contacts that remember their impacts", 0)  # in a third to three quarters of those 300
 
 
 def run(*command: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -54,29 +59,29 @@ NAMES = [*TABLES, *(f"{name}, gone on with" for name in GONE_ON_WITH)]
 def test_threads_agree_with_lanes(
     name: str, simulated: dict[str, list[History]], expected: dict[str, list[History]]
 ) -> None:
-    for thread, lane in zip(simulated[name], expected[name], strict=True):
+    for number, (thread, lane) in enumerate(zip(simulated[name], expected[name], strict=True)):
         assert thread.case == lane.case
         assert (thread.status, thread.message, len(thread.t)) == (lane.status, lane.message, len(lane.t))
-        slack = 1.0 if thread.step == pytest.approx(lane.step, rel=1e-12) else DECIDED_OTHERWISE
-        assert thread.step == pytest.approx(lane.step, rel=1e-2)
+        alike = (name, number) != DECIDED_BY_ROUNDING
+        assert thread.step == pytest.approx(lane.step, rel=1e-12 if alike else 3e-2)
+        bounds, bound_at_end = (CLOSE, CLOSE_END) if alike else (LOOSE, LOOSE_END)
         assert np.array_equal(thread.t, lane.t)
-        for motion, bound in CLOSE.items():
+        for motion, bound in bounds.items():
             ours, theirs = getattr(thread, motion), getattr(lane, motion)
             assert ours.shape == theirs.shape
             gap, size = (np.abs(part).max(axis=0, initial=0.0) for part in (ours - theirs, theirs))
-            assert (gap <= slack * bound * size).all(), motion
+            assert (gap <= bound * size).all(), motion
         if lane.status in (Status.DIVERGED, Status.STEP_TOO_SMALL):  # its end is where rounding took it
             continue
         if lane.status is Status.CANNOT_ASSEMBLE:
             assert lane.end is thread.end is None
             continue
         for ours, theirs in ((thread.end.z, lane.end.z), (thread.end.v, lane.end.v)):
-            # A filter's reach beyond the samples, where the mean step does not tell how trials were decided.
-            assert np.abs(ours - theirs).max() < DECIDED_OTHERWISE * CLOSE["velocity"] * np.abs(theirs).max()
+            assert np.abs(ours - theirs).max() < bound_at_end * np.abs(theirs).max()
         if lane.links is not None:
             assert thread.links is not None
             gap = np.abs(thread.links.displacement - lane.links.displacement)
-            assert gap.max() < slack * CLOSE["displacement"] * np.abs(lane.links.displacement).max()
+            assert gap.max() < bounds["displacement"] * np.abs(lane.links.displacement).max()
 
 
 def test_a_failing_case_is_a_status_and_its_neighbour_goes_on(simulated: dict[str, list[History]]) -> None:
