@@ -29,10 +29,10 @@ LIMITS = (
 JOINT_COLUMNS = (
     "Joint",
     "State",
-    "Worn, probability",
+    "Worn",
     "Radial clearance (90 % interval)",
     "Wear shows from",
-    "Beyond its limit, probability",
+    "Beyond its limit",
 )
 
 
@@ -163,7 +163,7 @@ def sizes(result: Mapping[str, Any]) -> tuple[str, ...]:
     if not worn:
         return ("No size of play is given, because no joint is named as worn.",)
     found = "; ".join(f"{joint}: {words.clearance(each, '', '90 %: ')}" for joint, each in worn.items())
-    return (f"Radial clearance if {words.enumerate_words(list(worn))} is the cause: {found}.",)
+    return (f"Radial clearance if worn: {found}.",)
 
 
 def suggestions(result: Mapping[str, Any]) -> tuple[str, ...]:
