@@ -1,4 +1,4 @@
-"""Diagnoses of recordings by the second simulator of the tests, which shares no code with the product, beside the truth.
+"""Diagnoses of recordings by the second simulator of the tests, which shares no code with it, beside the truth.
 
     PYTHONPATH=tests python -m second_simulator --protocol singles --machine four-bar --count 12 --out recordings
     python -m benchmarks.real_machines recordings --catalogues DIR [--keep answers.json]
@@ -167,7 +167,7 @@ def figures(found: Sequence[Judged]) -> list[tuple[str, ...]]:
     for item in found:
         groups[item.protocol, item.truth["machine"]].append(item)
         groups[item.protocol, "all"].append(item)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for (protocol, machine), items in sorted(groups.items()):
         for said, rule in RULES.get(protocol, ()):
             right = sum(rule(item) for item in items)

@@ -32,7 +32,7 @@ class Hypothesis(_Frozen):
     Attributes
     ----------
     label : str
-        Its name in the catalogue: "F", "A+C", "healthy", "as-new".
+        Its name in the catalogue: "F", "A+C", "healthy".
     joints : mapping of str to JointClearance
         Worn joints; empty for a healthy machine.
     probability : float

@@ -117,7 +117,7 @@ class Revolution:
         """Velocity (n,) of a link's centre of gravity along a direction, m/s; of its angle where that is (0, 0)."""
         index = self.links.index(link)
         if direction == (0.0, 0.0):
-            return _derived(self.angle[:, index], abs(self.speed)) + self.turns[index] * abs(self.speed)
+            return _derived(self.angle[:, index], abs(self.speed)) + float(self.turns[index]) * abs(self.speed)
         return _derived(self.place[:, index] @ np.array(direction), abs(self.speed))
 
     def _inertial(self, place: FloatArray, angle: FloatArray, factors: dict[str, float]) -> FloatArray:
