@@ -63,7 +63,8 @@ def test_threads_agree_with_lanes(
         assert thread.case == lane.case
         assert (thread.status, thread.message, len(thread.t)) == (lane.status, lane.message, len(lane.t))
         alike = (name, number) != DECIDED_BY_ROUNDING
-        assert thread.step == pytest.approx(lane.step, rel=1e-12 if alike else 3e-2)
+        if lane.status is not Status.JAMMED:  # rounding decides how often its last step is tried
+            assert thread.step == pytest.approx(lane.step, rel=1e-12 if alike else 3e-2)
         bounds, bound_at_end = (CLOSE, CLOSE_END) if alike else (LOOSE, LOOSE_END)
         assert np.array_equal(thread.t, lane.t)
         for motion, bound in bounds.items():
