@@ -54,6 +54,7 @@ def tell(report: VerifyReport, catalogue: Path, sound: str, *, as_json: bool) ->
                 "entries": report.entries,
                 "failed_entries": report.failed,
                 "lost_entries": report.lost_entries,
+                "other_numbers": report.other_numbers or None,
                 "findings": [
                     {"path": str(finding.path), "what": finding.what, "action": finding.action}
                     for finding in report.findings
@@ -67,6 +68,8 @@ def tell(report: VerifyReport, catalogue: Path, sound: str, *, as_json: bool) ->
         click.echo(
             f"{catalogue}: {state}: {report.entries} cases in {report.shards} files, {report.failed} without a spectrum"
         )
+        if report.other_numbers:
+            click.echo(f"{catalogue}: {report.other_numbers}: diagnoses go on with it, builds do not")
     if report.lost_entries:
         raise DamagedCatalogueError(
             f"{catalogue}: {report.lost_entries} cases are lost; `jointplay build` computes them again"

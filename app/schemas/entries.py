@@ -46,7 +46,7 @@ class EntryItem(Shape):
 
     key: str = Field(description="SHA-256 of machine, fault, numbers, settings and solver version.")
     hypothesis: str
-    worn: list[str] = Field(description="The worn joints; others with clearance have the play of new fits.")
+    worn: list[str] = Field(description="The worn joints; others with clearance have the play of their fits.")
     clearances_um: dict[str, float] = Field(description="Radial clearance of the joints that have one.")
     status: str = Field(description="`ok`, or how the simulation failed.")
     message: str

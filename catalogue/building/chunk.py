@@ -82,8 +82,8 @@ def chunked(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: in
     Returns
     -------
     list of Chunk
-        The first chunks of all hypotheses, then the second ones, and so on: then workers compile different models
-        in the beginning, and find them compiled later.
+        The first chunks of all hypotheses, then the second ones, and so on: what an interrupted build leaves knows them
+        all.
     """
     groups: dict[tuple[object, ...], list[Entry]] = defaultdict(list)
     for entry in entries:

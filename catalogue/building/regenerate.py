@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import solver
 from catalogue.building.chunk import Chunk, Compute, chunked, simulate_chunk
 from catalogue.building.executors import Executor, InProcess, LocalProcesses
 from catalogue.errors import CatalogueMismatchError
@@ -130,10 +129,8 @@ def regenerate(
     """
     started = time.monotonic()
     manifest = catalogue.manifest
-    if manifest.numbers_version != solver.NUMBERS_VERSION:
-        theirs, ours = manifest.numbers_version, solver.NUMBERS_VERSION
-        rule = f"holds numbers of version {theirs}, this program computes version {ours}: nothing to compare"
-        raise CatalogueMismatchError(catalogue.path, rule)
+    if manifest.other_numbers:
+        raise CatalogueMismatchError(catalogue.path, f"{manifest.other_numbers}: nothing to compare")
     every = catalogue.matrix.every_row
     rows = np.sort(np.random.default_rng(seed).choice(every, min(sample, len(every)), replace=False))
     stored = {entry.key: (entry, outcome) for entry, outcome in catalogue.cases(rows)}

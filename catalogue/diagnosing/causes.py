@@ -9,11 +9,14 @@ what they scatter by, gains of sensors included.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics
@@ -33,29 +36,42 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 ComplexArray = npt.NDArray[np.complex128]
 
-#: Factors on the stiffness of mounts, from loose to twice as stiff; those next to 1 are within what rubber differs by.
-STIFFNESSES = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.3, 1.6, 2.0)
-#: Factors on a mass.
-MASSES = (0.5, 0.65, 0.8, 0.9, 1.1, 1.2, 1.35, 1.5, 2.0)
+#: Factors on the stiffness of mounts that a search starts from.
+STIFFNESSES = (0.02, 0.1, 0.3, 0.5, 0.7, 1.3, 2.0)
+#: Factors on a mass that a search starts from.
+MASSES = (0.5, 0.65, 0.8, 1.2, 1.5, 2.0)
 #: Mass times radius that turns with the drive, as a part of the moving mass times the length of the driven link.
-UNBALANCES = tuple(np.geomspace(0.01, 1.0, 10).tolist())
+UNBALANCES = (0.02, 0.1, 0.5)
 #: Process loads, as multiples of the weight of the moving links.
-LOADS = tuple(np.geomspace(0.2, 20.0, 12).tolist())
+LOADS = (-8.0, -2.0, -0.5, 0.5, 2.0, 8.0)
 #: Orders and amplitudes [rad] of a ripple of the drive.
-RIPPLES = ((1, 2, 3, 4, 6, 8, 12), tuple(np.geomspace(5e-4, 2e-2, 8).tolist()))
-#: Phases of what turns or swings with the drive: what the recording does not know.
-PHASES = tuple((2.0 * math.pi * np.arange(12) / 12).tolist())
+RIPPLE_ORDERS, RIPPLES = (1, 2, 3, 4, 6, 8, 12), (5e-4, 3e-3, 2e-2)
+#: Phases of what turns or swings with the drive, which the recording does not know.
+PHASES = 2.0 * math.pi * np.arange(6) / 6
+#: Standard deviation of the logarithm of a second factor, of damping or inertia, from what it usually is.
+SECOND_FACTOR = 0.3
 #: Standard deviation, relative, of a sensor's gain.
 GAIN_SCATTER = 0.03
-#: P-value below which no family is named: none of them explains the low orders.
-UNEXPLAINED = 0.01
-#: What a family's evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine
-#: with play, and levels that err together are not as many as they look.
+#: What a change that shifts a level is not better known to than, as a part of the shift.
+SHIFT_ERROR = 0.1
+#: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
+#: and levels that err together are not as many as they look.
 TEMPERATURE = 2.0
-#: Probability below which a cause is not worth a line.
+#: A cause is named where it has this probability, and is so much likelier than none (ln),
 LEAST_PROBABILITY = 0.05
+LEAST_GAIN = 8.0
+#: and where it leaves no more than this part of what the machine as filed leaves unexplained, or fits as well as this.
+MOST_LEFT = 0.35
+EXPLAINED = 0.01
+#: Families that are searched beyond their starts: the best so many.
+SEARCHED = 5
 #: Entries of a worn hypothesis that stand for the recording's machine: those nearest in clearance.
 NEAREST = 80
+#: A level counts where entries scatter by no more than this [dB], and it has this many times the power of the noise.
+MOST_SCATTER_DB = 4.0
+LEAST_SIGNAL = 2.0
+#: Fewest levels that a change is told from others by.
+LEAST_LEVELS = 12
 
 
 @dataclass(frozen=True)
@@ -79,15 +95,77 @@ class NamedCause:
     probability: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """One member of a family: the frame's motion before and after, orders (K, 3, 3), and what is added to it (K, 3)."""
+class _Family(Protocol):
+    """Changes of one kind."""
 
-    family: str
-    size: float
+    @property
+    def name(self) -> str:
+        """As it is told."""
+
+    @property
+    def unit(self) -> str:
+        """Of the size."""
+
+    @property
+    def starts(self) -> FloatArray:
+        """Numbers (n, p) of the members that a search starts from."""
+
+    def size(self, numbers: FloatArray) -> float:
+        """What a member is told by."""
+
+    def oddity(self, numbers: FloatArray) -> float:
+        """Squared distance of its numbers from what such a change usually has, in standard deviations."""
+
+    def changed(self, power: ComplexArray, motion: ComplexArray, numbers: FloatArray) -> ComplexArray:
+        """Cross-powers (K, 3, 3) after a change, of those before and of the ideal frame's motion (K, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """What acts on the frame besides: numbers (p,) times motions (p, K, 3) that they add."""
+
+    name: str
     unit: str
-    passed: ComplexArray | None = None
-    added: ComplexArray | None = None
+    starts: FloatArray
+    basis: ComplexArray
+
+    def size(self, numbers: FloatArray) -> float:
+        return float(numbers[0]) if len(numbers) == 1 else float(np.linalg.norm(numbers))
+
+    def oddity(self, numbers: FloatArray) -> float:
+        return 0.0
+
+    def changed(self, power: ComplexArray, motion: ComplexArray, numbers: FloatArray) -> ComplexArray:
+        # Powers are mean squares, twice |amplitude|^2.
+        new, own = np.tensordot(numbers, self.basis, 1)[:, :, None], motion[:, :, None]
+        cross = own @ new.conj().swapaxes(1, 2)
+        return np.asarray(power + 2.0 * (cross + cross.conj().swapaxes(1, 2) + new @ new.conj().swapaxes(1, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Factor:
+    """The frame or its supports: numbers of the machine with two factors, given by their logarithms.
+
+    The second is usually the first to a power.
+    """
+
+    name: str
+    unit: str
+    starts: FloatArray
+    model: _Model
+    usual: float
+    numbers: Callable[[float, float], dict[str, float]]
+
+    def size(self, numbers: FloatArray) -> float:
+        return math.exp(float(numbers[0]))
+
+    def oddity(self, numbers: FloatArray) -> float:
+        return float((numbers[1] - self.usual * numbers[0]) / SECOND_FACTOR) ** 2
+
+    def changed(self, power: ComplexArray, motion: ComplexArray, numbers: FloatArray) -> ComplexArray:
+        model = self.model
+        passed = accelerance(model.machine, self.numbers(*np.exp(numbers).tolist()), model.frequency) @ model.inverse
+        return np.asarray(passed @ power @ passed.conj().swapaxes(1, 2))
 
 
 def name_causes(
@@ -116,16 +194,15 @@ def name_causes(
     if not on_mounts(machine):
         return ()
     levels = OrderLevels.of(prepared)
-    speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
-    model = _Model.of(machine, speed)
-    changes = list(_changes(machine, model))
-    scored: list[tuple[float, float, _Change | None]] = []
+    model = _Model.of(machine, math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed))
+    families = tuple(_families(machine, model))
+    scored: list[_Scored] = []
     for label, rows in (("healthy", None), *worn):
         known = class_statistics(catalogue, levels, label, rows)
         if known is not None:
-            scored += _scored(catalogue, known, label, rows, model, changes)
-    if not scored or max(p for _, p, _ in scored) < UNEXPLAINED:
-        return ()
+            chosen = catalogue.matrix.rows(label, "trusted") if rows is None else rows
+            power = catalogue.matrix.cross_power(chosen)[:, :FEATURE_ORDERS].mean(axis=0)
+            scored += _scored(known, power, model, families)
     return _ranked(scored)
 
 
@@ -133,9 +210,11 @@ def name_causes(
 class _Model:
     """The machine as filed: motion (K, 3) of its ideal frame, its accelerance (K, 3, 3), and a revolution of links."""
 
+    machine: Machine
     revolution: Revolution
     frequency: FloatArray
     accelerance: ComplexArray
+    inverse: ComplexArray
     motion: ComplexArray
 
     @classmethod
@@ -143,7 +222,8 @@ class _Model:
         revolution = Revolution.of(machine, speed)
         frequency = np.arange(1.0, FEATURE_ORDERS + 1.0) * (abs(speed) / (2.0 * math.pi))
         own = accelerance(machine, {}, frequency)
-        return cls(revolution, frequency, own, _moved(own, revolution.inertial()))
+        motion = _moved(own, revolution.inertial())
+        return cls(machine, revolution, frequency, own, np.asarray(np.linalg.inv(own), np.complex128), motion)
 
     def added(self, wrench: FloatArray) -> ComplexArray:
         """What a further wrench (n, 3) adds to the frame's motion."""
@@ -154,69 +234,87 @@ def _moved(accelerance: ComplexArray, wrench: FloatArray) -> ComplexArray:
     return np.asarray(np.einsum("kij,kj->ki", accelerance, wrench_orders(wrench, len(accelerance))), np.complex128)
 
 
-def _changes(machine: Machine, model: _Model) -> Iterator[_Change]:
-    """All members of all families."""
-    inverse = np.linalg.inv(model.accelerance)
+def _families(machine: Machine, model: _Model) -> Iterator[_Family]:
+    # Rubber that is softer damps less, and a frame that is lighter is easier to turn.
+    stiffnesses = np.log(STIFFNESSES)[:, None] * [1.0, 0.5]
+    masses = np.log(MASSES)[:, None] * [1.0, 1.0]
     mounts = [index for index, support in enumerate(machine.supports) if isinstance(support, Mount)]
     for name, group in [*((f"mount {index}", [index]) for index in mounts), ("all mounts", mounts)]:
-        for factor in STIFFNESSES:
-            changed = accelerance(machine, _mounts(machine, group, factor), model.frequency)
-            yield _Change(name, factor, "x stiffness", passed=changed @ inverse)
-    for factor in MASSES:
-        numbers = {
-            f"links.{machine.frame}.{part}": factor * (getattr(machine.links[machine.frame], part) or 0.0)
-            for part in ("mass", "inertia")
-        }
-        changed = accelerance(machine, numbers, model.frequency)
-        yield _Change(f"mass of {machine.frame}", factor, "x mass", passed=changed @ inverse)
+        yield _Factor(name, "x stiffness", stiffnesses, model, 0.5, partial(_mounts, machine, group))
+    yield _Factor(f"mass of {machine.frame}", "x mass", masses, model, 1.0, partial(_frame, machine))
     revolution = model.revolution
     own = revolution.inertial()
     for link in revolution.links:
-        for factor in MASSES:
-            added = model.added(revolution.inertial({link: factor}) - own)
-            yield _Change(f"mass of {link}", factor, "x mass", added=added)
+        if link == _driven(machine):
+            continue  # a heavier crank is unbalance
+        one = model.added(revolution.inertial({link: 2.0}) - own)
+        yield _Mass(f"mass of {link}", "x mass", np.array(MASSES)[:, None] - 1.0, one[None])
     yield from _unbalances(machine, model)
     yield from _loads(machine, model)
-    orders, amplitudes = RIPPLES
     small = 1e-4
-    for order in orders:
-        sine = (model.added(revolution.rippled(order, small, 0.0)) - model.motion) / small
-        cosine = (model.added(revolution.rippled(order, 0.0, small)) - model.motion) / small
-        for amplitude in amplitudes:
-            for phase in PHASES:
-                added = amplitude * (math.sin(phase) * sine + math.cos(phase) * cosine)
-                yield _Change(f"ripple of the drive, order {order}", amplitude, "rad", added=added)
+    starts = _turned(RIPPLES)
+    for order in RIPPLE_ORDERS:
+        parts = [model.added(revolution.rippled(order, *each)) - model.motion for each in ((small, 0.0), (0.0, small))]
+        yield _Forces(f"ripple of the drive, order {order}", "rad", starts, np.array(parts) / small)
 
 
-def _mounts(machine: Machine, group: Sequence[int], factor: float) -> dict[str, float]:
-    """Numbers of mounts whose stiffness has a factor, and whose damping has its root."""
+class _Mass(_Forces):
+    """Mass of a link: the number is what its factor is above 1."""
+
+    def size(self, numbers: FloatArray) -> float:
+        return 1.0 + float(numbers[0])
+
+
+def _turned(sizes: Sequence[float]) -> FloatArray:
+    """Sine and cosine parts (n, 2) of every size with every phase."""
+    return np.array([[size * math.sin(phase), size * math.cos(phase)] for size in sizes for phase in PHASES])
+
+
+def _mounts(machine: Machine, group: Sequence[int], factor: float, damping: float) -> dict[str, float]:
+    """Numbers of mounts whose stiffness has a factor, and whose damping another one."""
     found: dict[str, float] = {}
     for index in group:
         mount = machine.supports[index]
         assert isinstance(mount, Mount)
         for axis in (0, 1):
             found[f"supports.{index}.stiffness.{axis}"] = factor * mount.stiffness[axis]
-            found[f"supports.{index}.damping.{axis}"] = math.sqrt(factor) * mount.damping[axis]
+            found[f"supports.{index}.damping.{axis}"] = damping * mount.damping[axis]
     return found
 
 
-def _unbalances(machine: Machine, model: _Model) -> Iterator[_Change]:
+def _frame(machine: Machine, mass: float, inertia: float) -> dict[str, float]:
+    """Numbers of a frame whose mass has a factor, and whose inertia another one."""
+    link = machine.links[machine.frame]
+    return {
+        f"links.{machine.frame}.mass": mass * (link.mass or 0.0),
+        f"links.{machine.frame}.inertia": inertia * (link.inertia or 0.0),
+    }
+
+
+def _driven(machine: Machine) -> str:
+    """Link that turns on the frame with the drive; empty where what turns does not turn on the frame."""
     joint = machine.joints[str(getattr(machine.drive, "joint", ""))]
-    driven = next((name for name in joint.links if name != machine.frame), None)
-    if machine.frame not in joint.links or driven is None:
-        return  # what turns does not turn on the frame
+    others = [name for name in joint.links if name != machine.frame]
+    return others[0] if len(others) == 1 else ""
+
+
+def _unbalances(machine: Machine, model: _Model) -> Iterator[_Family]:
+    driven = _driven(machine)
+    if not driven:
+        return
+    joint = machine.joints[str(getattr(machine.drive, "joint", ""))]
     others = [each.at for each in machine.joints.values() if isinstance(each, TurningJoint) and driven in each.links]
     length = max(math.dist(joint.at, at) for at in others)
-    moving = sum(machine.links[name].mass or 0.0 for name in model.revolution.links)
-    for share in UNBALANCES:
-        for phase in PHASES:
-            product = share * moving * length
-            added = model.added(model.revolution.rotating(joint.at, product, phase))
-            yield _Change("unbalance", product, "kg m", added=added)
+    product = length * sum(machine.links[name].mass or 0.0 for name in model.revolution.links)
+    parts = [model.added(model.revolution.rotating(joint.at, 1.0, phase)) for phase in (0.0, 0.5 * math.pi)]
+    yield _Forces("unbalance", "kg m", product * _turned(UNBALANCES), np.array(parts))
 
 
-def _loads(machine: Machine, model: _Model) -> Iterator[_Change]:
-    """Loads of the process on the output link: constant, and over either half of its way."""
+def _loads(machine: Machine, model: _Model) -> Iterator[_Family]:
+    """Loads of the process on the output link: constant, and over either half of its way.
+
+    On a link that turns, both a torque and a force across the end of its arm.
+    """
     place = output_load(machine)
     if place is None:
         return
@@ -224,63 +322,90 @@ def _loads(machine: Machine, model: _Model) -> Iterator[_Change]:
     weight = 9.81 * sum(machine.links[name].mass or 0.0 for name in revolution.links)
     forward = revolution.velocity(place.link, place.direction) > 0.0
     courses = {"load": np.ones(len(forward)), "load on one stroke": 1.0 * forward, "load on the other": 1.0 * ~forward}
+    along = np.broadcast_to(place.direction, (len(forward), 2))
+    ways = [(place.at, along, place.arm)]
+    ends = [each.at for each in machine.joints.values() if place.link in each.links and each.at != place.at]
+    if place.direction == (0.0, 0.0) and ends:
+        end = max(ends, key=lambda at: math.dist(place.at, at))
+        ways.append((end, revolution.across(place.link, place.at, end), 0.0))
+    starts = weight * np.array(LOADS)[:, None]
     for name, course in courses.items():
-        for multiple in LOADS:
-            for size in (multiple * weight, -multiple * weight):
-                force = size * course[:, None] * np.array(place.direction)
-                torque = size * course * place.arm
-                added = model.added(revolution.force(place.link, place.at, force, torque))
-                yield _Change(name.replace("the other", "one stroke"), size, "N", added=added)
+        for at, direction, arm in ways:
+            force, torque = np.asarray(course[:, None] * direction, np.float64), np.asarray(course * arm, np.float64)
+            added = model.added(revolution.force(place.link, at, force, torque))
+            yield _Forces(name.replace("the other", "one stroke"), "N", starts, added[None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """The best member of a family, and whether it may be named; no family where nothing was changed."""
+
+    family: _Family | None
+    evidence: float
+    size: float
+    named: bool = False
 
 
 def _scored(
-    catalogue: Catalogue,
-    known: LevelStatistics,
-    label: str,
-    rows: IntArray | None,
-    model: _Model,
-    changes: Sequence[_Change],
-) -> list[tuple[float, float, _Change | None]]:
-    """Log evidence, p-value and change of every member, and of no change at all, for machines of one hypothesis."""
+    known: LevelStatistics, power: ComplexArray, model: _Model, families: Sequence[_Family]
+) -> Iterator[_Scored]:
+    """Score every family, and no change at all, for machines of some cross-powers (K, 3, 3)."""
     levels = known.levels
-    chosen = catalogue.matrix.rows(label, "trusted") if rows is None else rows
-    power = catalogue.matrix.cross_power(chosen)[:, :FEATURE_ORDERS].mean(axis=0)
-    before = levels.of_motion(power)
     # With no change, and with changes that move single levels far: levels that noise hides say nothing of either.
     used = np.asarray(known.deviations.std(axis=0) < MOST_SCATTER_DB) & (
         10.0 ** (0.1 * levels.measured) > LEAST_SIGNAL * levels.noise
     )
     if used.sum() < LEAST_LEVELS:
-        return []
+        return
     by_gain = _by_gain(levels, power)[used]
     more = by_gain @ by_gain.T * GAIN_SCATTER**2
-    weight = np.linalg.inv(known.covariance(used) + more)
-    found: list[tuple[float, float, _Change | None]] = []
-    for change in (None, *changes):
-        shift = np.zeros_like(before) if change is None else levels.of_motion(_changed(power, model, change)) - before
-        away = (levels.measured - known.mean - shift)[used]
-        found.append((float(away @ weight @ away), 0.0, change))
-    best = min(range(len(found)), key=lambda place: found[place][0])
-    p_value = known.p_value(found[best][0], used, more)
-    return [(-0.5 * distance / TEMPERATURE, p_value, change) for distance, _, change in found]
+    covariance = known.covariance(used) + more
+    own_size = float(np.linalg.slogdet(covariance)[1])
+    before = levels.of_motion(power)
+    away = (levels.measured - known.mean)[used]
+
+    def distance(changed: ComplexArray) -> FloatArray:
+        shift = (levels.of_motion(changed) - before)[..., used]
+        left = away - shift
+        spread = covariance + (SHIFT_ERROR * shift[..., None]) ** 2 * np.eye(len(away))
+        size = np.linalg.slogdet(spread)[1] - own_size
+        return np.asarray(np.sum(left * np.linalg.solve(spread, left[..., None])[..., 0], axis=-1) + size)
+
+    none = float(distance(power))
+    penalty = 0.5 * math.log(float(used.sum()))
+    yield _Scored(None, -0.5 * none / TEMPERATURE, 0.0)
+    starts = []
+    for family in families:
+        every = distance(np.array([family.changed(power, model.motion, numbers) for numbers in family.starts]))
+        best = int(np.argmin(every))
+        starts.append((float(every[best]), family, family.starts[best]))
+    starts.sort(key=lambda start: start[0])
+    for rank, (found, family, numbers) in enumerate(starts):
+        if rank < SEARCHED:
+            off = _Misfit(family, power, model.motion, distance)
+            least = 1e-3 * float(np.abs(numbers).max())
+            searched = minimize(
+                off, numbers, method="Nelder-Mead", options={"xatol": least, "fatol": 0.1, "maxfev": 120}
+            )
+            found, numbers = float(searched.fun), np.asarray(searched.x, np.float64)
+        explained = found <= MOST_LEFT * none or known.p_value(found, used, more) >= EXPLAINED
+        gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
+        evidence = gain - 0.5 * none / TEMPERATURE
+        yield _Scored(family, evidence, family.size(numbers), explained and gain >= LEAST_GAIN)
 
 
-#: A level counts where entries scatter by no more than this [dB], and it has this many times the power of the noise.
-MOST_SCATTER_DB = 4.0
-LEAST_SIGNAL = 2.0
-#: Fewest levels that a change is told from others by.
-LEAST_LEVELS = 12
+@dataclass(frozen=True, eq=False)
+class _Misfit:
+    """How far off the members of a family are, as a function of their numbers."""
 
+    family: _Family
+    power: ComplexArray
+    motion: ComplexArray
+    distance: Callable[[ComplexArray], FloatArray]
 
-def _changed(power: ComplexArray, model: _Model, change: _Change) -> ComplexArray:
-    """Cross-powers (K, 3, 3) of the frame's motion after a change; powers are mean squares, twice |amplitude|^2."""
-    if change.added is not None:
-        new, own = change.added[:, :, None], model.motion[:, :, None]
-        cross = own @ new.conj().swapaxes(1, 2)
-        power = power + 2.0 * (cross + cross.conj().swapaxes(1, 2) + new @ new.conj().swapaxes(1, 2))
-    if change.passed is not None:
-        power = change.passed @ power @ change.passed.conj().swapaxes(1, 2)
-    return power
+    def __call__(self, numbers: FloatArray) -> float:
+        changed = self.family.changed(self.power, self.motion, numbers)
+        return float(self.distance(changed)) + self.family.oddity(numbers)
 
 
 def _by_gain(levels: OrderLevels, power: ComplexArray) -> FloatArray:
@@ -291,19 +416,18 @@ def _by_gain(levels: OrderLevels, power: ComplexArray) -> FloatArray:
     return np.array([(levels.of_motion(power, row) - here) / small for row in gains]).T
 
 
-def _ranked(scored: Sequence[tuple[float, float, _Change | None]]) -> tuple[NamedCause, ...]:
-    """Families by probability: members of a family share its weight, and no change has that of a family."""
-    families: dict[str, list[tuple[float, _Change | None]]] = {}
-    for evidence, _, change in scored:
-        families.setdefault(change.family if change else "", []).append((evidence, change))
-    names = list(families)
-    evidences = np.array(
-        [logsumexp([each for each, _ in families[name]]) - math.log(len(families[name])) for name in names]
-    )
-    share = np.exp(evidences - logsumexp(evidences))
-    found = []
-    for name, probability in zip(names, share.tolist(), strict=True):
-        _, best = max(families[name], key=lambda member: member[0])
-        if best is not None and probability >= LEAST_PROBABILITY:
-            found.append(NamedCause(name, best.size, best.unit, probability))
+def _ranked(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
+    """Causes that are named, by probability; of those of one name the best counts."""
+    best: dict[str, _Scored] = {}
+    for each in scored:
+        name = each.family.name if each.family else ""
+        if name not in best or each.evidence > best[name].evidence:
+            best[name] = each
+    evidences = np.array([each.evidence for each in best.values()])
+    share = np.exp(evidences - logsumexp(evidences)) if len(evidences) else evidences
+    found = [
+        NamedCause(name, each.size, each.family.unit, float(probability))
+        for (name, each), probability in zip(best.items(), share.tolist(), strict=True)
+        if each.family and each.named and probability >= LEAST_PROBABILITY
+    ]
     return tuple(sorted(found, key=lambda cause: -cause.probability))

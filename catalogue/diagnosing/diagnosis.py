@@ -19,6 +19,7 @@ from catalogue.diagnosing.answer import (
     ModeAsked,
     ModeUsed,
     Provenance,
+    SensorFlaw,
 )
 from catalogue.diagnosing.baseline import fit_baseline
 from catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
@@ -220,7 +221,7 @@ def answer(
     )
     trusted_p = result.trusted_p_value
     causes = causes_shown(prepared, catalogue, result) if needs_cause(result) else ()
-    p_value, verdict = judged(result, question.coverage, causes)
+    p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and matcher is None:
         if verdict == "unknown":
@@ -236,7 +237,7 @@ def answer(
             )
             result = refined.result
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
-            p_value, verdict = judged(result, question.coverage, causes)
+            p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
     candidates = result.set(question.coverage)
     method = matcher or GaussianAlongClearance()
     warnings = [
@@ -282,7 +283,7 @@ def answer(
         "joints": joint_states(result, catalogue, question.coverage),
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
         "causes": causes,
-        "sensors": (),
+        "sensors": tuple(SensorFlaw(sensors=flaw.sensors, kind=flaw.kind, said=flaw.text) for flaw in prepared.flaws),
         "joint_probabilities": result.joint_probabilities(),
         "candidate_set": candidates.labels,
         "coverage": candidates.coverage,

@@ -106,6 +106,13 @@ class Revolution:
         )
         return self._wrench(self.place[:, index] + arm, force, np.broadcast_to(torque, len(force)))
 
+    def across(self, link: str, centre: tuple[float, float], at: tuple[float, float]) -> FloatArray:
+        """Unit vectors (n, 2) across the arm of a link from one of its points to another."""
+        index = self.links.index(link)
+        turned = 2.0 * math.pi * self.turns[index] * np.arange(SAMPLES) / SAMPLES
+        angle = self.angle[:, index] + turned + math.atan2(at[1] - centre[1], at[0] - centre[0])
+        return np.column_stack([-np.sin(angle), np.cos(angle)])
+
     def rotating(self, centre: tuple[float, float], product: float, phase: float) -> FloatArray:
         """Wrench (n, 3) of a mass times radius [kg m] that turns with the drive about a point of the frame."""
         angle = np.sign(self.speed) * 2.0 * math.pi * np.arange(SAMPLES) / SAMPLES + phase
@@ -117,7 +124,8 @@ class Revolution:
         """Velocity (n,) of a link's centre of gravity along a direction, m/s; of its angle where that is (0, 0)."""
         index = self.links.index(link)
         if direction == (0.0, 0.0):
-            return _derived(self.angle[:, index], abs(self.speed)) + self.turns[index] * abs(self.speed)
+            turning = _derived(self.angle[:, index], abs(self.speed)) + self.turns[index] * abs(self.speed)
+            return np.asarray(turning, dtype=np.float64)
         return _derived(self.place[:, index] @ np.array(direction), abs(self.speed))
 
     def _inertial(self, place: FloatArray, angle: FloatArray, factors: dict[str, float]) -> FloatArray:
@@ -149,7 +157,7 @@ def _derived(values: FloatArray, speed: float) -> FloatArray:
     spectrum = np.fft.rfft(values, axis=0)
     harmonic = 1j * speed * np.arange(len(spectrum)).reshape(-1, *(1,) * (values.ndim - 1))
     harmonic[-1] = 0.0  # half the sample rate has no sign
-    return np.fft.irfft(spectrum * harmonic, len(values), axis=0)
+    return np.asarray(np.fft.irfft(spectrum * harmonic, len(values), axis=0), dtype=np.float64)
 
 
 def _shifted(values: FloatArray, shift: FloatArray) -> FloatArray:

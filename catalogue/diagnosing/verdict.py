@@ -10,6 +10,7 @@ from catalogue.diagnosing.answer import Cause, Verdict
 from catalogue.diagnosing.causes import NEAREST, name_causes
 from catalogue.matching.matcher import HypothesisMatch, IntArray, MatchResult
 from catalogue.signals.prepared import PreparedMeasurement
+from catalogue.signals.sensor_flaws import SensorFlaw
 from catalogue.storage.store import Catalogue
 
 __all__ = ["CHANGED_BELOW", "UNKNOWN_BELOW", "causes_shown", "judged", "needs_cause"]
@@ -31,15 +32,20 @@ def needs_cause(result: MatchResult) -> bool:
     return result.trusted_p_value is not None and result.trusted_p_value < CHANGED_BELOW
 
 
-def judged(result: MatchResult, coverage: float, causes: Sequence[Cause] = ()) -> tuple[float, Verdict]:
+def judged(
+    result: MatchResult, coverage: float, causes: Sequence[Cause] = (), flaws: Sequence[SensorFlaw] = ()
+) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
     The p-value is that of the best fitting hypothesis of the candidate set: a recording is explained if any likely
     cause explains it. Below :data:`UNKNOWN_BELOW`, or where the set is empty, the verdict is unknown, unless a cause
     other than play was found; else it is the likelier one of worn and in order. A machine that is not as its file says
-    (:func:`needs_cause`) is never called in order, and worn only where that is nearly sure.
+    (:func:`needs_cause`) is never called in order, and worn only where that is nearly sure. What sensors say that are
+    not what the file says of them is unknown.
     """
     p_value = result.explained(coverage)
+    if flaws:
+        return p_value, "unknown"
     explained = p_value >= UNKNOWN_BELOW and bool(result.set(coverage).labels)
     if needs_cause(result):
         if explained and p_value >= SURE_P_VALUE and result.p_worn >= SURE_ABOVE:

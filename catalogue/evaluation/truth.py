@@ -78,10 +78,8 @@ def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: Protocol, see
         joint: float(math.exp(draws.uniform(math.log(low), math.log(high)))) for joint, (low, high) in ranges.items()
     }
     speed = nominal_drive_speed(machine) * (1.0 + float(draws.uniform(-protocol.speed, protocol.speed)))
-    parameters = {"drive.speed": speed}
-    if joints:
-        friction = {f"joints.{joint}.contact.friction": float(draws.uniform(*protocol.friction)) for joint in joints}
-        parameters |= friction | drawn_contacts(machine, joints, protocol.scatter, draws)
+    friction = {f"joints.{joint}.contact.friction": float(draws.uniform(*protocol.friction)) for joint in joints}
+    parameters = {"drive.speed": speed, **friction, **drawn_contacts(machine, joints, protocol.scatter, draws)}
     return Truth(
         hypothesis=hypothesis,
         machine=machine,

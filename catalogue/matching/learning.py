@@ -73,7 +73,7 @@ class Learning:
 
 
 def prior(joints: tuple[str, ...]) -> float:
-    """Return the weight of a hypothesis before the measurement; singles, healthy and as-new have 1."""
+    """Return the weight of a hypothesis before the measurement; singles and healthy have 1."""
     return PRIOR_OF_ANOTHER_JOINT ** max(0, len(joints) - 1)
 
 

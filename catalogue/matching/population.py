@@ -95,13 +95,10 @@ class Population:
         -----
         Each kind of case gets as many as it has among the best. They are normal around the mean of the best, with
         their covariance (Rubinstein and Kroese, The Cross-Entropy Method, 2004), inflated, and a least spread in every
-        direction; what falls outside of the catalogue's draws is put on their edge. Where only the drive speed is
-        drawn, all cases are the same: there is one, in the first generation.
+        direction; what falls outside of the catalogue's draws is put on their edge.
         """
-        if all(not space.low.size for space in self.spaces.values()):
-            size = 0  # all cases are the same one
         if not elite:
-            for entry in self.start[: max(1, size)]:
+            for entry in self.start[:size]:
                 yield entry, entry.clearances, dict(entry.parameters)
             return
         kinds: dict[Kind, list[Entry]] = defaultdict(list)

@@ -13,7 +13,7 @@ from catalogue.plans.draws import Distribution, log_uniform, unit_draws
 from catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
 from catalogue.plans.keys import seed_from
 from catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, ripple_order
-from catalogue.plans.variants import AS_FILED, LawChoice, Variant, output_load
+from catalogue.plans.variants import LawChoice, Variant, output_load
 from solver.machines.joints import TurningJoint
 from solver.machines.machine import Machine
 
@@ -126,9 +126,7 @@ class _Drawing:
         others = sorted(joint for joint in self.machine.turning_joints if joint not in hypothesis.joints)
         opened = (*hypothesis.joints, *others)
         spread = plan.spread(self.machine, stratum)
-        if not opened:  # no contact: its numbers, and its law, would make different cases of the same
-            spread = {path: number for path, number in spread.items() if path not in SHARED}
-        laws = plan.law_weights(self.machine) if opened else {AS_FILED.law: 1.0}
+        laws = plan.law_weights(self.machine)
         seed = seed_from(plan.seed, hypothesis.label, stratum, float(sequence.speed))
         # Coordinates: clearances, contact law, silence, then what is uncertain in alphabetical order, contacts joint by
         # joint.

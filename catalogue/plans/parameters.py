@@ -85,8 +85,7 @@ class MachineNumbers:
 
     def __init__(self, machine: Machine) -> None:
         self._machine, self._name = machine, machine.name
-        self._turning = machine.turning_joints
-        self.turning = len(self._turning)
+        self.turning = tuple(sorted(machine.turning_joints))
         self.by_path: dict[str, float] = dict(_numbers(machine.model_dump(), ""))
 
     def targets(self, path: str) -> tuple[Target, ...]:
@@ -114,7 +113,7 @@ class MachineNumbers:
     def _short(self, path: str) -> list[tuple[str, float]]:
         order = ripple_order(path)
         if path in SHARED:
-            listed = [(f"joints.{joint}.{path}", 1.0) for joint in self._turning if self._has(joint, path)]
+            listed = [(f"joints.{joint}.{path}", 1.0) for joint in self.turning if self._has(joint, path)]
         elif path in ("frame.mass", "frame.inertia"):
             listed = [(f"links.{self._machine.frame}.{path.partition('.')[2]}", 1.0)]
         elif path in _SUPPORTS:
@@ -186,14 +185,16 @@ class Scatter:
     ) -> None:
         skipped = set(left_out)
         self._speed = numbers.by_path[DRIVE_SPEED]
-        self._drawn: list[tuple[int, int, Distribution, tuple[Target, ...]]] = []
-        column = 0
+        self._drawn: list[tuple[int, Distribution, Target]] = []
+        first = 0
         for path in sorted(spread):
-            # As many columns in every variant: what a draw is of does not depend on what its contact law has.
-            apart = numbers.turning if path in SHARED else 1
+            # A joint's column is its own in every variant, whatever numbers its contact law and the other joints have.
+            own = [f"joints.{joint}.{path}" for joint in numbers.turning] if path in SHARED else []
             if path not in skipped:
-                self._drawn.append((column, apart > 1, spread[path], numbers.targets(path)))
-            column += apart
+                for target in numbers.targets(path):
+                    column = first + (own.index(target.path) if own else 0)
+                    self._drawn.append((column, spread[path], target))
+            first += len(own) or 1
 
     def parameters(self, point: list[float], speed: float) -> dict[str, float]:
         """What one draw changes in the machine.
@@ -201,7 +202,8 @@ class Scatter:
         Parameters
         ----------
         point : list of float
-            Coordinates in the unit cube, in alphabetical order of the paths: one a path, of contacts one a joint.
+            Coordinates in the unit cube, in alphabetical order of the paths: one a path, of contacts one a joint, in
+            alphabetical order, too.
         speed : float
             Factor on the drive speed, besides the drawn one.
 
@@ -211,10 +213,9 @@ class Scatter:
             Numbers by path, SI.
         """
         parameters: dict[str, float] = {}
-        for first, step, spread, targets in self._drawn:
-            for place, target in enumerate(targets):
-                value = spread.quantile(point[first + step * place])
-                parameters[target.path] = value * (target.nominal if spread.is_factor else target.share)
+        for column, spread, target in self._drawn:
+            value = spread.quantile(point[column])
+            parameters[target.path] = value * (target.nominal if spread.is_factor else target.share)
         if speed != 1.0:
             parameters[DRIVE_SPEED] = parameters.get(DRIVE_SPEED, self._speed) * speed
         return parameters

@@ -197,8 +197,7 @@ class Plan(Part):
         strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
         for stratum in strata:
             check_drawable(machine, frozenset(plan.spread(machine, stratum)))
-        every = cases_of(plan, machine, plan.recipe(machine))
-        return tuple({entry.key: entry for entry in every}.values())  # without scatter, draws repeat
+        return tuple(cases_of(plan, machine, plan.recipe(machine)))
 
 
 def parse_plan(content: str | Mapping[str, object], source: str = "plan") -> Plan:

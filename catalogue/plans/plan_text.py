@@ -77,7 +77,7 @@ def _fits(plan: Plan, machine: Machine) -> str:
     ranges = {name: _um(*plan.fits.bounds(part)) for name, part in sorted(joints.items())}
     if len(set(ranges.values())) == 1:
         return next(iter(ranges.values()))
-    return ", ".join(f"{name} {text}" for name, text in ranges.items()) or "none"
+    return ", ".join(f"{name} {text}" for name, text in ranges.items())
 
 
 def _um(low: float, high: float) -> str:

@@ -51,7 +51,8 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     dict of str to Distribution
         By path, see :class:`~catalogue.plans.parameters.MachineNumbers`.
     """
-    contacts = [joint.contact for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
+    turning = [joint.contact for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
+    contacts = turning if "own" in laws else []  # any other law takes the place of the file's in every joint
     known = {contact.law for contact in contacts} | set(laws)
     found = {
         "drive.speed": Distribution(factor_uniform=(0.97, 1.03)),

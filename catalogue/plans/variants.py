@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Literal, Self, get_args
 
 from solver.machines.drives import Ripple, RotationDrive
 from solver.machines.joints import Contact, TurningJoint
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 from solver.machines.parts import Load
 
@@ -122,7 +122,7 @@ def output_load(machine: Machine) -> ProcessLoad | None:
     return turning[0] if turning else None
 
 
-@lru_cache(maxsize=64)
+@kept(64)
 def _machine(base: Machine, variant: Variant) -> Machine:
     changes: dict[str, Any] = {}
     if variant.law != "own":

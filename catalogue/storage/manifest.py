@@ -173,6 +173,12 @@ class Manifest:
         """Root hash of the catalogue if it consists of these shards (names, sorted)."""
         return root_hash(SCHEMA_VERSION, self.machine.content_key, self.recipe.content, shards)
 
+    @property
+    def other_numbers(self) -> str:
+        """That the catalogue holds other numbers than this program computes, in words; empty if it does not."""
+        theirs, ours = self.numbers_version, solver.NUMBERS_VERSION
+        return "" if theirs == ours else f"holds numbers of version {theirs}, this program computes version {ours}"
+
     @cached_property
     def machine(self) -> Machine:
         """The machine; its links and joints are in alphabetical order."""
@@ -198,10 +204,8 @@ class Manifest:
         """
         if machine.content_key != self.machine.content_key:
             raise CatalogueMismatchError(where, f"is a catalogue of another machine: {self._difference(machine)}")
-        if self.numbers_version != solver.NUMBERS_VERSION:
-            theirs, ours = self.numbers_version, solver.NUMBERS_VERSION
-            rule = f"holds numbers of version {theirs}, this program computes version {ours}: build into another folder"
-            raise CatalogueMismatchError(where, rule)
+        if self.other_numbers:
+            raise CatalogueMismatchError(where, f"{self.other_numbers}: build into another folder")
         self.recipe.check_same(plan.recipe(machine), str(where))
         different = self.plan.difference(plan, machine)
         if different:

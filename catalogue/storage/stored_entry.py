@@ -34,7 +34,7 @@ class StoredEntry:
     guard_db : float or None
         Mean difference from the same case computed more finely [dB]; None if it was not.
     worn : tuple of str
-        The worn joints; others with clearance have the play of new fits.
+        The worn joints; others with clearance have the play of their fits.
     stratum, law : str
         How much of the machine was uncertain ("trusted", "wide"); contact law, "own" being that of the machine file.
     scheme : BandScheme

@@ -34,7 +34,7 @@ class EntryTable:
     clearance : ndarray, shape (n, len(joints))
         Radial clearance [m]; 0 where the joint is ideal.
     worn : ndarray of bool, shape (n, len(joints))
-        Whether the joint is worn; other joints with clearance have the play of new fits.
+        Whether the joint is worn; other joints with clearance have the play of their fits.
     parameters : mapping of str to ndarray, shape (n,)
         The numbers that were drawn, by path, SI.
     draw : ndarray of int, shape (n,)

@@ -59,6 +59,9 @@ class VerifyReport:
         What was wrong; empty for a catalogue in order. Everything in it has been repaired or put aside.
     lost_entries : int
         Entries that the index knew and no sound shard holds; building again computes them.
+    other_numbers : str
+        That it holds other numbers than this program computes, in words, see
+        :attr:`catalogue.storage.manifest.Manifest.other_numbers`: nothing is wrong with it, but no build goes on there.
     """
 
     shards: int
@@ -66,6 +69,7 @@ class VerifyReport:
     failed: int
     findings: tuple[Finding, ...]
     lost_entries: int
+    other_numbers: str
 
     @property
     def is_sound(self) -> bool:
@@ -146,7 +150,7 @@ class _Check:
         self._repair_matrix(manifest, tuple(sorted(sound)))
         keys = {key: status for shard in sound.values() for key, status in zip(shard.key, shard.status, strict=True)}
         failed = sum(status != OK for status in keys.values())
-        return VerifyReport(len(sound), len(keys), failed, tuple(self._findings), lost)
+        return VerifyReport(len(sound), len(keys), failed, tuple(self._findings), lost, manifest.other_numbers)
 
     def _forget(self) -> None:
         """Throw away what is made from the shards."""
@@ -197,7 +201,7 @@ class _Check:
             header = shard.header
             own = (manifest.machine_content, manifest.recipe, manifest.numbers_version)
             if (header.machine, header.recipe, header.numbers_version) != own:
-                raise CatalogueFileError(path, "belongs to another machine or other settings")
+                raise CatalogueFileError(path, "belongs to another machine, other settings or other numbers")
         except CatalogueFileError as error:
             aside = self._layout.move_to_quarantine(path)
             self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -18,6 +17,7 @@ from solver.equations.evaluation import evaluate
 from solver.equations.model import MODELS_KEPT, Model, build_model
 from solver.machines.drives import RotationDrive, TranslationDrive
 from solver.machines.joints import Contact, TurningJoint
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ def _top_speed(machine: Machine) -> float:
     return max((speed for _, speed in drive.speed), key=abs) if isinstance(drive.speed, tuple) else drive.speed
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@kept(MODELS_KEPT)
 def _turning(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model with a rotation at a constant speed of 1 rad/s, a lane parameter; other drives as they are."""
     drive = machine.drive
@@ -57,7 +57,7 @@ def _paths(numbers: _Numbers) -> tuple[str, ...]:
     return tuple(path for path, _ in numbers if path != "drive.speed")  # that is a lane parameter anyway
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@kept(MODELS_KEPT)
 def _moving(machine: Machine) -> Machine:
     """What poses and mobilities follow from: no contacts, loads, ripple, in which variants of a machine differ."""
     drive = machine.drive
@@ -70,7 +70,7 @@ def _moving(machine: Machine) -> Machine:
     return machine.model_copy(update={"joints": joints, "drive": drive, "loads": ()})
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@kept(MODELS_KEPT)
 def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, Array]]:
     """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`."""
     model = _turning(machine, joints, _paths(motion))
@@ -78,7 +78,7 @@ def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[
     return poses[:: max(1, len(poses) // 12)]
 
 
-@lru_cache(maxsize=1024)
+@kept(1024)
 def _mobility(machine: Machine, joints: tuple[str, ...], motion: _Numbers, masses: _Numbers) -> Mapping[str, float]:
     numbers = motion + masses
     model = _turning(machine, joints, _paths(numbers))
@@ -186,7 +186,7 @@ def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str,
         _check_ends(machine, joints, low, high)
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@kept(MODELS_KEPT)
 def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: float) -> None:
     assert isinstance(machine.drive, TranslationDrive)
     drive = machine.drive.model_copy(update={"speed": 1.0, "harmonics": ()})  # time is travel then

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +30,7 @@ from solver.equations.model import MODELS_KEPT, Model, build_model
 from solver.errors import AssemblyError, MachineError, SettingsError
 from solver.machines.contact_rules import restitution_remarks
 from solver.machines.drives import RotationDrive, TranslationDrive
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
@@ -100,13 +100,13 @@ class Prepared:
     spent: float = 0.0
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@kept(MODELS_KEPT)
 def model_of(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model of a machine with clearance in `joints`, the numbers `varying` as lane parameters; kept."""
     return build_model(machine, joints, varying)
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@kept(MODELS_KEPT)
 def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model with its drive standing, same coordinates."""
     drive = machine.drive
@@ -126,7 +126,7 @@ class _Smooth:
     suspension: tuple[complex, ...]
 
 
-@lru_cache(maxsize=1024)
+@kept(1024)
 def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
     """Of the machine without clearances, its drive standing, with the given numbers by path."""
     model = _standing(without_sliding_friction(machine), (), tuple(path for path, _ in values))
@@ -206,7 +206,7 @@ def prepare(
     )  # fmt: skip
 
 
-@lru_cache(maxsize=1024)
+@kept(1024)
 def _start(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: tuple[tuple[str, float], ...]
 ) -> tuple[Array, Array]:

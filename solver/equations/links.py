@@ -7,7 +7,6 @@ as multipliers of its closures; it is evaluated at the recorded states.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from solver.equations.model import Model, build_model
 from solver.equations.numbers import contact_paths
 from solver.equations.vectors import Complex
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class LinkMotion:
     reactions: dict[str, Array]
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _expanded(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     return build_model(machine, joints, varying, expanded=True)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from solver.integrators.lanes import (
     empty_records,
     idle_lanes,
 )
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 from solver.simulation.jamming import failure_remark, hold_remark, jam_message
 from solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
@@ -55,7 +55,7 @@ _STATUSES = {
 }
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@kept(MODELS_KEPT)
 def _adaptive_kernel(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
 ) -> Kernel:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 
 from solver.cases.history import Settings
 from solver.cases.preparation import Prepared, model_of
 from solver.cases.scales import error_scales
 from solver.equations.model import Model
 from solver.integrators.device import DeviceKernel, Records, compile_device, memory
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 from solver.simulation.adaptive_runs import how_it_ended, queue_of
 from solver.simulation.recorded import OVERSAMPLING, Run, samples_of
@@ -23,7 +23,7 @@ from solver.spectra import sampling
 _RECORD_BYTES = 4e9
 
 
-@lru_cache(maxsize=64)
+@kept(64)
 def _kernel(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
 ) -> DeviceKernel:

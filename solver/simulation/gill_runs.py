@@ -6,7 +6,6 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from solver.compiler.ir import LANES
 from solver.equations.model import Model
 from solver.integrators import gill
 from solver.integrators.kernel import Kernel, compile_model
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 from solver.simulation.jamming import failure_remark, hold_remark, jam_message
 from solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
@@ -31,7 +31,7 @@ def _round_number(count: int) -> int:
     return 3 * power // 4 if power >= 4 and 3 * power // 4 >= count else power
 
 
-@lru_cache(maxsize=64)
+@kept(64)
 def _gill_kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Kernel:
     return compile_model(model_of(machine, joints, varying))
 

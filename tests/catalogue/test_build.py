@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import h5py
 import pytest
 from building import FAILING, KEYS, assert_complete, quick_build, with_draws
 from fake_simulator import MACHINE, PLAN
@@ -69,38 +67,16 @@ def test_two_builds_give_the_same_bytes(tmp_path: Path) -> None:
     assert Catalogue.open(tmp_path / "a").id == Catalogue.open(tmp_path / "b").id
 
 
-def test_a_catalogue_from_before_settled_starts_goes_on_as_it_was_begun(tmp_path: Path) -> None:
-    """Its keys, its schema version and its id stay, so that older programs go on reading it."""
-    quick_build(tmp_path, with_draws(2), settled=False)
-    before = Catalogue.open(tmp_path)
-    content = json.loads((tmp_path / "manifest.json").read_text())
-    assert (content["schema_version"], "settled" in content["recipe"]) == (2, False)
-    assert quick_build(tmp_path, with_draws(2)).added == 0
-    assert Catalogue.open(tmp_path).id == before.id
-    assert quick_build(tmp_path, with_draws(3)).added > 0
-    after = Catalogue.open(tmp_path)
-    assert not after.recipe.settled
-    assert set(before.entries.key) < set(after.entries.key)
-    assert {int(h5py.File(path).attrs["schema_version"]) for path in (tmp_path / "shards").iterdir()} == {2}
-    assert verify(tmp_path).is_sound
-    quick_build(tmp_path / "new", with_draws(3))
-    new = Catalogue.open(tmp_path / "new")
-    assert new.recipe.settled
-    assert not set(new.entries.key) & set(after.entries.key)
-    assert json.loads((tmp_path / "new" / "manifest.json").read_text())["schema_version"] == 3
-
-
 @pytest.mark.parametrize(
     "larger",
     [
         {"draws": {"healthy": 6, "single": 18}},
         {"draws": {"healthy": 6, "single": 12, "larger": 3}, "sets": [["A", "B", "O"]]},
         {
-            "hypotheses": ["healthy", "singles", "pairs", "as-new"],
-            "draws": {"healthy": 6, "single": 12, "pair": 4, "as_new": 3},
+            "hypotheses": ["healthy", "singles", "pairs", "triples"],
+            "draws": {"healthy": 6, "single": 12, "pair": 4, "larger": 3},
         },
         {"wide": {"draws": 0.5}},
-        {"fits": {"in_faulty": 0.25}},
         {"speeds": [1, 1.25]},
     ],
 )

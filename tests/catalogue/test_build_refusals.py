@@ -52,15 +52,32 @@ def test_other_settings_are_refused(tmp_path: Path, change: dict[str, Any], rule
 
 def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path)
-    monkeypatch.setattr("solver.__version__", "9.9.9")
-    with pytest.raises(CatalogueMismatchError, match=r"was built by solver .*, this is 9\.9\.9"):
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    monkeypatch.setattr("solver.NUMBERS_VERSION", 99)
+    rule = r"holds numbers of version \d+, this program computes version 99: build into another folder$"
+    with pytest.raises(CatalogueMismatchError, match=rule) as caught:
         quick_build(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     monkeypatch.undo()
     manifest = tmp_path / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"schema_version": 3', '"schema_version": 99'))
-    for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
-        with pytest.raises(CatalogueMismatchError, match=r"has schema version 99; this program reads 2 and 3$"):
-            use()
+    for other in (3, 99):
+        manifest.write_text(manifest.read_text().replace('"schema_version": 4', f'"schema_version": {other}'))
+        for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
+            rule = f"has schema version {other}; this program reads 4: build the catalogue anew$"
+            with pytest.raises(CatalogueMismatchError, match=rule):
+                use()
+        manifest.write_text(manifest.read_text().replace(f'"schema_version": {other}', '"schema_version": 4'))
+
+
+def test_another_version_of_the_product_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as it computes the same numbers."""
+    quick_build(tmp_path)
+    monkeypatch.setattr("solver.__version__", "9.9.9")
+    larger = parse_plan({**PLAN.content, "draws": {"healthy": 8, "single": 12}})
+    assert quick_build(tmp_path, larger).added == 2
+    assert Catalogue.open(tmp_path).manifest.versions["jointplay"] != "9.9.9"  # that of the first build
+    assert verify(tmp_path).is_sound
 
 
 def test_folders_that_are_no_catalogue_are_refused(tmp_path: Path) -> None:

@@ -50,13 +50,17 @@ def test_all_hypotheses_have_spectra(catalogue: Catalogue) -> None:
     assert (auto >= 0).all()
     worn = auto[catalogue.entries.hypothesis == "A", -1, 1]
     healthy = auto[catalogue.entries.hypothesis == "healthy", -1, 1]
-    assert worn.min() > 1e3 * healthy.max()  # impacts, and nothing else, sound at 1 kHz
+    # Impacts, and nothing else, sound at 1 kHz; those of fits more softly. Measured: 15 times at least.
+    assert worn.min() > 10 * healthy.max() > 0
 
 
 def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
-    wanted = [entry for entry in PLAN.entries(MACHINE) if entry.joints == ("A",)]
+    wanted = [entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",)]
     settings = Settings(sample_rate=4000.0, accuracy="draft", revolutions=4.01, settled=True)
-    histories = simulate_batch(MACHINE, [Case(entry.fault, entry.parameters) for entry in wanted], settings)
+    # In the order in which a catalogue writes its machine: equations in another order round otherwise, which machines
+    # with contacts in all joints amplify.
+    machine = parse_machine(MACHINE.canonical_json())
+    histories = simulate_batch(machine, [Case(entry.fault, entry.parameters) for entry in wanted], settings)
     for case, history in zip(wanted, histories, strict=True):
         entry = catalogue.entry(case.key)
         assert entry.drive_speed == history.drive_speed == case.parameters["drive.speed"]
@@ -65,8 +69,16 @@ def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
         bands = band_matrix(signal, 4000.0, history.drive_speed, catalogue.scheme)
         assert entry.power is not None
         assert entry.spread_db is not None
-        assert np.allclose(entry.power, bands.power, rtol=1e-5, atol=0)
-        assert np.allclose(entry.spread_db, bands.spread_db, rtol=1e-5)
+        assert np.allclose(entry.power, bands.power, rtol=1e-6, atol=0)
+        assert np.allclose(entry.spread_db, bands.spread_db, rtol=1e-6)
+
+
+def test_spectra_do_not_depend_on_which_order_of_the_machine_file_was_met_first(catalogue: Catalogue) -> None:
+    """The catalogue was built in another process, which has seen no other order than its own."""
+    wanted = next(entry for entry in PLAN.entries(MACHINE) if entry.worn == ("O",))
+    simulate_batch(MACHINE, [Case(wanted.fault, wanted.parameters)], Settings(sample_rate=4000.0, revolutions=3.0))
+    (outcome,) = simulate_chunk(Chunk(MACHINE.canonical_json(), PLAN.recipe(MACHINE), (wanted,)))
+    assert np.array_equal(outcome.power, catalogue.entry(wanted.key).power)  # type: ignore[arg-type]
 
 
 def test_machine_that_cannot_be_assembled_is_refused_before_anything_is_stored(tmp_path: Path) -> None:
@@ -78,10 +90,12 @@ def test_machine_that_cannot_be_assembled_is_refused_before_anything_is_stored(t
     assert not (tmp_path / "catalogue").exists()
 
 
-def test_chunks_share_joints_and_take_turns() -> None:
+def test_chunks_are_of_one_hypothesis_and_take_turns() -> None:
     entries = PLAN.entries(MACHINE)
     chunks = chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)
-    assert [chunk.joints for chunk in chunks] == [(), ("A",), ("B",), ("O",), ("A",), ("B",), ("O",)]
+    labels = [{entry.hypothesis.label for entry in chunk.entries} for chunk in chunks]
+    assert labels == [{"healthy"}, {"A"}, {"B"}, {"O"}, {"A"}, {"B"}, {"O"}]
+    assert {chunk.joints for chunk in chunks} == {("A", "B", "O")}
     assert [[entry.draw for entry in chunk.entries] for chunk in chunks[1:5:3]] == [[0, 1, 2], [3]]
     assert sorted(entry.key for chunk in chunks for entry in chunk.entries) == sorted(entry.key for entry in entries)
     assert [chunk.id for chunk in chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)] == [chunk.id for chunk in chunks]
@@ -93,14 +107,14 @@ def test_chunks_share_joints_and_take_turns() -> None:
 def test_chunks_do_not_depend_on_what_is_missing() -> None:
     """Blocks of draws are absolute, so that two builders, or a larger plan, cut the same chunks."""
     recipe, entries = PLAN.recipe(MACHINE), PLAN.entries(MACHINE)
-    missing = [entry for entry in entries if not (entry.joints == ("A",) and entry.draw < 2)]
+    missing = [entry for entry in entries if not (entry.worn == ("A",) and entry.draw < 2)]
     ids = {chunk.id for chunk in chunked(MACHINE, recipe, entries, 2)}
     assert {chunk.id for chunk in chunked(MACHINE, recipe, missing, 2)} < ids
 
 
 def test_chunks_have_one_law_one_stratum_and_one_speed() -> None:
     tree = {**PLAN.content, "laws": {"own": 1, "hertz": 1}, "wide": {"draws": 1}, "speeds": [1, 1.1]}
-    tree |= {"draws": {"healthy": 8, "single": 8}, "fits": {"in_faulty": 0.5}}
+    tree |= {"draws": {"healthy": 8, "single": 8}}
     plan = parse_plan(tree)
     entries = plan.entries(MACHINE)
     chunks = chunked(MACHINE, plan.recipe(MACHINE), entries, 64)
@@ -116,7 +130,7 @@ def test_guarded_cases_are_compared_with_finer_steps(catalogue: Catalogue) -> No
     """The guard is the difference from the same case at accuracy standard, and only some cases have it."""
     table = catalogue.entries
     assert (np.isfinite(table.guard_db) == (table.draw % 3 == 0)).all()
-    wanted = next(entry for entry in PLAN.entries(MACHINE) if entry.joints == ("A",) and entry.guarded)
+    wanted = next(entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",) and entry.guarded)
     finer = Chunk(MACHINE.canonical_json(), replace(PLAN.recipe(MACHINE), accuracy="standard"), (wanted,))
     (outcome,) = simulate_chunk(finer)
     stored = catalogue.entry(wanted.key)
@@ -141,7 +155,7 @@ def test_mean_difference_of_levels() -> None:
 
 def test_outcomes_are_in_the_order_of_the_entries() -> None:
     recipe = PLAN.recipe(MACHINE)
-    entries = [entry for entry in PLAN.entries(MACHINE) if entry.joints == ("A",)]
+    entries = [entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",)]
     entries = [entries[i] for i in (2, 0, 3, 1)]
     outcomes = simulate_chunk(Chunk(MACHINE.canonical_json(), recipe, tuple(entries)))
     assert [outcome.drive_speed for outcome in outcomes] == [entry.parameters["drive.speed"] for entry in entries]

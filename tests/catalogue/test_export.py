@@ -24,7 +24,7 @@ from catalogue.storage.store import Catalogue
 @pytest.fixture(scope="module")
 def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     path = tmp_path_factory.mktemp("catalogue")
-    quick_build(path, parse_plan({**PLAN.content, "hypotheses": ["healthy", "singles", "as-new"]}), chunk_size=5)
+    quick_build(path, parse_plan({**PLAN.content, "hypotheses": ["healthy", "singles", "pairs"]}), chunk_size=5)
     return Catalogue.open(path)
 
 

@@ -32,8 +32,8 @@ from catalogue.storage.verify import verify
 ALL = parse_plan(
     {
         **PLAN.content,
-        "hypotheses": ["healthy", "singles", "pairs", "as-new"],
-        "draws": {**PLAN.content["draws"], "pair": 8, "as_new": 3},
+        "hypotheses": ["healthy", "singles", "pairs", "triples"],
+        "draws": {**PLAN.content["draws"], "pair": 8, "larger": 3},
         "speeds": [1.0, 1.5],
         "bands": {"orders": 24, "per_octave": 12, "f_max": "500 Hz"},
     }
@@ -101,8 +101,8 @@ def test_groups_are_sums_of_the_stored_bands(directory: Path, mapped: FeatureMat
 
 def test_rows_are_found_by_hypothesis_draw_and_speed(mapped: FeatureMatrix) -> None:
     table = mapped.table(mapped.all_rows)
-    assert [h.label for h in mapped.hypotheses] == ["healthy", "as-new", "A", "B", "O", "A+B", "A+O", "B+O"]
-    assert mapped.hypotheses[-1] == Hypothesis.of(("B", "O"))
+    assert [h.label for h in mapped.hypotheses] == ["healthy", "A", "B", "O", "A+B", "A+O", "B+O", "A+B+O"]
+    assert mapped.hypotheses[-1] == Hypothesis.of(("A", "B", "O"))
     assert np.array_equal(np.concatenate([mapped.rows(h.label) for h in mapped.hypotheses]), mapped.all_rows)
     rows = mapped.rows("A+O", "trusted")
     assert set(table.hypothesis[rows]) == {"A+O"}

@@ -35,7 +35,7 @@ def index(url: str) -> Iterator[Index]:
 
 
 def shard_of(first: int, last: int) -> Shard:
-    entries = [entry for entry in PLAN.entries(MACHINE) if entry.joints == ("A",)][first:last]
+    entries = [entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",)][first:last]
     manifest = Manifest.of(MACHINE, PLAN)
     (chunk,) = chunked(MACHINE, manifest.recipe, entries, 64)
     return Shard.of(manifest.header(PLAN), entries, compute(chunk))

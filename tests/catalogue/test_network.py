@@ -17,6 +17,7 @@ from catalogue.building.executors import InProcess
 from catalogue.building.network_building import train_networks
 from catalogue.errors import BuildError, CatalogueFileError
 from catalogue.matching.calibration import fit_shares, held_out, kept_apart
+from catalogue.matching.coherence import with_more_noise
 from catalogue.matching.learning import Learning, training_set
 from catalogue.matching.matcher import TrainingSet
 from catalogue.matching.model_library import ModelLibrary
@@ -48,7 +49,7 @@ def held_rows(noise: float = 1e-5) -> TrainingSet:
 def test_tells_hypotheses_apart_at_every_noise_it_was_trained_for(trained: Network, noise: float) -> None:
     held = held_rows(noise)
     features, index = held.stacked()
-    opinion = trained.opinion(sensing(noise).noise, band_widths(MODEL))
+    opinion = trained.opinion(sensing(noise), band_widths(MODEL))
     assert opinion is not None
     found = opinion.log_evidences(features, held.labels).argmax(axis=1)
     assert np.mean(found == index) > 0.9  # measured: 0.97 to 1.00; chance is 0.25
@@ -57,18 +58,19 @@ def test_tells_hypotheses_apart_at_every_noise_it_was_trained_for(trained: Netwo
 def test_noise_below_the_trained_is_raised_and_above_it_is_refused(trained: Network) -> None:
     width = band_widths(MODEL)
     quiet, loud = sensing(1e-12), sensing(1.0)
-    opinion = trained.opinion(quiet.noise, width)
+    opinion = trained.opinion(quiet, width)
     assert opinion is not None
     assert np.mean(opinion.noise_db) == pytest.approx(trained.quietest)
     assert (opinion.missing > 0.0).all()
-    least = trained.opinion(quiet.noise + opinion.missing.reshape(quiet.noise.shape), width)
+    least = trained.opinion(replace(quiet, noise=quiet.noise + opinion.missing), width)
     features = held_rows(1e-12).stacked()[0]
-    raised = 10.0 * np.log10(10.0 ** (0.1 * features) + opinion.missing)
+    raised = with_more_noise(features, opinion.missing, quiet.alike)
+    assert not np.allclose(raised, features)
     assert least is not None
     np.testing.assert_allclose(
         opinion.log_evidences(features, trained.labels), least.log_evidences(raised, trained.labels), atol=1e-9
     )
-    assert trained.opinion(loud.noise, width) is None
+    assert trained.opinion(loud, width) is None
 
 
 def test_the_same_training_gives_the_same_network_and_files_give_it_back(trained: Network, tmp_path: Path) -> None:
@@ -89,7 +91,7 @@ def test_a_network_of_two_hypotheses_answers_for_both() -> None:
     assert network.labels == ("healthy", "A")
     held = kept_apart(training_set(MODEL, sensing(), WATCHED, learning))[1]
     features, index = held.stacked()
-    opinion = network.opinion(sensing().noise, band_widths(MODEL))
+    opinion = network.opinion(sensing(), band_widths(MODEL))
     assert opinion is not None
     assert np.mean(opinion.log_evidences(features, held.labels).argmax(axis=1) == index) > 0.9
 
@@ -343,7 +345,7 @@ def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods(trained: N
 
 def test_an_opinion_is_of_the_hypotheses_it_is_asked_of(trained: Network) -> None:
     features, _ = observe(MODEL.packed(np.arange(3)), sensing(), Discrepancy(), np.ones(3, np.int64))
-    opinion = trained.opinion(sensing().noise, band_widths(MODEL))
+    opinion = trained.opinion(sensing(), band_widths(MODEL))
     assert isinstance(opinion, Opinion)
     both = opinion.log_evidences(features, ("C", "A"))
     every = opinion.log_evidences(features, trained.labels)

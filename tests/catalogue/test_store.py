@@ -30,8 +30,8 @@ from solver.machines.machine import parse_machine
 ALL = parse_plan(
     {
         **PLAN.content,
-        "hypotheses": ["healthy", "singles", "pairs", "as-new"],
-        "draws": {**PLAN.content["draws"], "pair": 8, "as_new": 3},
+        "hypotheses": ["healthy", "singles", "pairs", "triples"],
+        "draws": {**PLAN.content["draws"], "pair": 8, "larger": 3},
     }
 )
 
@@ -54,7 +54,7 @@ def test_says_what_it_is_of(catalogue: Catalogue, directory: Path) -> None:
     assert catalogue.recipe == ALL.recipe(MACHINE)
     assert catalogue.scheme == catalogue.recipe.scheme
     assert catalogue.path == directory
-    assert catalogue.hypotheses == ("healthy", "as-new", "A", "B", "O", "A+B", "A+O", "B+O")
+    assert catalogue.hypotheses == ("healthy", "A", "B", "O", "A+B", "A+O", "B+O", "A+B+O")
     assert set(catalogue.manifest.versions) >= {"python", "numpy", "scipy", "casadi", "numba"}
 
 
@@ -75,8 +75,8 @@ def test_entries_are_those_of_the_plan_in_a_stated_order(catalogue: Catalogue) -
         assert table.draw[row] == entry.draw
     labels = list(dict.fromkeys(table.hypothesis.tolist()))
     assert tuple(labels) == catalogue.hypotheses  # each in one block
-    assert table.hypotheses[:4] == (Hypothesis.of(()), Hypothesis.as_new(), Hypothesis.of("A"), Hypothesis.of("B"))
-    assert table.hypotheses[-1].joints == ("B", "O")
+    assert table.hypotheses[:3] == (Hypothesis.of(()), Hypothesis.of("A"), Hypothesis.of("B"))
+    assert table.hypotheses[-1].joints == ("A", "B", "O")
     singles = table.rows(table.hypothesis == "A")
     assert (np.diff(singles.draw) >= 0).all()  # the first draws stand together
 
@@ -112,7 +112,8 @@ def test_one_entry(catalogue: Catalogue) -> None:
     key = str(catalogue.entries.key[row])
     entry = catalogue.entry(key[:10])
     assert entry.key == key
-    assert set(entry.clearances) == {"A", "O"}
+    assert set(entry.clearances) == {"A", "B", "O"}
+    assert entry.worn == ("A", "O")
     assert entry.parameters["drive.speed"] == catalogue.entries.parameters["drive.speed"][row]
     assert entry.power is not None
     assert np.array_equal(entry.power, catalogue.power()[row])

@@ -38,7 +38,8 @@ class Differing(SpectraModel):
 
 
 MODEL = Differing(300)
-SMALL = NetworkTraining(rows=24_000, blocks=10, layers=(64, 32), epochs=(8, 4))
+#: Of four times as many recordings as levels alone take: coherences say nothing here, which must be learned, too.
+SMALL = NetworkTraining(rows=96_000, blocks=10, layers=(64, 32), epochs=(8, 4))
 TRUSTED = Learning.of("trusted")
 STRATA = Learning(discrepancy=TRUSTED.discrepancy, subject="strata")
 
@@ -49,7 +50,7 @@ def strata() -> Network:
 
 
 def opinion_of(network: Network) -> Opinion:
-    found = network.opinion(sensing().noise, band_widths(MODEL))
+    found = network.opinion(sensing(), band_widths(MODEL))
     assert found is not None
     return found
 
@@ -66,7 +67,7 @@ def test_doubts_machines_that_differ_from_their_file(strata: Network) -> None:
     opinion = opinion_of(strata)
     for label in ("A", "B", "C"):  # the healthy machine of this model is below the noise
         as_filed, differs = (opinion.doubts(unseen(label, stratum)) for stratum in ("trusted", "wide"))
-        assert np.mean(as_filed[:, None] < differs) > 0.8  # measured: 0.85 to 0.89; a network that knows nothing: 0.5
+        assert np.mean(as_filed[:, None] < differs) > 0.8  # measured: 0.84 to 0.88; a network that knows nothing: 0.5
 
 
 def test_learns_from_both_strata_and_from_nothing_that_is_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,10 +96,10 @@ def test_what_it_doubts_is_not_explained(strata: Network) -> None:
     both = as_read(GaussianAlongClearance().fit(training, witness=opinion_of(strata)))
     assert len(both.calibration.doubts) == len(training.hypotheses)
     for label in ("A", "B"):
-        # Of machines as filed no more are rejected than were agreed upon (measured: 0.02; standard error 0.02).
+        # Of machines as filed no more are rejected than were agreed upon (measured: 0.02 and 0.06; standard error 0.02).
         assert np.mean(p_values(both, label, "trusted") < 0.05) < 0.12
         rejected = [np.mean(p_values(model, label, "wide") < 0.05) for model in (plain, both)]
-        assert rejected[1] > rejected[0] + 0.1  # measured: 0.70 instead of 0.38, 0.60 instead of 0.30
+        assert rejected[1] > rejected[0] + 0.1  # measured: 0.63 instead of 0.43, 0.53 instead of 0.26
         # What the distances see stays seen: a p-value rises by a quarter at most.
         for stratum in ("trusted", "wide"):
             before, after = (p_values(model, label, stratum) for model in (plain, both))

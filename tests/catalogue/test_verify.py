@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fake_simulator import MACHINE, PLAN, compute
 
+import solver
 from catalogue.building.build import build
 from catalogue.errors import CatalogueFileError
 from catalogue.plans.plan import parse_plan
@@ -170,7 +171,7 @@ def test_index_that_says_something_else_is_corrected(directory: Path, statement:
     assert verify(directory).is_sound
 
 
-@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "schema_version": 2}'])
+@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "schema_version": 4}'])
 def test_manifest_is_made_again_from_a_shard(directory: Path, built: Path, content: str | None) -> None:
     before = Catalogue.open(directory)
     (directory / "manifest.json").unlink()
@@ -197,8 +198,39 @@ def test_shard_of_another_catalogue_is_put_aside(directory: Path, tmp_path: Path
     stray = sorted((tmp_path / "other" / "shards").iterdir())[0]
     shutil.copy(stray, directory / "shards")
     report = verify(directory)
-    assert [finding.what for finding in report.findings] == ["belongs to another machine or other settings"]
+    assert [finding.what for finding in report.findings] == [
+        "belongs to another machine, other settings or other numbers"
+    ]
     assert (directory / "quarantine" / stray.name).exists()
+
+
+def test_other_numbers_are_said_and_nothing_is_put_aside(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before, here = Catalogue.open(directory).id, solver.NUMBERS_VERSION
+    assert verify(directory).other_numbers == ""
+    monkeypatch.setattr(solver, "NUMBERS_VERSION", here + 1)
+    report = verify(directory)
+    assert report.other_numbers == f"holds numbers of version {here}, this program computes version {here + 1}"
+    assert report.is_sound and report.entries == TOTAL
+    assert Catalogue.open(directory).id == before
+    (directory / "manifest.json").unlink()
+    again = verify(directory)  # the manifest is made of a shard, and says what that says
+    assert [finding.path.name for finding in again.findings] == ["manifest.json"]
+    assert again.other_numbers == report.other_numbers
+
+
+def test_shard_with_other_numbers_is_put_aside(
+    directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(solver, "NUMBERS_VERSION", solver.NUMBERS_VERSION + 1)
+    build(MACHINE, PLAN, tmp_path / "other", workers=0, compute=compute)
+    stray = sorted((tmp_path / "other" / "shards").iterdir())[0]
+    shutil.copy(stray, directory / "shards")
+    monkeypatch.undo()
+    report = verify(directory)
+    assert [finding.what for finding in report.findings] == [
+        "belongs to another machine, other settings or other numbers"
+    ]
+    assert report.entries == TOTAL
 
 
 def with_nan(shard: Shard) -> Shard:
