@@ -41,6 +41,7 @@ from catalogue.matching.gaussian import GaussianAlongClearance
 from catalogue.matching.libraries import library_of
 from catalogue.matching.matcher import Matcher
 from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.threads import one_thread
 from catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from catalogue.measurements.measurement import Measurement
 from catalogue.signals.features import PreparedMeasurement, prepare
@@ -48,6 +49,9 @@ from catalogue.storage.store import Catalogue
 
 __all__ = ["Question", "answer", "diagnose"]
 
+
+MOST_CASES = 100_000
+"""Cases that an effort of thorough may ask for, at most: some hours."""
 
 CLEAR = 0.99
 """Probability of the first hypothesis from which on nothing more is suggested."""
@@ -68,8 +72,8 @@ class Question:
         ``auto`` trusts the model unless it does not explain the recording.
     coverage : float
         Probability the candidate set is to hold, in (0, 1).
-    budget : float
-        Seconds that ``thorough`` may simulate, > 0.
+    cases : int
+        Cases that ``thorough`` may simulate, > 0.
 
     Raises
     ------
@@ -80,13 +84,13 @@ class Question:
     effort: Effort = "standard"
     mode: ModeAsked = "auto"
     coverage: float = 0.95
-    budget: float = 3.5
+    cases: int = 240
 
     def __post_init__(self) -> None:
         if not 0.0 < self.coverage < 1.0:
             raise DiagnosisError(f"coverage: {self.coverage}: must be between 0 and 1")
-        if not 0.0 < self.budget < math.inf:
-            raise DiagnosisError(f"budget: {self.budget}: must be a finite number of seconds greater than 0")
+        if not 0 < self.cases <= MOST_CASES:
+            raise DiagnosisError(f"cases: {self.cases}: must be a whole number from 1 to {MOST_CASES}")
         for name, known in (("effort", get_args(Effort)), ("mode", get_args(ModeAsked))):
             if getattr(self, name) not in known:
                 *first, last = known
@@ -102,7 +106,7 @@ def diagnose(
     mode: ModeAsked = "auto",
     mapping: Mapping[str, str] | None = None,
     coverage: float = 0.95,
-    budget: float = 3.5,
+    cases: int = 240,
     baseline: Measurement | None = None,
     matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
@@ -117,7 +121,7 @@ def diagnose(
         Of the same machine.
     speed : float, optional
         Drive speed, rad/s; estimated from the recording where it is not given.
-    effort, mode, coverage, budget
+    effort, mode, coverage, cases
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
@@ -139,7 +143,7 @@ def diagnose(
     DiagnosisError
         A setting breaks a rule, or the catalogue holds too little.
     """
-    question = Question(effort, mode, coverage, budget)
+    question = Question(effort, mode, coverage, cases)
     prepared = prepare(measurement, catalogue.machine, mapping, speed, catalogue.scheme)
     known = None
     if baseline is not None:
@@ -220,12 +224,16 @@ def answer(
         most=most,
     )
     trusted_p = result.trusted_p_value
-    causes = causes_shown(prepared, catalogue, result) if needs_cause(result) else ()
+    with one_thread():
+        causes = causes_shown(prepared, catalogue, result) if needs_cause(result) else ()
     p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and matcher is None:
         if verdict == "unknown":
             spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
+        elif needs_cause(result):
+            # Around the wrong machine the best cases are those whose other numbers make up for it.
+            spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
         else:
             refined = refine(
                 Recorded(feature[: sensing.noise.size], sensing, prepared.drive_speed),
@@ -233,7 +241,7 @@ def answer(
                 result,
                 result.set(question.coverage).labels,
                 mode=result.mode,
-                settings=Synthesis(budget=question.budget),
+                settings=Synthesis(cases=question.cases),
             )
             result = refined.result
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
@@ -249,7 +257,11 @@ def answer(
         # Entries count by how near they are to the machine's numbers: then some have to be near.
         *(number_warnings(known.baseline, catalogue) if known and weights is not None else ()),
     ]
+    with one_thread():
+        joints = joint_states(result, catalogue, question.coverage)
     unclear = suggesting and verdict in ("worn", "in_order") and result.best.probability < CLEAR
+    with one_thread():
+        suggestions = suggestions_shown(suggest(catalogue, prepared, result)) if unclear else ()
     provenance = Provenance(
         measurement=prepared.name,
         measurement_sha256=sha256,
@@ -260,7 +272,7 @@ def answer(
         matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,
     )
-    asked = [question.effort, question.mode, question.coverage, *([question.budget] * (question.effort == "thorough"))]
+    asked = [question.effort, question.mode, question.coverage, *([question.cases] * (question.effort == "thorough"))]
     content = {
         "id": _digest(
             [
@@ -280,7 +292,7 @@ def answer(
         "effort_spent": spent,
         "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=trusted_p),
         "verdict": verdict,
-        "joints": joint_states(result, catalogue, question.coverage),
+        "joints": joints,
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
         "causes": causes,
         "sensors": tuple(SensorFlaw(sensors=flaw.sensors, kind=flaw.kind, said=flaw.text) for flaw in prepared.flaws),
@@ -291,7 +303,7 @@ def answer(
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
         "evidence": evidence(prepared, result.best, feature[: sensing.noise.size], rival_of(result)),
         "baseline": known.shown() if known else None,
-        "suggestions": suggestions_shown(suggest(catalogue, prepared, result)) if unclear else (),
+        "suggestions": suggestions,
         "warnings": tuple(dict.fromkeys(warnings)),
         "provenance": provenance,
     }
