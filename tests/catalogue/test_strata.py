@@ -96,7 +96,7 @@ def test_what_it_doubts_is_not_explained(strata: Network) -> None:
     both = as_read(GaussianAlongClearance().fit(training, witness=opinion_of(strata)))
     assert len(both.calibration.doubts) == len(training.hypotheses)
     for label in ("A", "B"):
-        # Of machines as filed no more are rejected than were agreed upon (measured: 0.02 and 0.06; standard error 0.02).
+        # Of machines as filed no more are rejected than were agreed upon (measured: 0.02, 0.06; standard error 0.02).
         assert np.mean(p_values(both, label, "trusted") < 0.05) < 0.12
         rejected = [np.mean(p_values(model, label, "wide") < 0.05) for model in (plain, both)]
         assert rejected[1] > rejected[0] + 0.1  # measured: 0.63 instead of 0.43, 0.53 instead of 0.26

@@ -19,8 +19,8 @@ from solver.simulation.simulate import Status, simulate
 
 #: Differences as parts of the largest value. Both sides take the same steps; their sines round differently, and impacts
 #: amplify that. What rounding can do was measured by moving speeds and clearances of each case 300 times by up to 1, 4
-#: and 16 units in their last place, and between threads and lanes, compiled for AVX-512, AVX2 and SSE2 with the libraries
-#: held to the same: at most 7e-12, 1.9e-10, 1.4e-9, 9e-10, and 5e-11 at the end. About ten times that is allowed.
+#: and 16 units in their last place, and between threads and lanes, compiled for AVX-512, AVX2 and SSE2 with the
+#: libraries held to the same: at most 7e-12, 1.9e-10, 1.4e-9, 9e-10, and 5e-11 at the end. Ten times that is allowed.
 CLOSE = {"displacement": 7e-11, "velocity": 2e-9, "acceleration": 1.4e-8, "band_limited_acceleration": 1e-8}
 CLOSE_END = 5e-10
 #: The same where rounding decides one trial step among hundreds otherwise, which leaves errors of steps: 1.1e-10, 7e-9,
