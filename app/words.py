@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 CONDITIONS = {"worn": "worn", "in_order": "in order", "open": "cannot be told"}
-EVEN = 0.5
-"""Probability from which on a joint is rather beyond its limit than within."""
+CLEARLY = 0.8
+"""Probability from which on a joint is said to be beyond its limit, or within."""
 
 
 @dataclass(frozen=True)
@@ -194,14 +194,16 @@ def joints_sentence(result: Mapping[str, Any]) -> str:
 
 
 def limit_sentence(result: Mapping[str, Any]) -> str:
-    """Return which joints are beyond their limit, and which worn ones are not; empty for other verdicts than worn."""
+    """Return which joints are or may be beyond their limit, and which worn ones are not; only for the verdict worn."""
     parts: list[str] = []
     if result["verdict"] != "worn":
         return ""
     for name, state in result["joints"].items():
         limit, beyond = length(state["limit_um"]), state["p_over_limit"]
-        if beyond >= EVEN:
+        if beyond >= CLEARLY:
             parts.append(f"{name} is beyond its limit of {limit}, probability {percent(beyond)}.")
+        elif 1.0 - beyond < CLEARLY:
+            parts.append(f"{name} may be beyond its limit of {limit}, probability {percent(beyond)}.")
         elif state["condition"] == "worn":
             parts.append(f"{name} is within its limit of {limit}, probability {percent(1.0 - beyond)}.")
     return " ".join(parts)

@@ -49,7 +49,7 @@ def flops(text: str) -> int:
     single = re.findall(
         r"= (?:f(?:add|sub|mul|div|neg|cmp)|call [^@]*@llvm\.(?:sqrt|floor|fabs|maxnum|minnum)\.)", body
     )
-    return len(single) + 2 * body.count("@llvm.fma.")
+    return len(single) + 2 * body.count("@llvm.fmuladd.")
 
 
 def assembly(text: str) -> str:
@@ -116,7 +116,8 @@ def _fma_loop() -> str:
         f"  %p{k} = getelementptr {ROW}, ptr %w, i64 {k}\n  %s{k} = load {ROW}, ptr %p{k}, align 8" for k in chains
     )
     kept = "\n".join(f"  %x{k} = phi {ROW} [ %s{k}, %entry ], [ %y{k}, %loop ]" for k in chains)
-    work = "\n".join(f"  %y{k} = call {ROW} @llvm.fma.v{LANES}f64({ROW} %x{k}, {ROW} %s0, {ROW} %s1)" for k in chains)
+    call = f"call {ROW} @llvm.fmuladd.v{LANES}f64"
+    work = "\n".join(f"  %y{k} = {call}({ROW} %x{k}, {ROW} %s0, {ROW} %s1)" for k in chains)
     end = "\n".join(f"  store {ROW} %y{k}, ptr %p{k}, align 8" for k in chains)
     return f"""{DECLARATIONS}
 define void @peak(ptr %w) {{

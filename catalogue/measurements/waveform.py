@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,8 +11,11 @@ import numpy.typing as npt
 
 from catalogue.errors import MeasurementError
 
-#: A channel that keeps one value for more samples than this, and than a hundredth of the recording, has dropped out.
-LEAST_STANDSTILL = 50
+#: A channel that keeps one value for so long [s], for so many samples, and for so many times as long as it usually does
+#: (coarse numbers stay the same for a while), has dropped out.
+STANDSTILL = 0.005
+LEAST_STANDSTILL = 20
+UNUSUAL_STANDSTILL = 20.0
 
 
 @dataclass(frozen=True)
@@ -70,15 +74,14 @@ def inspect_waveform(
     mean = float(signal.mean())
     rms = float(np.sqrt(np.mean((signal - mean) ** 2)))
     warnings, flaws = [], []
-    for extreme, side in ((high, "upper"), (low, "lower")):
-        clipped = _clipped(signal, extreme, high - low)
-        if clipped:
-            warnings.append(
-                f"channel {channel!r} looks clipped: {clipped} samples at its {side} end, {extreme:.4g} {unit}"
-            )
-            at_end = np.flatnonzero(np.abs(signal - extreme) <= 1e-3 * (high - low))
-            flaws.append(Flaw(channel, "clipped", int(at_end[0]), int(at_end[-1]) + 1))
-    for start, length in _standstills(signal):
+    standstills = _standstills(signal, sample_rate)
+    for mask, extreme, side in _flat_tops(signal, standstills):
+        at_end = np.flatnonzero(mask)
+        warnings.append(
+            f"channel {channel!r} looks clipped: {len(at_end)} samples at its {side} end, {extreme:.4g} {unit}"
+        )
+        flaws.append(Flaw(channel, "clipped", int(at_end[0]), int(at_end[-1]) + 1))
+    for start, length in standstills:
         warnings.append(
             f"channel {channel!r} stands still for {length} samples from {start / sample_rate:.4g} s on: a dropout?"
         )
@@ -90,6 +93,30 @@ def inspect_waveform(
         flaws.append(Flaw(channel, "offset", 0, len(signal)))
     fact = f"rms {rms:.4g}, offset {mean:.4g}, from {low:.4g} to {high:.4g} {unit}"
     return Inspection(fact, tuple(warnings), tuple(flaws))
+
+
+def clipped_samples(signal: npt.NDArray[np.float64], sample_rate: float) -> npt.NDArray[np.bool_]:
+    """Samples of flat tops at either end of the range, (n,)."""
+    found = np.zeros(len(signal), dtype=bool)
+    for mask, _, _ in _flat_tops(signal, _standstills(signal, sample_rate)):
+        found |= mask
+    return found
+
+
+def _flat_tops(
+    signal: npt.NDArray[np.float64], standstills: list[tuple[int, int]]
+) -> Iterator[tuple[npt.NDArray[np.bool_], float, str]]:
+    """Samples of flat tops, their level and side; what stands still for long belongs to none."""
+    kept = np.ones(len(signal), dtype=bool)
+    for start, length in standstills:
+        kept[start : start + length] = False
+    rest = signal[kept]
+    if not rest.size:
+        return
+    low, high = float(rest.min()), float(rest.max())
+    for extreme, side in ((high, "upper"), (low, "lower")):
+        if high > low and _clipped(rest, extreme, high - low):
+            yield kept & (np.abs(signal - extreme) <= 1e-3 * (high - low)), extreme, side
 
 
 def _clipped(signal: npt.NDArray[np.float64], extreme: float, span: float) -> int:
@@ -107,9 +134,15 @@ def _clipped(signal: npt.NDArray[np.float64], extreme: float, span: float) -> in
     return count if int(runs.sum()) >= 3 else 0
 
 
-def _standstills(signal: npt.NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Start and length of every long run of one value."""
+def _standstills(signal: npt.NDArray[np.float64], sample_rate: float) -> list[tuple[int, int]]:
+    """Start and length of every long run of one value, but for flat tops of clipping."""
     changes = np.concatenate([[0], np.flatnonzero(np.diff(signal)) + 1, [len(signal)]])
     lengths = np.diff(changes)
-    long = np.flatnonzero(lengths > max(LEAST_STANDSTILL, len(signal) // 100))
-    return [(int(changes[run]), int(lengths[run])) for run in long]
+    usual = float(np.median(lengths))
+    least = max(STANDSTILL * sample_rate, LEAST_STANDSTILL, UNUSUAL_STANDSTILL * usual)
+    long = lengths >= least
+    for extreme in (signal.min(), signal.max()):
+        there = signal[changes[:-1]] == extreme
+        if lengths[there & long].sum() <= 0.5 * lengths[there].sum():
+            long &= ~there  # most of it is short: a flat top
+    return [(int(changes[run]), int(lengths[run])) for run in np.flatnonzero(long)]

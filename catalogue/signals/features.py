@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping
 
@@ -16,18 +15,19 @@ from catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from catalogue.measurements.measurement import Measurement
 from catalogue.measurements.tacho import track_of, usual_speed
 from catalogue.plans.parameters import nominal_drive_speed
-from catalogue.signals.hum import SteadyLine, remove_hum
+from catalogue.signals.hum import SteadyLine
 from catalogue.signals.noise import NoiseFloor, noise_floor
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.recipe_steps import RecipeStep
-from catalogue.signals.resampling import WANDER, at_mean_speed
+from catalogue.signals.resampling import WANDER, at_mean_speed, samples_at_mean_speed
 from catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
 from catalogue.signals.sensors import SensorMap, map_sensors, without_columns
 from catalogue.signals.spectrum_features import prepare_spectrum
-from catalogue.signals.steadiness import LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
+from catalogue.signals.steadiness import KEPT, LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
+from catalogue.signals.undisturbed import flawed_samples, undisturbed, undisturbed_bands, without_lines
 from catalogue.storage.feature_bands import FEATURE_ORDERS, FeatureAxis, feature_axes, feature_vector, usable_cuts
 from solver.machines.machine import Machine
-from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS, band_matrix
+from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS
 from solver.spectra.bands import BandScheme
 
 __all__ = [
@@ -41,6 +41,7 @@ __all__ = [
 ]
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 #: Revolutions below which a recording is refused, and warned of.
 MIN_REVOLUTIONS = 3.0
@@ -52,6 +53,11 @@ ALIKE = 1.12
 FAR_FROM_NOMINAL = 0.05
 #: Wander, relative, that is warned of: the course is followed, but a machine that turns so unevenly is hardly steady.
 MUCH_WANDER = 0.015
+
+#: A sensor that the others can do without is left out when more of its time has dropped out, or when it is clipped in
+#: more of its revolutions.
+MUCH_DROPPED = 0.1
+MUCH_CLIPPED = 0.25
 
 #: Difference of a given speed from the one in the recording, relative, up to which they agree.
 GIVEN_AGREES = 0.005
@@ -97,32 +103,40 @@ def prepare(
     expected = speed or (nominal if by_pulses is None else usual_speed(by_pulses, rate))
     _refuse_short(measurement.name, measurement.duration, expected, allowance=0.1 if speed is None else 0.0)
 
-    sensing, sensor_step = _sensors(measurement, machine, mapping)
+    sensing, sensor_step = _sensors(measurement, machine, mapping, expected)
     warnings = [*measurement.warnings, *sensing.warnings]
-    first, last, part_step, doubt = _steady_part(measurement, sensing, expected)
-    signal = measurement.signal[first:last, list(sensing.columns)]
-    warnings += doubt
+    first, last, part_step, unsteady = _steady_part(measurement, sensing, expected)
+    doubt: list[str] = []
 
-    if by_pulses is not None:
-        track, doubt = track_of(by_pulses, rate, first, last, measurement.name), []
-    else:
+    def tracking(signal: FloatArray) -> SpeedTrack:
+        nonlocal doubt
+        if by_pulses is not None:
+            return track_of(by_pulses, rate, first, last, measurement.name)
         track, doubt = _track(signal, rate, nominal, speed, measurement.name)
+        return track
+
+    flawed = {kind: mask[first:last] for kind, mask in flawed_samples(measurement, sensing).items()}
+    raw = measurement.signal[first:last, list(sensing.columns)]
+    rest = undisturbed(raw, rate, flawed, tracking, expected, sensing, measurement.name, first / rate)
+    signal, track = rest.signal, rest.track
+    if any(each.kind == "shock" for each in rest.disturbances):
+        unsteady = [line for line in unsteady if not line.endswith(KEPT)]
     estimate = track.estimate
-    warnings += doubt
-    revolutions = _refuse_short(measurement.name, len(signal) / rate, estimate.speed)
+    warnings += [*unsteady, *doubt, *rest.warnings]
+    revolutions = _refuse_short(measurement.name, (1.0 - rest.left_out) * len(signal) / rate, estimate.speed)
     turn = estimate.speed / (2.0 * math.pi)
     if 0.5 * rate < (FEATURE_ORDERS + 0.5) * turn:
         rule = f"sample rate {rate:g} Hz: does not reach order {FEATURE_ORDERS} of a drive at {turn:.4g} Hz"
         raise MeasurementError(measurement.name, rule=rule)
 
-    cleaned = remove_hum(signal, rate, track)
+    cleaned = without_lines(rest, rate)
     wander = float(np.max(np.abs(track.speed / track.speed.mean() - 1.0)))
     floor = noise_floor(cleaned.signal, rate, measurement.name, turn=turn, wander=wander)
     resampled = wander > WANDER
     even = at_mean_speed(cleaned.signal, rate, track) if resampled else cleaned.signal
     scheme = scheme or BandScheme.for_drive(nominal)
-    derivatives = sensing.derivatives if any(sensing.derivatives) else None
-    bands = band_matrix(even, rate, estimate.speed, scheme, channels=sensing.sensors, derivatives=derivatives)
+    bad = samples_at_mean_speed(rest.bad, rate, track) if resampled else rest.bad
+    bands = undisturbed_bands(even, bad, rate, estimate.speed, scheme, sensing)
     edges = scheme.edges_hz(estimate.speed)
     cuts = usable_cuts(scheme, estimate.speed, rate)
     flaws = find_sensor_flaws(sensing, bands, floor)
@@ -143,6 +157,7 @@ def prepare(
     steps = (
         sensor_step,
         part_step,
+        RecipeStep(name="disturbances", version="1", parameters={}, found="; ".join(rest.warnings) or "none found"),
         RecipeStep(
             name="drive speed",
             version="2",
@@ -166,7 +181,7 @@ def prepare(
         ),
         RecipeStep(name="sensors checked", version="1", parameters={}, found=_flaws_note(flaws, sensing)),
     )
-    notes = [*measurement.import_report, steps[2].found]
+    notes = [*measurement.import_report, steps[3].found]
     notes += [
         f"steady line at {line.frequency:.2f} Hz taken out, amplitude up to {line.amplitude.max():.2g}"
         for line in cleaned.lines
@@ -191,18 +206,28 @@ def prepare(
         notes=tuple(notes),
         steps=steps,
         flaws=flaws,
+        disturbances=rest.disturbances,
+        left_out=rest.left_out,
     )
 
 
 def _sensors(
-    measurement: Measurement, machine: Machine, mapping: Mapping[str, str] | None
+    measurement: Measurement, machine: Machine, mapping: Mapping[str, str] | None, speed: float
 ) -> tuple[SensorMap, RecipeStep]:
-    """Sensors to be used: those with clipping or dropouts are left out where the others see as much."""
+    """Sensors to be used: those mostly clipped or missing for long are left out where the others see as much."""
     sensing = map_sensors(measurement, machine, mapping)
     names = measurement.channel_names
     left_out: list[int] = []
+    flawed = flawed_samples(measurement, sensing)
+    share = {
+        column: max(
+            float(flawed["drop-out"][:, place].mean()) / MUCH_DROPPED,
+            _share_of_revolutions(flawed["clipping"][:, place], measurement.sample_rate, speed) / MUCH_CLIPPED,
+        )
+        for place, column in enumerate(sensing.columns)
+    }
     for column in sensing.columns:
-        if any(flaw.channel == names[column] and flaw.kind != "offset" for flaw in measurement.flaws):
+        if share[column] > 1.0:
             without = without_columns(sensing, machine, [column])
             if without is not None:
                 sensing, left_out = without, [*left_out, column]
@@ -217,27 +242,15 @@ def _sensors(
 
 
 def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> tuple[int, int, RecipeStep, list[str]]:
-    """Samples to be used: the longest part without a dropout, of that the steady part; and what there is to say."""
-    used = {measurement.channel_names[column] for column in sensing.columns}
-    dropouts = sorted(
-        (flaw.first, flaw.last) for flaw in measurement.flaws if flaw.kind == "dropout" and flaw.channel in used
-    )
-    first, last = 0, len(measurement.signal)
-    findings = []
-    if dropouts:
-        # One channel's may lie within another's.
-        ends = [0, *itertools.accumulate((end for _, end in dropouts), max)]
-        starts = [*(start for start, _ in dropouts), last]
-        gaps = list(zip(ends, starts, strict=True))
-        start, end = max(gaps, key=lambda gap: gap[1] - gap[0])
-        if (end - start) / measurement.sample_rate * abs(speed) / (2.0 * math.pi) >= 1.1 * MIN_REVOLUTIONS:
-            first, last = start, end
-            rate = measurement.sample_rate
-            findings.append(f"only {first / rate:.3g} to {last / rate:.3g} s are used: the rest holds dropouts")
-    stretch = steady_stretch(measurement.signal[first:last, list(sensing.columns)], measurement.sample_rate, speed)
-    findings += stretch.findings
-    first, last = first + stretch.first, first + stretch.last
+    """Samples to be used: the steady part; and what there is to say."""
+    raw = measurement.signal[:, list(sensing.columns)]
+    dropped = flawed_samples(measurement, sensing)["drop-out"]
+    if dropped.any():
+        raw = np.where(dropped, np.median(raw, axis=0), raw)
     rate = measurement.sample_rate
+    stretch = steady_stretch(raw, rate, speed)
+    findings = list(stretch.findings)
+    first, last = stretch.first, stretch.last
     step = RecipeStep(
         name="steady part",
         version="1",
@@ -245,6 +258,13 @@ def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> 
         found="; ".join([f"{first / rate:.4g} to {last / rate:.4g} s of {measurement.duration:.4g} s", *findings]),
     )
     return first, last, step, findings
+
+
+def _share_of_revolutions(mask: BoolArray, rate: float, speed: float) -> float:
+    """Share of the revolutions that hold any of some samples."""
+    turn = abs(speed) / (2.0 * math.pi * rate)
+    hit = np.unique(np.floor(np.flatnonzero(mask) * turn))
+    return float(len(hit) / max(1.0, len(mask) * turn))
 
 
 def _speed_note(estimate: SpeedEstimate, wander: float) -> str:

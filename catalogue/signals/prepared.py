@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from catalogue.errors import MeasurementError
 from catalogue.measurements.drivespeed import SpeedEstimate
+from catalogue.signals.disturbances import Disturbance
 from catalogue.signals.hum import SteadyLine
 from catalogue.signals.noise import NoiseFloor
 from catalogue.signals.recipe_steps import RecipeStep
@@ -40,7 +41,7 @@ class PreparedMeasurement:
         Columns, sensors, and how they make the compared channels.
     speed : SpeedEstimate
     revolutions : float
-        Drive revolutions in the part that is used.
+        Drive revolutions in the part that is used, without what was left out of it.
     sensor_bands : BandMatrix
         Cross-powers (B, s, s) of the sensors, as accelerations.
     noise_power : (B, c) array
@@ -59,6 +60,10 @@ class PreparedMeasurement:
         What was done, in order.
     flaws : tuple of SensorFlaw
         Sensors that cannot be as the machine file has them. Nothing was corrected: levels are as recorded.
+    disturbances : tuple of Disturbance
+        What is not of the machine, and was left out.
+    left_out : float
+        Share of the time that shocks, drop-outs and clipping cost.
     """
 
     name: str
@@ -74,6 +79,8 @@ class PreparedMeasurement:
     notes: tuple[str, ...]
     steps: tuple[RecipeStep, ...]
     flaws: tuple[SensorFlaw, ...] = ()
+    disturbances: tuple[Disturbance, ...] = ()
+    left_out: float = 0.0
 
     @property
     def channels(self) -> tuple[str, ...]:

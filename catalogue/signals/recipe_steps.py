@@ -15,7 +15,7 @@ class RecipeStep(BaseModel):
     Parameters
     ----------
     name : str
-        "sensors", "steady part", "drive speed", "hum", "noise floor", "angular resampling", "bands",
+        "sensors", "steady part", "disturbances", "drive speed", "hum", "noise floor", "angular resampling", "bands",
         "sensors checked", "gains".
     version : str
         Raised when the step would do something else with the same recording.

@@ -48,16 +48,28 @@ def at_mean_speed(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) 
     """
     values = np.ascontiguousarray(np.asarray(signal, dtype=np.float64).T)
     count = values.shape[1]
-    time = np.arange(count) / sample_rate
-    speed = np.interp(time, track.time, track.speed)
-    angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-    place = np.interp(np.linspace(0.0, angle[-1], count), angle, np.arange(count, dtype=np.float64))
+    place = _places(count, sample_rate, track)
     mean = values.mean(axis=1, keepdims=True)
     length = scipy.fft.next_fast_len(count, real=True)
     spectrum = scipy.fft.rfft(values - mean, length)
     dense = DENSER * scipy.fft.irfft(spectrum, DENSER * length)[:, : DENSER * count]
     taken = np.stack([splined(row, DENSER * place) for row in dense])
     return np.asarray((taken + mean).T, dtype=np.float64)
+
+
+def samples_at_mean_speed(mask: npt.NDArray[np.bool_], sample_rate: float, track: SpeedTrack) -> npt.NDArray[np.bool_]:
+    """Samples (n,) of a signal at equal steps of the drive's angle that lie where those of a mask do, or next to it."""
+    place = _places(len(mask), sample_rate, track)
+    found: npt.NDArray[np.bool_] = mask[np.floor(place).astype(np.intp)] | mask[np.ceil(place).astype(np.intp)]
+    return found
+
+
+def _places(count: int, sample_rate: float, track: SpeedTrack) -> FloatArray:
+    """Where samples at equal steps of the drive's angle lie, in samples."""
+    speed = np.interp(np.arange(count) / sample_rate, track.time, track.speed)
+    angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
+    place = np.interp(np.linspace(0.0, angle[-1], count), angle, np.arange(count, dtype=np.float64))
+    return np.asarray(np.clip(place, 0.0, count - 1.0), dtype=np.float64)
 
 
 def splined(row: FloatArray, places: FloatArray) -> FloatArray:

@@ -35,6 +35,8 @@ CLEAR_LEVEL_DB = 1.5
 LEAST_REVOLUTIONS = 3.0
 #: Revolutions that must be steady in a row, where there are so many.
 IN_A_ROW = 2
+#: How a finding ends that is of no consequence.
+KEPT = "between steady parts: kept"
 #: The usual speed is looked for in this many parts of so many revolutions.
 PARTS = 9
 PART_REVOLUTIONS = 4.0
@@ -107,7 +109,7 @@ def steady_stretch(signal: npt.ArrayLike, sample_rate: float, nominal: float) ->
     inside = np.flatnonzero((slow | odd)[first:last])
     if inside.size:
         time = frames.starts[first + int(inside[0])] / rate
-        findings.append(f"not steady at {time:.3g} s, between steady parts: kept")
+        findings.append(f"not steady at {time:.3g} s, {KEPT}")
     return Stretch(start, end, tuple(findings))
 
 

@@ -22,8 +22,9 @@ _FAST = "nnan ninf nsz arcp contract"
 _MAGIC = 6755399441055744.0
 _MAGIC_BITS, _ROOT_OF_HALF = struct.unpack(">qq", struct.pack(">dd", _MAGIC, math.sqrt(0.5)))
 
-_INTRINSICS = ("sqrt", "floor", "fabs", "maxnum", "minnum", "fma")
-_ARGUMENTS = {"maxnum": 2, "minnum": 2, "fma": 3}
+#: ``fmuladd``: one instruction, rounded once, where the processor has one; else a product and a sum, not the C library.
+_INTRINSICS = ("sqrt", "floor", "fabs", "maxnum", "minnum", "fmuladd")
+_ARGUMENTS = {"maxnum": 2, "minnum": 2, "fmuladd": 3}
 
 DECLARATIONS = "\n".join(
     f"declare {ROW} @llvm.{name}.v{LANES}f64({', '.join([ROW] * _ARGUMENTS.get(name, 1))})" for name in _INTRINSICS
@@ -113,13 +114,13 @@ class Block:
         return self._arithmetic(f"fneg {_FAST} {ROW} {a}")
 
     def call(self, intrinsic: str, *arguments: str) -> str:
-        """One of the intrinsics that are single instructions: sqrt, floor, fabs, maxnum, minnum, fma."""
+        """One of the intrinsics that are single instructions: sqrt, floor, fabs, maxnum, minnum, fmuladd."""
         texts = ", ".join(f"{ROW} {a}" for a in arguments)
         return self._arithmetic(f"call {_FAST} {ROW} @llvm.{intrinsic}.v{LANES}f64({texts})")
 
     def fma(self, a: str, b: str, c: str) -> str:
-        """a b + c, rounded once."""
-        return self.call("fma", a, b, c)
+        """a b + c, rounded once where the processor can."""
+        return self.call("fmuladd", a, b, c)
 
     def nearest(self, x: str, factor: float) -> tuple[str, str]:
         """Whole number nearest to `factor` x, as a row of doubles and as a row of integers (low bits only)."""

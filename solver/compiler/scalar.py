@@ -55,8 +55,8 @@ class ScalarBlock(Block):
         return self._arithmetic(f"-{a}")
 
     def call(self, intrinsic: str, *arguments: str) -> str:
-        """A function of :mod:`math` or one of Python's own; ``fma`` as a product and a sum."""
-        if intrinsic == "fma":
+        """A function of :mod:`math` or one of Python's own; ``fmuladd`` as a product and a sum."""
+        if intrinsic == "fmuladd":
             a, b, c = arguments
             return self._arithmetic(f"{a} * {b} + {c}")
         return self._arithmetic(f"{_CALLS.get(intrinsic, intrinsic)}({', '.join(arguments)})")

@@ -113,7 +113,7 @@ def test_a_diagnosis_of_the_form_is_of_its_asset(client: httpx.Client, worn: byt
     page = client.get("/assets/page-3").text
     assert f'href="{result}">B worn</a>' in page
     drawn = json.loads(html.unescape(re.findall(r'data-history="([^"]+)"', page)[0]))
-    stored = client.get(f"{API}{result}").json()["hypotheses"][0]["joints"]["B"]
+    stored = client.get(f"{API}{result}").json()["joints"]["B"]
     (joint,) = drawn["joints"]
     (point,) = joint["points"]
     assert joint["name"] == "B"

@@ -29,7 +29,7 @@ def diagnose(page: Page, name: str, content: bytes, folder: Path, verdict: str) 
     expect(page.get_by_label("Asset")).to_have_value(asset)
     page.get_by_label("Effort").select_option("fast")
     page.get_by_role("button", name="Diagnose").click()
-    expect(page.locator(".verdict h2")).to_contain_text(verdict, timeout=SECONDS)
+    expect(page.locator(".verdict h2")).to_contain_text(verdict, ignore_case=True, timeout=SECONDS)
     page.locator("#result").get_by_role("link", name=asset, exact=True).click()
 
 

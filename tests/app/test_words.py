@@ -62,6 +62,20 @@ def test_two_worn_joints() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("condition", "beyond", "text"),
+    [
+        ("worn", 0.45, "O may be beyond its limit of 200 µm, probability 45 %."),
+        ("open", 0.3, "O may be beyond its limit of 200 µm, probability 30 %."),
+        ("open", 0.1, ""),
+        ("in_order", 0.0, ""),
+    ],
+)
+def test_limits(condition: str, beyond: float, text: str) -> None:
+    found = result("worn", joints={"O": joint(condition, 190.0, 0.9, p_over_limit=beyond)})
+    assert words.limit_sentence(found) == text
+
+
 def test_wear_of_which_the_joint_is_not_sure() -> None:
     joints = {"A": joint("open", 250.0, 0.7, p_over_limit=0.6), "C": joint("open", 80.0, 0.3)}
     found = result("worn", hypothesis("A", 0.7, A=250), hypothesis("C", 0.3, C=80), joints=joints)

@@ -343,35 +343,62 @@ def test_a_clipped_column_is_left_out_where_the_others_see_as_much(machine: Mach
     assert both.sensing.sensors == ("s1-x", "s2-y") and not any("left out" in w for w in both.warnings)
 
 
-def test_dropouts_are_passed_by(machine: Machine) -> None:
+def test_dropouts_cost_their_time(machine: Machine) -> None:
     rng = np.random.default_rng(0)
     signal = at_sensors(machine, frame_motion()) + rng.normal(0, 0.001, (40_000, 4))
+    whole = prepare(as_read(signal), machine)
+    assert whole.disturbances == () and whole.left_out == 0.0
     one = signal.copy()
-    one[9000:10_000, 2] = one[9000, 2]
+    one[9000:9050, 2] = 0.0
     prepared = prepare(as_read(one), machine)
-    assert prepared.sensing.sensors == ("s1-x", "s1-y", "s2-y") and prepared.revolutions == pytest.approx(20, rel=1e-3)
+    (gap,) = prepared.disturbances
+    assert (gap.kind, gap.sensors) == ("drop-out", ("s2-x",)) and prepared.sensing.sensors == NAMES
+    assert gap.begin == pytest.approx(0.899) and gap.end == pytest.approx(0.906)
+    assert "drop-out of s2-x at 0.899 s: 0.18 % of the time left out" in prepared.warnings
+    assert prepared.revolutions == pytest.approx(20 * (1 - 70 / 40_000), rel=1e-3)
+    assert np.abs(prepared.features - whole.features)[:60].max() < 0.05
     every = signal.copy()
     every[9000:10_000] = every[9000]
     cut = prepare(as_read(every), machine)
-    assert cut.revolutions == pytest.approx(15.0, rel=1e-3)
-    assert any(warning == "only 1 to 4 s are used: the rest holds dropouts" for warning in cut.warnings)
-    whole = prepare(as_read(signal), machine)
+    assert cut.left_out == pytest.approx(0.0255, abs=1e-3) and cut.disturbances[0].sensors == ()
     assert np.abs(cut.features - whole.features)[:60].max() < 0.1
     within = signal.copy()
     within[9000:20_000, :3] = within[9000, :3]
     within[10_000:11_000, 3] = within[10_000, 3]
-    assert "only 2 to 4 s are used: the rest holds dropouts" in prepare(as_read(within), machine).warnings
+    long = prepare(as_read(within), machine)
+    assert long.revolutions == pytest.approx(14.5, rel=5e-3)
+    assert np.abs(long.features - whole.features)[:60].max() < 0.1
+
+
+def test_a_sensor_that_misses_much_is_left_out_where_the_others_see_as_much(machine: Machine) -> None:
+    signal = at_sensors(machine, frame_motion()) + np.random.default_rng(0).normal(0, 0.001, (40_000, 4))
+    signal[9000:20_000, 2] = signal[9000, 2]
+    prepared = prepare(as_read(signal), machine)
+    assert prepared.sensing.sensors == ("s1-x", "s1-y", "s2-y") and prepared.left_out == 0.0
+    assert prepared.revolutions == pytest.approx(20.0, rel=1e-3)
+    assert any("left out, as the others see as much of the frame: s2-x" in each for each in prepared.warnings)
+
+
+def test_too_little_that_is_left_is_refused_in_one_line(machine: Machine) -> None:
+    signal = at_sensors(machine, frame_motion()) + np.random.default_rng(0).normal(0, 0.001, (40_000, 4))
+    for start in range(500, 40_000, 2000):  # the same angle of every revolution
+        signal[start : start + 60] = signal[start]
+    with pytest.raises(MeasurementError, match=r"the same angles in every revolution: too little is left$"):
+        prepare(as_read(signal), machine)
+    signal[3000:36_000] = signal[3000]
+    with pytest.raises(MeasurementError, match=r"revolutions; at least 3 are needed|too little is left|no orders"):
+        prepare(as_read(signal), machine)
 
 
 def test_the_recipe_is_kept_in_order(machine: Machine) -> None:
     prepared = prepare(recorded(at_sensors(machine, frame_motion())), machine)
-    names = ["sensors", "steady part", "drive speed", "hum", "noise floor", "angular resampling", "bands"]
-    names.append("sensors checked")
+    names = ["sensors", "steady part", "disturbances", "drive speed", "hum", "noise floor", "angular resampling"]
+    names += ["bands", "sensors checked"]
     assert [step.name for step in prepared.steps] == names
     assert all(step.version and step.found and "\n" not in step.found for step in prepared.steps)
     assert prepared.steps[0].found == f"columns {', '.join(NAMES)} as {', '.join(NAMES)}"
-    assert prepared.steps[5].found.endswith("not needed") and prepared.steps[5].parameters == {"from_wander": 1e-3}
-    assert RecipeStep.model_validate_json(prepared.steps[6].model_dump_json()) == prepared.steps[6]
+    assert prepared.steps[6].found.endswith("not needed") and prepared.steps[6].parameters == {"from_wander": 1e-3}
+    assert RecipeStep.model_validate_json(prepared.steps[7].model_dump_json()) == prepared.steps[7]
 
 
 def test_gains_are_divided_out(machine: Machine) -> None:

@@ -54,13 +54,17 @@ def test_a_slider_passes_its_shaft() -> None:
 
 
 def test_fixed_steps_that_meet_a_change_point_exactly_say_so() -> None:
-    """At 600 rpm the samples hit 270 degrees to the last bit, and the equations have no solution there."""
+    """At 600 rpm samples hit 90 and 270 degrees to the last bits, and the equations have no solution there.
+
+    Rounding decides at which: moved by 1 to 20 units in its last place, the speed ends all runs at 90 degrees.
+    """
     history = simulate(parse_machine(equal_legs()), Case(), Settings(duration=0.2, sample_rate=2000, method="gill"))
     assert history.status in (Status.OK, Status.DIVERGED)
     assert np.isfinite(history.acceleration).all()
     if history.status is Status.DIVERGED:
-        assert history.t[-1] == pytest.approx(0.075, abs=1e-3)
-        assert "left all bounds at 0.075 s" in history.message
+        met = next(moment for moment in (0.025, 0.075, 0.125, 0.175) if moment > history.t[-1])
+        assert history.t[-1] == pytest.approx(met, abs=1e-3)
+        assert f"left all bounds at {met} s" in history.message
 
 
 def driven_slide() -> Machine:

@@ -19,8 +19,8 @@ from solver.simulation.simulate import Status, simulate
 
 #: Differences as parts of the largest value. Both sides take the same steps; their sines round differently, and impacts
 #: amplify that. What rounding can do was measured by moving speeds and clearances of each case 300 times by up to 1, 4
-#: and 16 units in their last place, and between threads and lanes, compiled for AVX-512, AVX2 and SSE2 with the
-#: libraries held to the same: at most 7e-12, 1.9e-10, 1.4e-9, 9e-10, and 5e-11 at the end. Ten times that is allowed.
+#: and 16 units in their last place, and between threads and lanes, compiled for AVX-512, AVX2 and SSE2 with libraries
+#: to match: at most 7e-12, 1.9e-10, 1.4e-9, 9e-10, and 5e-11 at the end. About ten times that is allowed.
 CLOSE = {"displacement": 7e-11, "velocity": 2e-9, "acceleration": 1.4e-8, "band_limited_acceleration": 1e-8}
 CLOSE_END = 5e-10
 #: The same where rounding decides one trial step among hundreds otherwise, which leaves errors of steps: 1.1e-10, 7e-9,
@@ -63,7 +63,8 @@ def test_threads_agree_with_lanes(
         assert thread.case == lane.case
         assert (thread.status, thread.message, len(thread.t)) == (lane.status, lane.message, len(lane.t))
         alike = (name, number) != DECIDED_BY_ROUNDING
-        assert thread.step == pytest.approx(lane.step, rel=1e-12 if alike else 3e-2)
+        if lane.status is not Status.JAMMED:  # rounding decides how often its last step is tried
+            assert thread.step == pytest.approx(lane.step, rel=1e-12 if alike else 3e-2)
         bounds, bound_at_end = (CLOSE, CLOSE_END) if alike else (LOOSE, LOOSE_END)
         assert np.array_equal(thread.t, lane.t)
         for motion, bound in bounds.items():

@@ -67,6 +67,20 @@ def test_another_processor_is_another_file(cache: Path) -> None:
     assert len(list(cache.iterdir())) == 2
 
 
+def _sum_for(name: str) -> bytes:
+    block = Block()
+    block.store(0, block.fma(block.load(0), block.load(LANES), block.load(2 * LANES)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NUMBA_CPU_NAME", name)
+        return native.object_code("\n".join([DECLARATIONS, block.function("sum")]))
+
+
+def test_a_processor_that_cannot_fuse_does_not_ask_the_c_library(cache: Path) -> None:
+    """The library's way of rounding once takes two hundred times as long as all the rest."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert b"fma\0" not in pool.apply(_sum_for, ["generic"])
+
+
 @pytest.mark.parametrize("damage", [b"", b"not an object file", None])
 def test_a_damaged_file_is_compiled_again(cache: Path, damage: bytes | None) -> None:
     code = _doubling(4.0)

@@ -1,0 +1,124 @@
+"""Shocks from outside cost their time, not the diagnosis; what a worn machine does itself is no shock."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from recordings import RECORDINGS, TRUTH
+
+from catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack
+from catalogue.measurements.measurement import Measurement, read_measurement
+from catalogue.signals.disturbances import find_shocks, patched, stretches_of, without_loudest
+from catalogue.signals.features import PreparedMeasurement, prepare
+from solver.machines.machine import Machine, shipped_machine
+from solver.spectra.sensor import sensor_transform
+
+USED = [name for name in TRUTH if (RECORDINGS / f"{name}.csv.gz").exists()]
+
+
+@cache
+def recording(name: str) -> tuple[Measurement, Machine]:
+    return read_measurement(RECORDINGS / f"{name}.csv.gz"), shipped_machine(TRUTH[name]["machine"])
+
+
+def with_shocks(name: str, times: tuple[float, ...], size: float, width: float = 0.004) -> PreparedMeasurement:
+    """Blows on the frame, which then rings at 25 Hz; `size` in units of the recording's rms."""
+    measurement, machine = recording(name)
+    chosen = [next(s for s in machine.sensors if s.name == each) for each in measurement.channel_names]
+    centre = machine.links[machine.frame].cg
+    transform = sensor_transform([s.at for s in chosen], [s.direction for s in chosen], centre)
+    t = np.arange(len(measurement.signal)) / measurement.sample_rate
+    added = np.zeros(len(t))
+    for start in times:
+        after = np.maximum(t - start, 0.0)
+        added += np.where(after < width, np.sin(math.pi * after / width), 0.0)
+        added -= 0.2 * np.exp(-25.0 * after) * np.sin(2 * math.pi * 25.0 * after)
+    blow = size * measurement.signal.std() * np.outer(added, transform @ [0.8, 0.6, 2.0])
+    return prepare(dataclasses.replace(measurement, signal=measurement.signal + blow), machine)
+
+
+@pytest.mark.parametrize("name", USED)
+def test_machines_do_not_shock_themselves(name: str) -> None:
+    measurement, machine = recording(name)
+    prepared = prepare(measurement, machine)
+    assert [each for each in prepared.disturbances if each.kind == "shock"] == [] and prepared.left_out == 0.0
+    assert prepared.steps[2].name == "disturbances" and prepared.steps[2].found == "none found"
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("quick-return-01", 10),
+        ("slider-crank-05", 20),
+        ("slider-crank-01", 10),
+        ("four-bar-01", 10),
+        ("four-bar-03", 10),
+    ],
+)
+def test_shocks_cost_their_time(name: str, size: float) -> None:
+    measurement, machine = recording(name)
+    before = prepare(measurement, machine)
+    disturbed = with_shocks(name, (0.4, 1.9), size)
+    shocks = [each for each in disturbed.disturbances if each.kind == "shock"]
+    assert [each.begin for each in shocks] == [pytest.approx(0.4, abs=0.03), pytest.approx(1.9, abs=0.03)]
+    assert 0.0 < disturbed.left_out < 0.4
+    assert any(each.startswith("shock from outside 2 times, at") for each in disturbed.warnings)
+    off = np.sqrt(np.mean((disturbed.features - before.features) ** 2))
+    assert off < 1.5
+
+
+# --- the pieces -------------------------------------------------------------------------------------------------------
+
+FS = 2000.0
+TRACK = SpeedTrack(np.array([0.0]), np.array([10 * math.pi]), SpeedEstimate(10 * math.pi, 0.0, True))
+
+
+def periodic(seconds: float = 4.0) -> np.ndarray:
+    t = np.arange(round(seconds * FS)) / FS
+    return np.column_stack(
+        [np.sin(10 * math.pi * t * k) + 0.01 * np.random.default_rng(k).normal(size=len(t)) for k in (1, 3)]
+    )
+
+
+def test_patches_are_of_the_same_angle() -> None:
+    signal = periodic()
+    bad = np.zeros(len(signal), dtype=bool)
+    bad[1000:1900] = bad[:30] = bad[-7:] = True
+    spoilt = np.where(bad[:, None], 99.0, signal)
+    values, left = patched(spoilt, FS, TRACK, bad)
+    assert not left.any() and np.abs(values - signal).max() < 0.1
+    assert np.array_equal(values[100:900], signal[100:900])
+    values, left = patched(spoilt, FS, TRACK, np.ones(len(signal), dtype=bool))
+    assert left.all() and np.array_equal(values, spoilt)
+
+
+def test_a_shock_is_found_where_it_is() -> None:
+    signal = periodic()
+    none = np.zeros(len(signal), dtype=bool)
+    assert not find_shocks(signal, FS, TRACK, none).any()
+    signal[3010:3030] += 5.0
+    found = find_shocks(signal, FS, TRACK, none)
+    assert found[3010:3030].all() and found.sum() < 150
+    missing = none.copy()
+    missing[3000:3050] = True
+    assert not find_shocks(signal, FS, TRACK, missing).any()
+    assert not find_shocks(signal[:1000], FS, TRACK, none[:1000]).any()
+
+
+def test_the_loudest_is_silenced_for_the_search_of_the_speed() -> None:
+    signal = periodic()
+    assert without_loudest(signal, FS, 10 * math.pi) is signal
+    signal[3010:3030] += 50.0
+    calm = without_loudest(signal, FS, 10 * math.pi)
+    assert np.abs(calm).max() < 1.2 and (calm == signal).mean() > 0.97
+    short = signal[:500]
+    assert without_loudest(short, FS, 10 * math.pi) is short
+
+
+def test_stretches() -> None:
+    assert stretches_of(np.array([True, False, True, True])) == [(0, 1), (2, 4)]
+    assert stretches_of(np.zeros(3, dtype=bool)) == []
