@@ -7,10 +7,12 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import get_args
 
 import solver
 from catalogue.diagnosing.answer import (
+    Cause,
     Diagnosis,
     Effort,
     EffortSpent,
@@ -22,6 +24,7 @@ from catalogue.diagnosing.answer import (
     SensorFlaw,
 )
 from catalogue.diagnosing.baseline import fit_baseline
+from catalogue.diagnosing.causes import NamedCause
 from catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
 from catalogue.diagnosing.evidence import (
     evidence,
@@ -35,16 +38,18 @@ from catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from catalogue.diagnosing.known_machine import KnownMachine
 from catalogue.diagnosing.separation import suggest
 from catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
-from catalogue.diagnosing.verdict import causes_shown, judged, needs_cause
+from catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
 from catalogue.errors import DiagnosisError
 from catalogue.matching.gaussian import GaussianAlongClearance
 from catalogue.matching.libraries import library_of
-from catalogue.matching.matcher import Matcher
+from catalogue.matching.matcher import FloatArray, Matcher, MatchResult
 from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.observation import Sensing
 from catalogue.matching.threads import one_thread
 from catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from catalogue.measurements.measurement import Measurement
 from catalogue.signals.features import PreparedMeasurement, prepare
+from catalogue.signals.suspension import with_filed_suspension
 from catalogue.storage.store import Catalogue
 
 __all__ = ["Question", "answer", "diagnose"]
@@ -209,29 +214,28 @@ def answer(
         # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
         if all(step.name != "suspension" for step in prepared.steps):
             weights = known.weights(catalogue)
-    sensing = exact_sensing(prepared)
-    feature = measured_features(prepared, sensing)
-    result = library.answer(
-        sensing,
-        feature,
-        watched(prepared),
-        question.effort,
-        question.mode,
-        speed=prepared.drive_speed,
-        matcher=matcher,
-        weights=weights,
-        without=without,
-        most=most,
+    look = partial(
+        _match, catalogue=catalogue, library=library, question=question, matcher=matcher, without=without, most=most
     )
-    trusted_p = result.trusted_p_value
-    with one_thread():
-        causes = causes_shown(prepared, catalogue, result) if needs_cause(result) else ()
+    sensing, feature, result = look(prepared, weights)
+    causes: tuple[NamedCause, ...] = ()
+    if needs_cause(result) and not prepared.flaws:
+        with one_thread():
+            causes = find_causes(prepared, catalogue, result)
     p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
+    if causes and causes[0].suspension:
+        # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
+        seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
+        other_sensing, other_feature, other = look(seen, None)
+        if (other.trusted_p_value or 0.0) > (result.trusted_p_value or 0.0) and not needs_cause(other):
+            prepared, sensing, feature, result = seen, other_sensing, other_feature, other
+            p_value, verdict = judged(other, question.coverage)
+            verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and matcher is None:
         if verdict == "unknown":
             spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
-        elif needs_cause(result):
+        elif needs_cause(result) or causes:
             # Around the wrong machine the best cases are those whose other numbers make up for it.
             spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
         else:
@@ -245,7 +249,7 @@ def answer(
             )
             result = refined.result
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
-            p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
+            p_value, verdict = judged(result, question.coverage)
     candidates = result.set(question.coverage)
     method = matcher or GaussianAlongClearance()
     warnings = [
@@ -290,11 +294,14 @@ def answer(
         "drive_speed_rpm": prepared.drive_speed * 30.0 / math.pi,
         "effort": question.effort,
         "effort_spent": spent,
-        "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=trusted_p),
+        "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=result.trusted_p_value),
         "verdict": verdict,
         "joints": joints,
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
-        "causes": causes,
+        "causes": tuple(
+            Cause(name=cause.name, size=cause.size, unit=cause.unit, probability=min(1.0, cause.probability))
+            for cause in causes
+        ),
         "sensors": tuple(SensorFlaw(sensors=flaw.sensors, kind=flaw.kind, said=flaw.text) for flaw in prepared.flaws),
         "joint_probabilities": result.joint_probabilities(),
         "candidate_set": candidates.labels,
@@ -309,6 +316,35 @@ def answer(
     }
     unsigned = Diagnosis.model_validate({**content, "hash": ""})
     return unsigned.model_copy(update={"hash": _digest(unsigned.model_dump(mode="json", exclude={"hash"}))})
+
+
+def _match(
+    prepared: PreparedMeasurement,
+    weights: FloatArray | None,
+    *,
+    catalogue: Catalogue,
+    library: ModelLibrary,
+    question: Question,
+    matcher: Matcher | None,
+    without: tuple[str, ...],
+    most: int | None,
+) -> tuple[Sensing, FloatArray, MatchResult]:
+    """How a recording is seen, its features, and what the catalogue says of them."""
+    sensing = exact_sensing(prepared)
+    feature = measured_features(prepared, sensing)
+    result = library.answer(
+        sensing,
+        feature,
+        watched(prepared),
+        question.effort,
+        question.mode,
+        speed=prepared.drive_speed,
+        matcher=matcher,
+        weights=weights,
+        without=without,
+        most=most,
+    )
+    return sensing, feature, result
 
 
 def _digest(content: object) -> str:
