@@ -78,7 +78,8 @@ class Sightings:
 
     def condition(self, p_worn: float, coverage: float) -> bool | None:
         """Return whether a joint of this probability is worn; None where `coverage` does not allow to say."""
-        least = self.conformal.threshold(coverage)
+        # A probability as high as the coverage is always enough, which only makes sets hold more often.
+        least = min(self.conformal.threshold(coverage), coverage)
         worn, in_order = p_worn >= least, 1.0 - p_worn >= least
         return worn if worn != in_order else None
 

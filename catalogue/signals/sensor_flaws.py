@@ -47,9 +47,10 @@ INVERTED = (-1.5, -0.65)
 LITTLE_OFF = 1.5
 #: Least bands that decide when those next to mains frequencies are left out.
 LEAST_BANDS = 5
-#: A sensor is dead when no order stands out of its noise by more than this factor, or when all are weaker than those of
-#: the others by this one (power).
+#: A sensor is dead when no order stands out of its noise by more than this factor while the others are louder by the
+#: second (power, a sensor in order is never below a sixth), or when its orders are weaker than theirs by the third.
 SILENT = 4.0
+WEAKER = 1e-2
 FAR_WEAKER = 1e-4
 
 
@@ -123,11 +124,14 @@ def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) 
     power, noise = power[used], noise[used]
     own = np.diagonal(power, axis1=1, axis2=2)
     frequency = turn * (1.0 + np.flatnonzero(used))
+    dead = tuple(_dead(sensing.sensors[each]) for each in np.flatnonzero(_nothing_heard(own, noise)))
+    if dead:
+        return dead
     left, singular, _ = np.linalg.svd(sensing.transform)
     rank = int(np.sum(singular > 1e-6 * singular[0]))
     silent = left[:, rank:]
     if not silent.shape[1]:
-        return tuple(_dead(sensing.sensors[each]) for each in np.flatnonzero(_far_weaker(own)))
+        return ()
     unrigid = UNRIGID**2 + (frequency / FLEXIBLE_FROM) ** 4
     judge = _Judge(power, (noise + unrigid[:, None] * own) @ silent**2, silent)
     least = LIMIT + silent.shape[1] * len(power)
@@ -137,9 +141,6 @@ def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) 
     little = candidates[0].change.free is not None and 1.0 / LITTLE_OFF < candidates[0].correction < LITTLE_OFF
     if (whole.misfit < least and whole.misfit - best < LIMIT) or (best < least and little):
         return ()
-    dead = np.flatnonzero((own < SILENT * noise).all(axis=0) | _far_weaker(own))
-    if dead.size:
-        return tuple(_dead(sensing.sensors[each]) for each in dead)
     if best > least:
         names = ", ".join(sensing.sensors)
         text = f"sensors {names} contradict each other as parts of one rigid frame: no single change explains it"
@@ -216,10 +217,11 @@ def _dead(name: str) -> SensorFlaw:
     return SensorFlaw("dead", (name,), f"sensor {name} is dead: it shows nothing of the machine's motion")
 
 
-def _far_weaker(own: FloatArray) -> BoolArray:
-    """Sensors whose orders are all far weaker than the loudest sensor's, (s,)."""
+def _nothing_heard(own: FloatArray, noise: FloatArray) -> BoolArray:
+    """Sensors that show no order while the others do, (s,)."""
     total = own.sum(axis=0)
-    found: BoolArray = total < FAR_WEAKER * np.median(total)
+    others = np.median(total)
+    found: BoolArray = (own < SILENT * noise).all(axis=0) & (total < WEAKER * others) | (total < FAR_WEAKER * others)
     return found
 
 

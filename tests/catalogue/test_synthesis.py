@@ -53,9 +53,7 @@ def refined(
     catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], settings: Synthesis, *, seed: int = 0
 ) -> Refined:
     _, record, result = doubtful
-    # Time stands still: the budget cuts nothing, so that the answer is the same on any computer.
-    settings = replace(settings, hypotheses=4, seed=seed)
-    return refine(record, catalogue, result, ["A", "B"], settings=settings, clock=lambda: 0.0)
+    return refine(record, catalogue, result, ["A", "B"], settings=replace(settings, hypotheses=4, seed=seed))
 
 
 @pytest.mark.parametrize("joint", ["A", "B", "O"])
@@ -68,9 +66,9 @@ def test_simulating_anew_finds_joint_and_clearance(small_catalogue: Catalogue, j
     errors = []
     for number in range(6):
         case = asked(small_catalogue, joint, number)
-        found = refined(small_catalogue, case, Synthesis())
+        found = refined(small_catalogue, case, Synthesis(cases=320))
         assert found.result.best.label == joint
-        assert found.result.best.probability > 0.9
+        assert found.result.best.probability > 0.75  # 0.88 and more of six; the temperature follows the sample
         assert sum(match.probability for match in found.result.hypotheses) == pytest.approx(1.0)
         assert found.changed
         assert found.simulations == 4 * 16 * 5  # sixteen cases of each hypothesis in a generation
@@ -87,7 +85,7 @@ def test_simulating_anew_finds_joint_and_clearance(small_catalogue: Catalogue, j
 def test_the_same_question_has_the_same_answer(
     small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
 ) -> None:
-    short = Synthesis(generations=2)
+    short = Synthesis(cases=128)
     first, again, other = (refined(small_catalogue, doubtful, short, seed=seed) for seed in (0, 0, 1))
     assert first.reason == again.reason
     for one, two in zip(first.result.hypotheses, again.result.hypotheses, strict=True):
@@ -96,22 +94,14 @@ def test_the_same_question_has_the_same_answer(
     assert first.result.best.clearances != other.result.best.clearances
 
 
-def test_a_budget_ends_the_search_between_generations(
-    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
-) -> None:
+def test_cases_bound_the_search(small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]) -> None:
     _, record, result = doubtful
-    ticks = itertools.count(0.0, 1.0)  # every generation takes one second of this clock
-    found = refine(
-        record,
-        small_catalogue,
-        result,
-        ["A", "B"],
-        settings=Synthesis(budget=3.5, hypotheses=2),
-        clock=lambda: next(ticks),
-    )
-    assert found.cut_short
-    assert found.generations == 3
-    assert "cut short by the budget of 3.5 s" in found.reason
+    for cases, generations in ((1, 2), (64, 2), (100, 3)):  # two generations at least, none that is not whole
+        settings = Synthesis(cases=cases, hypotheses=2)
+        found = refine(record, small_catalogue, result, ["A", "B"], settings=settings)
+        assert found.generations == generations
+        assert found.simulations == 2 * 16 * generations
+        assert "effective sample size" in found.reason
 
 
 def test_nothing_is_simulated_where_it_cannot_change_the_answer(
@@ -156,7 +146,7 @@ def test_the_search_begins_with_the_nearest_of_all_draws(
 def test_simulates_hypotheses_that_the_last_plan_does_not_hold(
     small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    short = Synthesis(generations=1)
+    short = Synthesis(cases=128)
     expected = refined(small_catalogue, doubtful, short)
     # Healthy machines were added last, with a plan of their own: the manifest names no other plan.
     plan = parse_plan({"name": "more", "hypotheses": ["healthy"], "seconds": 1.0})
@@ -178,15 +168,15 @@ def test_what_the_catalogue_said_counts_too(
         result,
         hypotheses=tuple(replace(m, probability=0.25 * factors.get(m.label, 1.0)) for m in result.hypotheses),
     )
-    short = Synthesis(generations=1, hypotheses=4)
+    short = Synthesis(cases=128, hypotheses=4)
     modes: tuple[Mode, ...] = ("trusted", "robust")
     for mode in modes:
         plain, leaning = (
-            refine(record, small_catalogue, each, ["A", "B"], mode=mode, settings=short, clock=lambda: 0.0)
+            refine(record, small_catalogue, each, ["A", "B"], mode=mode, settings=short)
             for each in (result, ranked(other.hypotheses))
         )
         odds = [found.result.probability("A") / found.result.probability("B") for found in (plain, leaning)]
-        assert odds[1] / odds[0] == pytest.approx(9.0)
+        assert odds[1] / odds[0] == pytest.approx(9.0, rel=0.1)  # 8.95: averaged over the errors of samples
 
 
 def test_distance_is_that_of_the_levels_shown(
@@ -202,7 +192,7 @@ def test_distance_is_that_of_the_levels_shown(
         return found if next(numbers) % 4 == 0 else (-np.inf, np.zeros_like(recorded.feature))
 
     monkeypatch.setattr(synthesis, "_score", seldom)
-    found = refined(small_catalogue, doubtful, Synthesis(generations=1))
+    found = refined(small_catalogue, doubtful, Synthesis(cases=128))
     for match in found.result.hypotheses:
         assert match.distance_db == pytest.approx(float(np.sqrt(np.mean((record.feature - match.predicted) ** 2))))
     # From 5.3 to 4.1 dB; 10 dB where the levels of cases that failed are among those averaged.
@@ -218,7 +208,7 @@ def test_cases_are_drawn_where_the_best_ones_lie(small_catalogue: Catalogue) -> 
     entries = entries_of(small_catalogue, "B")
     population = Population.of(entries, entries[:5])
     start = list(population.drawn([], 16, np.random.default_rng(1)))
-    assert [(case.key, clearances) for case, clearances, _ in start] == [
+    assert [(case.key, clearances) for case, clearances, *_ in start] == [
         (entry.key, entry.clearances) for entry in entries[:5]
     ]
     place = entries[0].joints.index("B")  # the other clearances are those of fits
@@ -229,7 +219,7 @@ def test_cases_are_drawn_where_the_best_ones_lie(small_catalogue: Catalogue) -> 
         sizes, own, everything = (
             np.log(each)
             for each in (
-                [clearances[joint] for _, clearances, _ in drawn],
+                [clearances[joint] for _, clearances, *_ in drawn],
                 [entry.clearances[joint] for entry in elite],
                 [entry.clearances[joint] for entry in entries],
             )
@@ -240,7 +230,7 @@ def test_cases_are_drawn_where_the_best_ones_lie(small_catalogue: Catalogue) -> 
             assert sizes.mean() == pytest.approx(own.mean(), abs=3 * expected / 20)
             assert sizes.std() == pytest.approx(expected, rel=0.15)
     for name in (f"joints.{joint}.contact.{number}" for joint in "ABO" for number in ("friction", "stiffness")):
-        values = [parameters[name] for _, _, parameters in drawn]
+        values = [parameters[name] for _, _, parameters, _ in drawn]
         # Cut off at the catalogue's draws, but for the rounding of a logarithm.
         assert min(entry.parameters[name] for entry in entries) <= min(values) * (1.0 + 1e-12)
         assert max(values) <= max(entry.parameters[name] for entry in entries) * (1.0 + 1e-12)
