@@ -49,7 +49,8 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
         f"hypotheses: {hypotheses}",
         f"draws: {draws}",
         f"clearance: worn {_um(plan.clearance.low, plan.clearance.high)}, "
-        f"fits {_fits(plan, machine)}, next to none in {100 * plan.fits.tight:g} % of them",
+        f"fits {_fits(plan, machine)}, next to none in {100 * plan.fits.tight:g} % of them and in all "
+        f"of {100 * plan.fits.silent:g} % of the machines",
         f"contact laws: {laws}",
         f"uncertain: {_listed(plan, machine, wide=False)}",
     ]

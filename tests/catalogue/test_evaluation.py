@@ -111,16 +111,16 @@ def test_truths_follow_from_the_seed_and_stay_within_the_protocol() -> None:
     assert truth_of("A", protocol=protocol) == truth_of("A", protocol=protocol)
     for number in range(50):
         truth = truth_of("B", protocol=protocol, number=number)
-        assert list(truth.clearances) == ["B"]
+        assert list(truth.clearances) == ["A", "B", "O"]
         assert protocol.clearance[0] <= truth.clearances["B"] <= protocol.clearance[1]
+        assert all(protocol.fits[0] <= truth.clearances[joint] <= protocol.fits[1] for joint in "AO")
         assert abs(truth.parameters["drive.speed"] / MACHINE.drive.speed - 1.0) <= protocol.speed  # type: ignore[union-attr, operator]
-        assert protocol.friction[0] <= truth.parameters["contact.friction"] <= protocol.friction[1]
+        friction = [truth.parameters[f"joints.{joint}.contact.friction"] for joint in "ABO"]
+        assert protocol.friction[0] <= min(friction) < max(friction) <= protocol.friction[1]
         assert truth.seconds >= 2.5
-    assert list(truth_of("A", "B").clearances) == ["A", "B"]
-    new = draw_truth(MACHINE, Hypothesis.as_new(), protocol, 3, 0)
+    new = truth_of(protocol=protocol)
     assert list(new.clearances) == ["A", "B", "O"]
     assert protocol.fits[0] <= min(new.clearances.values()) <= max(new.clearances.values()) <= protocol.fits[1]
-    assert truth_of().clearances == {}
 
 
 def test_protocols_that_differ_in_noise_share_their_truths() -> None:
@@ -265,7 +265,7 @@ def test_protocols_by_name_and_by_group(small_catalogue: Catalogue) -> None:
     labels = [each.label for each in PROTOCOLS["pairs"].hypotheses(small_catalogue)]
     assert labels == ["A+B", "A+O", "B+O"]
     assert [each.label for each in PROTOCOLS["triples"].hypotheses(small_catalogue)] == ["A+B+O"]
-    assert [each.label for each in PROTOCOLS["as-new"].hypotheses(small_catalogue)] == ["as-new"]
+    assert [each.label for each in PROTOCOLS["healthy"].hypotheses(small_catalogue)] == ["healthy"]
     assert [each.label for each in PROTOCOLS["hard"].hypotheses(small_catalogue)] == ["healthy", "A", "B", "O"]
 
 
@@ -287,17 +287,17 @@ def test_a_sweep_builds_other_accuracies_in_the_same_way_and_says_what_building_
     small_catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two pretended builds, of which each chunk took as many seconds as it has cases."""
-    asked: list[tuple[str, bool]] = []
+    asked: list[str] = []
 
     def built(machine: Machine, plan: Plan, place: Path, **options: Any) -> None:
-        asked.append((plan.accuracy, options["settled"]))
+        asked.append(plan.accuracy)
         shutil.copytree(small_catalogue.path, place)
 
     monkeypatch.setattr(sweep, "build", built)
     rows = [ChunkRow(label, label, 4, ChunkStatus.DONE, seconds=4.0) for label in small_catalogue.hypotheses]
     monkeypatch.setattr(Index, "chunks", lambda _: rows)
     found = trade_off(small_catalogue, [6], ["draft", "standard"], SHORT, 8, seed=3, folder=tmp_path)
-    assert asked == [("standard", True)]
+    assert asked == ["standard"]
     assert [point.build_seconds for point in found.points] == [24.0, 24.0]
     monkeypatch.setattr(Index, "chunks", lambda _: [])
     with pytest.raises(DiagnosisError, match="its index does not know what building it took"):

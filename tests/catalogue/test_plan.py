@@ -177,9 +177,10 @@ def test_drawn_numbers_have_their_distributions() -> None:
 
 
 def test_numbers_of_one_draw_are_not_tied_to_each_other() -> None:
-    entries = plan_of(draws=draws(pair=512), hypotheses=["healthy"], sets=[["C", "F"]], wide={"draws": 1}).entries(
-        QUICK_RETURN
+    many = plan_of(
+        draws=draws(pair=512), sets=[["C", "F"]], hypotheses=["healthy"], wide={"draws": 1}, fits={"silent": 0}
     )
+    entries = many.entries(QUICK_RETURN)
     for stratum in ("trusted", "wide"):
         some = [e for e in entries if e.worn == ("C", "F") and e.stratum == stratum]
         columns = [[*np.log(e.clearances), *e.parameters.values()] for e in some]
@@ -294,7 +295,7 @@ def test_every_joint_has_play_and_worn_ones_more_than_their_fit() -> None:
 
 
 def test_fits_fill_their_range_and_one_in_ten_is_tight() -> None:
-    entries = plan_of(draws=draws(healthy=1024), hypotheses=["healthy"]).entries(QUICK_RETURN)
+    entries = plan_of(draws=draws(healthy=1024), hypotheses=["healthy"], fits={"silent": 0}).entries(QUICK_RETURN)
     fits = np.array([entry.clearances for entry in entries])
     assert fits.shape == (1024, 5)
     tight = fits < 3e-6
@@ -305,8 +306,21 @@ def test_fits_fill_their_range_and_one_in_ten_is_tight() -> None:
         counts = np.histogram(np.log(fits[~tight[:, joint], joint]), 9, (math.log(3e-6), math.log(2e-5)))[0]
         assert np.ptp(counts) <= 2  # log-uniform, and a Sobol sequence
     assert np.abs(np.corrcoef(np.log(fits).T) - np.eye(5)).max() < 0.1
-    loose = plan_of(draws=draws(healthy=64), hypotheses=["healthy"], fits={"tight": 0}).entries(QUICK_RETURN)
+    loose = plan_of(draws=draws(healthy=64), hypotheses=["healthy"], fits={"tight": 0, "silent": 0}).entries(
+        QUICK_RETURN
+    )
     assert min(min(entry.clearances) for entry in loose) >= 3e-6
+
+
+def test_one_machine_in_ten_is_silent_but_for_its_worn_joints() -> None:
+    entries = plan_of(draws=draws(healthy=1024, single=256), fits={"tight": 0}).entries(QUICK_RETURN)
+    for worn, count in (((), 1024), (("A",), 256)):
+        sizes = [sizes_of(entry) for entry in entries if entry.worn == worn]
+        others = np.array([[size for joint, size in each.items() if joint not in worn] for each in sizes])
+        tight = others < 3e-6
+        assert (tight.all(axis=1) == tight.any(axis=1)).all()
+        assert tight.all(axis=1).mean() == pytest.approx(0.1, abs=2 / count)
+        assert all(each[joint] >= 2.5e-5 for each in sizes for joint in worn)
 
 
 def machine_with_fits(**said: Any) -> Machine:
@@ -318,7 +332,7 @@ def machine_with_fits(**said: Any) -> Machine:
 
 def test_fits_are_those_of_the_machine_file_unless_a_plan_says_otherwise() -> None:
     machine = machine_with_fits(A=[10e-6, 60e-6])
-    asked = plan_of(draws=draws(healthy=256, single=64), fits={"tight": 0})
+    asked = plan_of(draws=draws(healthy=256, single=64), fits={"tight": 0, "silent": 0})
     entries = asked.entries(machine)
     fits = {joint: [sizes_of(e)[joint] for e in entries if joint not in e.worn] for joint in machine.turning_joints}
     assert 10e-6 <= min(fits["A"]) < 10.2e-6 and 59e-6 < max(fits["A"]) <= 60e-6
@@ -327,7 +341,9 @@ def test_fits_are_those_of_the_machine_file_unless_a_plan_says_otherwise() -> No
     worn = {joint: [sizes_of(e)[joint] for e in entries if e.worn == (joint,)] for joint in machine.turning_joints}
     assert 75e-6 <= min(worn["A"]) < 80e-6
     assert 25e-6 <= min(worn["F"]) < 27e-6
-    own = plan_of(fits={"low": "1 um", "high": "2 um", "tight": 0}, hypotheses=["healthy"]).entries(machine)
+    own = plan_of(fits={"low": "1 um", "high": "2 um", "tight": 0, "silent": 0}, hypotheses=["healthy"]).entries(
+        machine
+    )
     assert all(1e-6 <= size <= 2e-6 for entry in own for size in entry.clearances)
     assert "fits A 10-60 um, C 3-20 um, E 3-20 um, F 3-20 um, O 3-20 um" in plan_lines(asked, machine)[3]
 
@@ -351,7 +367,9 @@ def test_a_plan_is_shown_in_words() -> None:
     assert lines[0] == f"plan standard, {resolved.hash[:12]}: 16384 cases (8192 trusted, 8192 wide)"
     assert lines[1] == "hypotheses: healthy, 5 of a single, 10 of a pair, 10 of a triple"
     assert lines[2] == "draws: healthy 512, single 512, pair 320, larger 192"
-    assert lines[3] == "clearance: worn 25-2000 um, fits 3-20 um, next to none in 10 % of them"
+    assert lines[3] == (
+        "clearance: worn 25-2000 um, fits 3-20 um, next to none in 10 % of them and in all of 10 % of the machines"
+    )
     assert lines[4] == "contact laws: own 1, hertz 1"
     assert "drive.speed x 0.97 to 1.03" in lines[5]
     assert "load -110 to 110" in lines[6]
@@ -442,7 +460,7 @@ def test_plan_reads_back_and_hash_ignores_the_name() -> None:
             "my.yaml: fits.low: must be given with the other bound, or neither (fits are then the machine's)",
         ),
         ("fits: {tight: 2}", "my.yaml: fits.tight: 2: must be less than or equal to 1"),
-        ("fits: {in_faulty: 0.5}", "my.yaml: fits.in_faulty: 0.5: unknown key; known: low, high, tight"),
+        ("fits: {in_faulty: 0.5}", "my.yaml: fits.in_faulty: 0.5: unknown key; known: low, high, tight, silent"),
         ("wide: {draws: 2}", "my.yaml: wide.draws: 2: must be less than or equal to 1"),
         ("clearance: {low: -1 um}", "my.yaml: clearance.low: -1 um: must be greater than 0"),
         ("clearance: {high: 2 m}", "my.yaml: clearance.high: 2: must not be larger than 0.1 m"),
