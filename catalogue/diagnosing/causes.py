@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 from scipy.special import logsumexp
-from threadpoolctl import threadpool_limits
 
 from catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels, class_statistics
 from catalogue.diagnosing.frame_forces import Revolution, wrench_orders
@@ -219,18 +218,16 @@ def name_causes(
     machine = catalogue.machine
     if not on_mounts(machine):
         return ()
-    # On one thread: matrices are small, and on busy cores threads wait for each other longer than they compute.
-    with threadpool_limits(limits=1, user_api="blas"):
-        levels = OrderLevels.of(prepared)
-        model = _Model.of(machine, math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed))
-        families = tuple(_families(machine, model))
-        scored: list[_Scored] = []
-        for label, rows in (("healthy", None), *worn):
-            known = class_statistics(catalogue, levels, label, rows)
-            if known is not None:
-                chosen = catalogue.matrix.rows(label, "trusted") if rows is None else rows
-                power = catalogue.matrix.cross_power(chosen)[:, :FEATURE_ORDERS].mean(axis=0)
-                scored += _scored(known, power, model, families)
+    levels = OrderLevels.of(prepared)
+    model = _Model.of(machine, math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed))
+    families = tuple(_families(machine, model))
+    scored: list[_Scored] = []
+    for label, rows in (("healthy", None), *worn):
+        known = class_statistics(catalogue, levels, label, rows)
+        if known is not None:
+            chosen = catalogue.matrix.rows(label, "trusted") if rows is None else rows
+            power = catalogue.matrix.cross_power(chosen)[:, :FEATURE_ORDERS].mean(axis=0)
+            scored += _scored(known, power, model, families)
     return _ranked(scored)
 
 

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from catalogue.diagnosing.causes import NamedCause, name_causes
+from catalogue.matching.threads import one_thread
 from catalogue.measurements.measurement import Channel, Measurement
 from catalogue.signals.features import prepare
 from catalogue.storage.store import Catalogue
@@ -103,7 +104,8 @@ def recording(change: Change, clearances: Mapping[str, float] | None = None, sec
 
 def named(change: Change, catalogue: Catalogue, **more: Any) -> tuple[NamedCause, ...]:
     prepared = prepare(recording(change, **more), catalogue.machine, None, SPEED, catalogue.scheme)
-    return name_causes(prepared, catalogue)
+    with one_thread():
+        return name_causes(prepared, catalogue)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +149,8 @@ def test_a_cause_is_named_beside_wear(small_catalogue: Catalogue) -> None:
     rows = matrix.rows("B", "trusted")
     away = np.abs(np.log(matrix.clearance(rows)[:, matrix.joints.index("B")] / 300e-6))
     near = np.sort(rows[np.argsort(away)[:30]])
-    found = name_causes(prepared, small_catalogue, [("B", near)])
+    with one_thread():
+        found = name_causes(prepared, small_catalogue, [("B", near)])
     assert found[0].name == "mount 0"
     assert found[0].size == pytest.approx(0.5, rel=0.2)
 
