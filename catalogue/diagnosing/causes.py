@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics
+from catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels, class_statistics
 from catalogue.diagnosing.frame_forces import Revolution, wrench_orders
 from catalogue.plans.variants import output_load
 from catalogue.signals.prepared import PreparedMeasurement
@@ -54,6 +54,9 @@ SECOND_FACTOR = 0.3
 GAIN_SCATTER = 0.03
 #: What a change that shifts a level is not better known to than, as a part of the shift.
 SHIFT_ERROR = 0.1
+#: What a level is not better known to after a change, dB, as far as the ideal machine does not explain it before: links
+#: that move with a frame that moves, and play, do not go with its motion as forces on a rigid body do.
+STRANGE_DB = 3.0
 #: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
 #: and levels that err together are not as many as they look.
 TEMPERATURE = 2.0
@@ -125,6 +128,9 @@ class _Family(Protocol):
     def changed(self, power: ComplexArray, motion: ComplexArray, numbers: FloatArray) -> ComplexArray:
         """Cross-powers (K, 3, 3) after a change, of those before and of the ideal frame's motion (K, 3)."""
 
+    def added(self, numbers: FloatArray) -> ComplexArray:
+        """Cross-powers (K, 3, 3) of what is added to the motion, by itself; zero where nothing is."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
@@ -148,7 +154,11 @@ class _Forces:
         # Powers are mean squares, twice |amplitude|^2.
         new, own = np.tensordot(numbers, self.basis, 1)[:, :, None], motion[:, :, None]
         cross = own @ new.conj().swapaxes(1, 2)
-        return np.asarray(power + 2.0 * (cross + cross.conj().swapaxes(1, 2) + new @ new.conj().swapaxes(1, 2)))
+        return np.asarray(power + 2.0 * (cross + cross.conj().swapaxes(1, 2)) + self.added(numbers))
+
+    def added(self, numbers: FloatArray) -> ComplexArray:
+        new = np.tensordot(numbers, self.basis, 1)
+        return _power_of(np.asarray(new, np.complex128))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +188,9 @@ class _Factor:
         model = self.model
         passed = accelerance(model.machine, self.suspension(numbers), model.frequency) @ model.inverse
         return np.asarray(passed @ power @ passed.conj().swapaxes(1, 2))
+
+    def added(self, numbers: FloatArray) -> ComplexArray:
+        return np.zeros((FEATURE_ORDERS, 3, 3), np.complex128)
 
 
 def name_causes(
@@ -240,6 +253,11 @@ class _Model:
     def added(self, wrench: FloatArray) -> ComplexArray:
         """What a further wrench (n, 3) adds to the frame's motion."""
         return _moved(self.accelerance, wrench)
+
+
+def _power_of(motion: ComplexArray) -> ComplexArray:
+    """Cross-powers (K, 3, 3) of a motion (K, 3): mean squares, twice those of its complex amplitudes."""
+    return np.asarray(2.0 * motion[:, :, None] @ motion[:, None, :].conj(), np.complex128)
 
 
 def _moved(accelerance: ComplexArray, wrench: FloatArray) -> ComplexArray:
@@ -375,20 +393,30 @@ def _scored(
     own_size = float(np.linalg.slogdet(covariance)[1])
     before = levels.of_motion(power)
     away = (levels.measured - known.mean)[used]
+    strange = _seen(levels, power - _power_of(model.motion))
+    unsure = (STRANGE_DB * np.minimum(1.0, strange * 10.0 ** (-0.1 * before))) ** 2
 
-    def distance(changed: ComplexArray) -> FloatArray:
-        shift = (levels.of_motion(changed) - before)[..., used]
+    def distance(changed: ComplexArray, added: ComplexArray, less_sure: FloatArray = unsure) -> FloatArray:
+        after = levels.of_motion(changed)
+        shift = (after - before)[..., used]
         left = away - shift
-        spread = covariance + (SHIFT_ERROR * shift[..., None]) ** 2 * np.eye(len(away))
+        # What the ideal machine does not explain of the motion meets what is added at a phase that nobody knows.
+        meeting = 2.0 * DECIBELS**2 * strange * _seen(levels, added) * 10.0 ** (-0.2 * after)
+        spread = covariance + ((SHIFT_ERROR * shift) ** 2 + (meeting + less_sure)[..., used])[..., None] * np.eye(
+            len(away)
+        )
         size = np.linalg.slogdet(spread)[1] - own_size
         return np.asarray(np.sum(left * np.linalg.solve(spread, left[..., None])[..., 0], axis=-1) + size)
 
-    none = float(distance(power))
+    none = float(distance(power, np.zeros_like(power), np.zeros_like(unsure)))
     penalty = 0.5 * math.log(float(used.sum()))
     yield _Scored(None, -0.5 * none / TEMPERATURE, np.zeros(0))
     starts = []
     for family in families:
-        every = distance(np.array([family.changed(power, model.motion, numbers) for numbers in family.starts]))
+        every = distance(
+            np.array([family.changed(power, model.motion, numbers) for numbers in family.starts]),
+            np.array([family.added(numbers) for numbers in family.starts]),
+        )
         best = int(np.argmin(every))
         starts.append((float(every[best]), family, family.starts[best]))
     starts.sort(key=lambda start: start[0])
@@ -413,11 +441,16 @@ class _Misfit:
     family: _Family
     power: ComplexArray
     motion: ComplexArray
-    distance: Callable[[ComplexArray], FloatArray]
+    distance: Callable[[ComplexArray, ComplexArray], FloatArray]
 
     def __call__(self, numbers: FloatArray) -> float:
         changed = self.family.changed(self.power, self.motion, numbers)
-        return float(self.distance(changed)) + self.family.oddity(numbers)
+        return float(self.distance(changed, self.family.added(numbers))) + self.family.oddity(numbers)
+
+
+def _seen(levels: OrderLevels, power: ComplexArray) -> FloatArray:
+    """What the sensors see (..., m) of a motion's cross-powers (..., K, 3, 3), without noise, at least nothing."""
+    return np.asarray(np.maximum(10.0 ** (0.1 * levels.of_motion(power)) - levels.noise, 0.0))
 
 
 def _by_gain(levels: OrderLevels, power: ComplexArray) -> FloatArray:

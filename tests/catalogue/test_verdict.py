@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from catalogue.diagnosing.answer import Cause
+from catalogue.diagnosing.causes import NamedCause
 from catalogue.diagnosing.verdict import (
     CHANGED_BELOW,
+    DOUBTED_BELOW,
+    NAMED_ABOVE,
     SURE_ABOVE,
-    SURE_P_VALUE,
     UNKNOWN_BELOW,
     judged,
     needs_cause,
@@ -21,7 +22,7 @@ from catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
 from catalogue.signals.sensor_flaws import SensorFlaw
 
 NOTHING = np.zeros(1)
-MOUNT = Cause(name="mount 1", size=0.5, unit="x stiffness", probability=0.9)
+MOUNT = NamedCause("mount 1", 0.5, "x stiffness", 0.9)
 FLAW = SensorFlaw("inverted", ("s1-x",), "s1-x is inverted")
 
 
@@ -37,8 +38,9 @@ def answer(trusted_p_value: float | None = 0.5, **hypotheses: tuple[float, float
 def test_the_likelier_of_worn_and_in_order() -> None:
     assert judged(answer(A=(0.98, 0.3), healthy=(0.02, 0.001)), 0.95) == (0.3, "worn")
     assert judged(answer(A=(0.02, 0.3), healthy=(0.98, 0.5)), 0.95) == (0.5, "in_order")
-    # Wear is what all sets of worn joints have together.
-    assert judged(answer(healthy=(0.4, 0.5), A=(0.35, 0.3), B=(0.25, 0.2)), 0.95) == (0.5, "worn")
+    # Wear is what all sets of worn joints have together; but then one of them has to lead.
+    assert judged(answer(A=(0.45, 0.5), healthy=(0.4, 0.3), B=(0.15, 0.2)), 0.95) == (0.5, "worn")
+    assert judged(answer(healthy=(0.4, 0.5), A=(0.35, 0.3), B=(0.25, 0.2)), 0.95) == (0.5, "unknown")
     # Neither is the likelier one: no joint is called worn.
     assert judged(answer(healthy=(0.5, 0.5), A=(0.5, 0.3)), 0.95) == (0.5, "in_order")
 
@@ -71,21 +73,29 @@ def test_a_machine_is_not_as_filed_below_a_p_value() -> None:
 
 
 @pytest.mark.parametrize("causes", [[], [MOUNT]])
-def test_a_machine_that_is_not_as_filed_is_never_in_order(causes: list[Cause]) -> None:
+def test_a_machine_that_is_not_as_filed_is_never_in_order(causes: list[NamedCause]) -> None:
     assert judged(answer(1e-4, healthy=(0.97, 0.5), A=(0.03, 0.5)), 0.95, causes) == (0.5, "changed")
     assert judged(answer(2e-3, healthy=(0.97, 0.5), A=(0.03, 0.5)), 0.95, causes) == (0.5, "in_order")
 
 
-@pytest.mark.parametrize("causes", [[], [MOUNT]])
-def test_a_machine_that_is_not_as_filed_is_worn_only_where_that_is_nearly_sure(causes: list[Cause]) -> None:
-    sure, fits = SURE_ABOVE, SURE_P_VALUE
-    for probability, p_value, verdict in (
-        (sure, fits, "worn"),
-        (0.99 * sure, fits, "changed"),
-        (sure, 0.99 * fits, "changed"),
-    ):
-        rest = (1.0 - probability, p_value)
-        assert judged(answer(1e-4, A=(probability, p_value), healthy=rest), 0.95, causes) == (p_value, verdict)
+def test_a_machine_that_is_not_as_filed_is_worn_only_where_that_is_nearly_sure_and_nothing_else_found() -> None:
+    for probability, verdict in ((SURE_ABOVE, "worn"), (0.99 * SURE_ABOVE, "changed")):
+        found = answer(1e-4, A=(probability, 0.5), healthy=(1.0 - probability, 0.5))
+        assert judged(found, 0.95) == (0.5, verdict)
+        assert judged(found, 0.95, [MOUNT]) == (0.5, "changed")
+        # What is not probable enough is not what has changed.
+        assert judged(found, 0.95, [replace(MOUNT, probability=0.99 * NAMED_ABOVE)]) == (0.5, verdict)
+        assert judged(found, 0.95, [replace(MOUNT, probability=NAMED_ABOVE)]) == (0.5, "changed")
+
+
+def test_a_doubted_machine_is_worn_only_where_that_is_nearly_sure() -> None:
+    likely = {"A": (0.8, 0.5), "healthy": (0.2, 0.5)}
+    sure = {"A": (0.95, 0.5), "healthy": (0.05, 0.5)}
+    assert judged(answer(DOUBTED_BELOW, **likely), 0.95) == (0.5, "worn")
+    assert judged(answer(0.99 * DOUBTED_BELOW, **likely), 0.95) == (0.5, "unknown")
+    assert judged(answer(0.99 * DOUBTED_BELOW, **sure), 0.95) == (0.5, "worn")
+    # In order it may be all the same.
+    assert judged(answer(0.99 * DOUBTED_BELOW, healthy=(0.6, 0.5), A=(0.4, 0.5)), 0.95) == (0.5, "in_order")
 
 
 def test_a_machine_that_nothing_explains_is_changed_only_where_a_cause_was_found() -> None:
