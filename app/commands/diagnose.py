@@ -48,7 +48,11 @@ if TYPE_CHECKING:
     help="Whether the machine is as simulated, or may differ from it.",
 )
 @click.option(
-    "--budget", type=Quantity("TIME"), default=3.5, show_default=True, help="Seconds that effort thorough may simulate."
+    "--cases",
+    type=click.IntRange(1, 100_000),
+    default=240,
+    show_default=True,
+    help="Cases that effort thorough may simulate.",
 )
 @click.option(
     "--baseline",
@@ -89,7 +93,7 @@ def command(
     speed: float | None,
     effort: Effort,
     mode: ModeAsked,
-    budget: float,
+    cases: int,
     baseline: Path | None,
     sample_rate: float | None,
     mapping: Sequence[tuple[str, str]],
@@ -108,7 +112,7 @@ def command(
 
         check_ending(plot)
     if effort != "thorough":
-        refuse_given(("budget",), "means something with --effort thorough only")
+        refuse_given(("cases",), "means something with --effort thorough only")
     if tacho is None:
         refuse_given(("pulses",), "means something with --tacho only")
     from catalogue.diagnosing.diagnosis import diagnose
@@ -132,7 +136,7 @@ def command(
         effort=effort,
         mode=mode,
         mapping=sensors or None,
-        budget=budget,
+        cases=cases,
         baseline=in_order,
     )
     result = diagnosis.model_dump(mode="json")

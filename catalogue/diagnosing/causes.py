@@ -9,8 +9,8 @@ what they scatter by, gains of sensors included.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
@@ -87,12 +87,15 @@ class NamedCause:
         What the size is in: "x stiffness", "kg m", "N" ...
     probability : float
         Among the families that were tried, nothing at all among them.
+    suspension : mapping of str to float
+        Numbers of frame and supports as they then are, by path; empty where forces are the cause.
     """
 
     name: str
     size: float
     unit: str
     probability: float
+    suspension: Mapping[str, float] = field(default_factory=dict)
 
 
 class _Family(Protocol):
@@ -116,6 +119,9 @@ class _Family(Protocol):
     def oddity(self, numbers: FloatArray) -> float:
         """Squared distance of its numbers from what such a change usually has, in standard deviations."""
 
+    def suspension(self, numbers: FloatArray) -> dict[str, float]:
+        """Numbers of frame and supports that a member has, by path."""
+
     def changed(self, power: ComplexArray, motion: ComplexArray, numbers: FloatArray) -> ComplexArray:
         """Cross-powers (K, 3, 3) after a change, of those before and of the ideal frame's motion (K, 3)."""
 
@@ -134,6 +140,9 @@ class _Forces:
 
     def oddity(self, numbers: FloatArray) -> float:
         return 0.0
+
+    def suspension(self, numbers: FloatArray) -> dict[str, float]:
+        return {}
 
     def changed(self, power: ComplexArray, motion: ComplexArray, numbers: FloatArray) -> ComplexArray:
         # Powers are mean squares, twice |amplitude|^2.
@@ -162,9 +171,12 @@ class _Factor:
     def oddity(self, numbers: FloatArray) -> float:
         return float((numbers[1] - self.usual * numbers[0]) / SECOND_FACTOR) ** 2
 
+    def suspension(self, numbers: FloatArray) -> dict[str, float]:
+        return self.numbers(*np.exp(numbers).tolist())
+
     def changed(self, power: ComplexArray, motion: ComplexArray, numbers: FloatArray) -> ComplexArray:
         model = self.model
-        passed = accelerance(model.machine, self.numbers(*np.exp(numbers).tolist()), model.frequency) @ model.inverse
+        passed = accelerance(model.machine, self.suspension(numbers), model.frequency) @ model.inverse
         return np.asarray(passed @ power @ passed.conj().swapaxes(1, 2))
 
 
@@ -342,7 +354,7 @@ class _Scored:
 
     family: _Family | None
     evidence: float
-    size: float
+    numbers: FloatArray
     named: bool = False
 
 
@@ -373,7 +385,7 @@ def _scored(
 
     none = float(distance(power))
     penalty = 0.5 * math.log(float(used.sum()))
-    yield _Scored(None, -0.5 * none / TEMPERATURE, 0.0)
+    yield _Scored(None, -0.5 * none / TEMPERATURE, np.zeros(0))
     starts = []
     for family in families:
         every = distance(np.array([family.changed(power, model.motion, numbers) for numbers in family.starts]))
@@ -391,7 +403,7 @@ def _scored(
         explained = found <= MOST_LEFT * none or known.p_value(found, used, more) >= EXPLAINED
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
         evidence = gain - 0.5 * none / TEMPERATURE
-        yield _Scored(family, evidence, family.size(numbers), explained and gain >= LEAST_GAIN)
+        yield _Scored(family, evidence, numbers, explained and gain >= LEAST_GAIN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,9 +437,10 @@ def _ranked(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
             best[name] = each
     evidences = np.array([each.evidence for each in best.values()])
     share = np.exp(evidences - logsumexp(evidences)) if len(evidences) else evidences
-    found = [
-        NamedCause(name, each.size, each.family.unit, float(probability))
-        for (name, each), probability in zip(best.items(), share.tolist(), strict=True)
-        if each.family and each.named and probability >= LEAST_PROBABILITY
-    ]
+    found = []
+    for (name, each), probability in zip(best.items(), share.tolist(), strict=True):
+        family = each.family
+        if family and each.named and probability >= LEAST_PROBABILITY:
+            size, suspension = family.size(each.numbers), family.suspension(each.numbers)
+            found.append(NamedCause(name, size, family.unit, probability, suspension))
     return tuple(sorted(found, key=lambda cause: -cause.probability))

@@ -7,10 +7,12 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import get_args
 
 import solver
 from catalogue.diagnosing.answer import (
+    Cause,
     Diagnosis,
     Effort,
     EffortSpent,
@@ -22,6 +24,7 @@ from catalogue.diagnosing.answer import (
     SensorFlaw,
 )
 from catalogue.diagnosing.baseline import fit_baseline
+from catalogue.diagnosing.causes import NamedCause
 from catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
 from catalogue.diagnosing.evidence import (
     evidence,
@@ -35,19 +38,25 @@ from catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from catalogue.diagnosing.known_machine import KnownMachine
 from catalogue.diagnosing.separation import suggest
 from catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
-from catalogue.diagnosing.verdict import causes_shown, judged, needs_cause
+from catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
 from catalogue.errors import DiagnosisError
 from catalogue.matching.gaussian import GaussianAlongClearance
 from catalogue.matching.libraries import library_of
-from catalogue.matching.matcher import Matcher
+from catalogue.matching.matcher import FloatArray, Matcher, MatchResult
 from catalogue.matching.model_library import ModelLibrary
+from catalogue.matching.observation import Sensing
+from catalogue.matching.threads import one_thread
 from catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from catalogue.measurements.measurement import Measurement
 from catalogue.signals.features import PreparedMeasurement, prepare
+from catalogue.signals.suspension import with_filed_suspension
 from catalogue.storage.store import Catalogue
 
 __all__ = ["Question", "answer", "diagnose"]
 
+
+MOST_CASES = 100_000
+"""Cases that an effort of thorough may ask for, at most: some hours."""
 
 CLEAR = 0.99
 """Probability of the first hypothesis from which on nothing more is suggested."""
@@ -68,8 +77,8 @@ class Question:
         ``auto`` trusts the model unless it does not explain the recording.
     coverage : float
         Probability the candidate set is to hold, in (0, 1).
-    budget : float
-        Seconds that ``thorough`` may simulate, > 0.
+    cases : int
+        Cases that ``thorough`` may simulate, > 0.
 
     Raises
     ------
@@ -80,13 +89,13 @@ class Question:
     effort: Effort = "standard"
     mode: ModeAsked = "auto"
     coverage: float = 0.95
-    budget: float = 3.5
+    cases: int = 240
 
     def __post_init__(self) -> None:
         if not 0.0 < self.coverage < 1.0:
             raise DiagnosisError(f"coverage: {self.coverage}: must be between 0 and 1")
-        if not 0.0 < self.budget < math.inf:
-            raise DiagnosisError(f"budget: {self.budget}: must be a finite number of seconds greater than 0")
+        if not 0 < self.cases <= MOST_CASES:
+            raise DiagnosisError(f"cases: {self.cases}: must be a whole number from 1 to {MOST_CASES}")
         for name, known in (("effort", get_args(Effort)), ("mode", get_args(ModeAsked))):
             if getattr(self, name) not in known:
                 *first, last = known
@@ -102,7 +111,7 @@ def diagnose(
     mode: ModeAsked = "auto",
     mapping: Mapping[str, str] | None = None,
     coverage: float = 0.95,
-    budget: float = 3.5,
+    cases: int = 240,
     baseline: Measurement | None = None,
     matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
@@ -117,7 +126,7 @@ def diagnose(
         Of the same machine.
     speed : float, optional
         Drive speed, rad/s; estimated from the recording where it is not given.
-    effort, mode, coverage, budget
+    effort, mode, coverage, cases
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
@@ -139,7 +148,7 @@ def diagnose(
     DiagnosisError
         A setting breaks a rule, or the catalogue holds too little.
     """
-    question = Question(effort, mode, coverage, budget)
+    question = Question(effort, mode, coverage, cases)
     prepared = prepare(measurement, catalogue.machine, mapping, speed, catalogue.scheme)
     known = None
     if baseline is not None:
@@ -205,27 +214,30 @@ def answer(
         # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
         if all(step.name != "suspension" for step in prepared.steps):
             weights = known.weights(catalogue)
-    sensing = exact_sensing(prepared)
-    feature = measured_features(prepared, sensing)
-    result = library.answer(
-        sensing,
-        feature,
-        watched(prepared),
-        question.effort,
-        question.mode,
-        speed=prepared.drive_speed,
-        matcher=matcher,
-        weights=weights,
-        without=without,
-        most=most,
+    look = partial(
+        _match, catalogue=catalogue, library=library, question=question, matcher=matcher, without=without, most=most
     )
-    trusted_p = result.trusted_p_value
-    causes = causes_shown(prepared, catalogue, result) if needs_cause(result) else ()
+    sensing, feature, result = look(prepared, weights)
+    causes: tuple[NamedCause, ...] = ()
+    if needs_cause(result) and not prepared.flaws:
+        with one_thread():
+            causes = find_causes(prepared, catalogue, result)
     p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
+    if causes and causes[0].suspension:
+        # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
+        seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
+        other_sensing, other_feature, other = look(seen, None)
+        if (other.trusted_p_value or 0.0) > (result.trusted_p_value or 0.0) and not needs_cause(other):
+            prepared, sensing, feature, result = seen, other_sensing, other_feature, other
+            p_value, verdict = judged(other, question.coverage)
+            verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and matcher is None:
         if verdict == "unknown":
             spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
+        elif needs_cause(result) or causes:
+            # Around the wrong machine the best cases are those whose other numbers make up for it.
+            spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
         else:
             refined = refine(
                 Recorded(feature[: sensing.noise.size], sensing, prepared.drive_speed),
@@ -233,11 +245,11 @@ def answer(
                 result,
                 result.set(question.coverage).labels,
                 mode=result.mode,
-                settings=Synthesis(budget=question.budget),
+                settings=Synthesis(cases=question.cases),
             )
             result = refined.result
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
-            p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
+            p_value, verdict = judged(result, question.coverage)
     candidates = result.set(question.coverage)
     method = matcher or GaussianAlongClearance()
     warnings = [
@@ -249,7 +261,11 @@ def answer(
         # Entries count by how near they are to the machine's numbers: then some have to be near.
         *(number_warnings(known.baseline, catalogue) if known and weights is not None else ()),
     ]
+    with one_thread():
+        joints = joint_states(result, catalogue, question.coverage)
     unclear = suggesting and verdict in ("worn", "in_order") and result.best.probability < CLEAR
+    with one_thread():
+        suggestions = suggestions_shown(suggest(catalogue, prepared, result)) if unclear else ()
     provenance = Provenance(
         measurement=prepared.name,
         measurement_sha256=sha256,
@@ -260,7 +276,7 @@ def answer(
         matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,
     )
-    asked = [question.effort, question.mode, question.coverage, *([question.budget] * (question.effort == "thorough"))]
+    asked = [question.effort, question.mode, question.coverage, *([question.cases] * (question.effort == "thorough"))]
     content = {
         "id": _digest(
             [
@@ -278,11 +294,14 @@ def answer(
         "drive_speed_rpm": prepared.drive_speed * 30.0 / math.pi,
         "effort": question.effort,
         "effort_spent": spent,
-        "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=trusted_p),
+        "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=result.trusted_p_value),
         "verdict": verdict,
-        "joints": joint_states(result, catalogue, question.coverage),
+        "joints": joints,
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
-        "causes": causes,
+        "causes": tuple(
+            Cause(name=cause.name, size=cause.size, unit=cause.unit, probability=min(1.0, cause.probability))
+            for cause in causes
+        ),
         "sensors": tuple(SensorFlaw(sensors=flaw.sensors, kind=flaw.kind, said=flaw.text) for flaw in prepared.flaws),
         "joint_probabilities": result.joint_probabilities(),
         "candidate_set": candidates.labels,
@@ -291,12 +310,41 @@ def answer(
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
         "evidence": evidence(prepared, result.best, feature[: sensing.noise.size], rival_of(result)),
         "baseline": known.shown() if known else None,
-        "suggestions": suggestions_shown(suggest(catalogue, prepared, result)) if unclear else (),
+        "suggestions": suggestions,
         "warnings": tuple(dict.fromkeys(warnings)),
         "provenance": provenance,
     }
     unsigned = Diagnosis.model_validate({**content, "hash": ""})
     return unsigned.model_copy(update={"hash": _digest(unsigned.model_dump(mode="json", exclude={"hash"}))})
+
+
+def _match(
+    prepared: PreparedMeasurement,
+    weights: FloatArray | None,
+    *,
+    catalogue: Catalogue,
+    library: ModelLibrary,
+    question: Question,
+    matcher: Matcher | None,
+    without: tuple[str, ...],
+    most: int | None,
+) -> tuple[Sensing, FloatArray, MatchResult]:
+    """How a recording is seen, its features, and what the catalogue says of them."""
+    sensing = exact_sensing(prepared)
+    feature = measured_features(prepared, sensing)
+    result = library.answer(
+        sensing,
+        feature,
+        watched(prepared),
+        question.effort,
+        question.mode,
+        speed=prepared.drive_speed,
+        matcher=matcher,
+        weights=weights,
+        without=without,
+        most=most,
+    )
+    return sensing, feature, result
 
 
 def _digest(content: object) -> str:

@@ -89,7 +89,7 @@ class Revolution:
         late = sine * np.sin(order * at) + cosine * np.cos(order * at)
         shift = np.sign(self.speed) * late
         place = np.stack([_shifted(self.place[..., axis], shift) for axis in (0, 1)], axis=-1)
-        angle = _shifted(self.angle, shift) + self.turns * late[:, None]
+        angle = _shifted(self.angle, shift) + self.turns * shift[:, None]
         return self._inertial(place, angle, {})
 
     def force(

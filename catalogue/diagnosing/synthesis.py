@@ -1,25 +1,33 @@
-"""Analysis by synthesis: simulate anew around the most probable hypotheses, until they fit as well as they can.
+"""Analysis by synthesis: simulate anew around the most probable hypotheses, in the neighbourhood of the recording.
 
 A catalogue's draws lie some way off every recording. Around the nearest draws of each hypothesis new cases are drawn,
-the best are kept, and the next ones are drawn where those lie (a cross-entropy search). What counts for a hypothesis is
-how well its best cases fit.
+the best are kept, and the next ones are drawn where those lie (a cross-entropy search). All that were drawn so are a
+sample of the posterior with importance weights, which count as far as they can be believed.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import softmax
 
 from catalogue.building.chunk import chunked, simulate_chunk
 from catalogue.diagnosing.answer import Mode
 from catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
 from catalogue.errors import DiagnosisError
 from catalogue.matching.coherence import compose
-from catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
+from catalogue.matching.importance import weigh
+from catalogue.matching.matcher import (
+    NORMAL_90,
+    ClearanceEstimate,
+    FloatArray,
+    HypothesisMatch,
+    IntArray,
+    MatchResult,
+    ranked,
+)
 from catalogue.matching.observation import grouped
 from catalogue.matching.population import Population
 from catalogue.plans.entry import Entry, Stratum
@@ -30,11 +38,11 @@ from catalogue.storage.store import Catalogue
 __all__ = ["Recorded", "Refined", "Synthesis", "refine"]
 
 
-NORMAL_90 = 1.645
-"""Half the width of a central 90 % interval, in standard deviations."""
-
 LEAST_WIDTH = 0.5
 """Least width of a clearance's interval, as a part of the catalogue's own: few cases agree by chance, too."""
+
+NOISES = 400
+"""Draws of the error of a sample's mean weight, over which probabilities are averaged."""
 
 MOST = 800
 """Draws of a hypothesis and stratum, at most, that say where new cases may lie."""
@@ -48,11 +56,8 @@ class Refined:
     ----------
     result : MatchResult
     simulations, generations : int
-    seconds : float
     changed : bool
         Whether another hypothesis is the most probable one now.
-    cut_short : bool
-        Whether the budget ended the search.
     reason : str
         What was done, or why nothing was, in words.
     """
@@ -60,9 +65,7 @@ class Refined:
     result: MatchResult
     simulations: int
     generations: int
-    seconds: float
     changed: bool
-    cut_short: bool
     reason: str
 
 
@@ -74,7 +77,6 @@ def refine(
     *,
     mode: Mode = "trusted",
     settings: Synthesis | None = None,
-    clock: Callable[[], float] = time.perf_counter,
 ) -> Refined:
     """Simulate around the most probable hypotheses where that can change the answer.
 
@@ -89,13 +91,11 @@ def refine(
     mode : {"trusted", "robust"}
         In the robust mode the machine's own data are varied, too, as far as the catalogue varies them.
     settings : Synthesis, optional
-    clock : callable, optional
-        Tells the time in seconds.
 
     Returns
     -------
     Refined
-        The same for the same arguments, unless the budget cuts the search short.
+        The same for the same arguments.
     """
     settings = settings or Synthesis()
     if result.best.probability > settings.certain and len(candidates) <= 1:
@@ -103,29 +103,22 @@ def refine(
     tried = [each for each in result.hypotheses if each.probability >= settings.least][: settings.hypotheses]
     if len(tried) < 2:
         return _unchanged(result, "only one hypothesis is probable at all")
-    begin = clock()
     searches = [_Search.of(recorded, catalogue, match, mode, settings) for match in tried]
-    generation, cut_short, before = 0, False, begin
-    for generation in range(1, settings.generations + 1):
+    generations = max(2, settings.cases // (settings.size * len(searches)))
+    for _ in range(generations):
         _simulate(recorded, catalogue, searches, settings)
-        now = clock()
-        if generation < settings.generations and now - begin + (now - before) > settings.budget:
-            cut_short = True
-            break
-        before = now
-    refined = _combined(recorded, result, searches, settings)
+    refined, judged = _combined(recorded, result, searches, settings)
     changed = refined.best.label != result.best.label
     count = sum(len(search.scores) for search in searches)
-    said = f"{count} cases around {', '.join(search.match.label for search in searches)} in {generation} generations"
-    if cut_short:
-        said += f", cut short by the budget of {settings.budget:g} s"
+    names = ", ".join(search.match.label for search in searches)
+    said = f"{count} cases around {names} in {generations} generations{judged}"
     if changed:
         said += f": {refined.best.label} in place of {result.best.label}"
-    return Refined(refined, count, generation, clock() - begin, changed, cut_short, said)
+    return Refined(refined, count, generations, changed, said)
 
 
 def _unchanged(result: MatchResult, reason: str) -> Refined:
-    return Refined(result, 0, 0, 0.0, False, False, reason)
+    return Refined(result, 0, 0, False, reason)
 
 
 @dataclass
@@ -137,6 +130,7 @@ class _Search:
     generator: np.random.Generator
     cases: list[Entry]
     scores: list[float]
+    importances: list[float]
     levels: list[FloatArray]
 
     @classmethod
@@ -153,7 +147,11 @@ class _Search:
         entries = dict(zip(wanted.tolist(), (entry for entry, _ in catalogue.cases(wanted)), strict=True))
         seed = seed_from("synthesis", settings.seed, match.label)
         population = Population.of(list(entries.values()), [entries[row] for row in near.tolist()])
-        return cls(match, population, np.random.default_rng(seed), [], [], [])
+        return cls(match, population, np.random.default_rng(seed), [], [], [], [])
+
+    def sampled(self, first: int) -> list[int]:
+        """Places of the cases that were drawn anew, all but the `first` ones, and could be simulated."""
+        return [place for place in range(first, len(self.scores)) if np.isfinite(self.scores[place])]
 
     def best(self, count: int) -> list[int]:
         """Places of the cases that fit best, of those that could be simulated."""
@@ -179,10 +177,12 @@ def _rows(catalogue: Catalogue, label: str, mode: Mode) -> tuple[IntArray, IntAr
 
 def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Search], settings: Synthesis) -> None:
     """Draw and simulate one generation of all hypotheses, those of one model together."""
-    drawn: list[tuple[_Search, Entry]] = []
+    drawn: list[tuple[_Search, Entry, float]] = []
     for search in searches:
         elite = [search.cases[place] for place in search.best(settings.elite)]
-        for parent, clearances, parameters in search.population.drawn(elite, settings.size, search.generator):
+        for parent, clearances, parameters, importance in search.population.drawn(
+            elite, settings.size, search.generator
+        ):
             speed = np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed)
             case = Entry.of(
                 catalogue.machine,
@@ -195,12 +195,12 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
                 stratum=parent.stratum,
                 variant=parent.variant,
             )
-            drawn.append((search, case))
+            drawn.append((search, case, importance))
     found = {}
-    for chunk in chunked(catalogue.machine, catalogue.recipe, [case for _, case in drawn], len(drawn)):
+    for chunk in chunked(catalogue.machine, catalogue.recipe, [case for _, case, _ in drawn], len(drawn)):
         for entry, outcome in zip(chunk.entries, simulate_chunk(chunk), strict=True):
             found[entry.key] = outcome
-    for search, case in drawn:
+    for search, case, importance in drawn:
         power = found[case.key].power
         if power is None:
             score, levels = -np.inf, np.zeros_like(recorded.feature)
@@ -208,6 +208,7 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
             score, levels = _score(recorded, np.asarray(power), settings)
         search.cases.append(case)
         search.scores.append(score)
+        search.importances.append(importance)
         search.levels.append(levels)
 
 
@@ -225,36 +226,50 @@ def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[
     return float(-0.5 * np.sum((nu + 1.0) * np.log1p(z / nu) + np.log(variance))), levels
 
 
-def _combined(recorded: Recorded, result: MatchResult, searches: Sequence[_Search], settings: Synthesis) -> MatchResult:
-    """Share the probability of the simulated hypotheses out anew: the catalogue's times how well their best cases fit.
+def _combined(
+    recorded: Recorded, result: MatchResult, searches: Sequence[_Search], settings: Synthesis
+) -> tuple[MatchResult, str]:
+    """Share the probability of the simulated hypotheses out anew, and say how far their samples can be believed.
 
-    Nothing changes where no case of a hypothesis could be simulated.
+    What a hypothesis has from the catalogue counts times the mean weight of its sample. Nothing changes where no sample
+    of a hypothesis could be simulated.
     """
-    if not all(search.best(1) for search in searches):
-        return result
+    sampled = [search.sampled(settings.size) for search in searches]
+    if not all(len(places) for places in sampled):
+        return result, ": some hypotheses could not be simulated, so that nothing changes"
+    logs = [
+        np.array([search.scores[place] + search.importances[place] for place in places])
+        for search, places in zip(searches, sampled, strict=True)
+    ]
+    weighed, temperature = weigh(logs)
+    before = np.log([search.match.probability for search in searches])
+    # No surer than the samples allow: averaged over the errors of their means.
+    noise = np.random.default_rng(settings.seed).normal(size=(NOISES, len(searches)))
+    means = np.array([each.log_mean for each in weighed]) + noise * [each.error for each in weighed]
+    share = softmax(before + means, axis=1).mean(axis=0)
     total = sum(search.match.probability for search in searches)
-    evidence = []
-    for search in searches:
-        scores = np.array([search.scores[place] for place in search.best(settings.elite)])
-        fit = (logsumexp(scores) - np.log(len(scores))) / settings.temperature
-        evidence.append(fit + np.log(search.match.probability))
-    share = np.exp(np.array(evidence) - logsumexp(evidence))
     anew: Mapping[str, HypothesisMatch] = {
-        search.match.label: _refitted(recorded, search, float(total * part), settings)
-        for search, part in zip(searches, share, strict=True)
+        search.match.label: _refitted(recorded, search, places, each.weights, float(total * part), settings)
+        for search, places, each, part in zip(searches, sampled, weighed, share, strict=True)
     }
     matches = [anew.get(match.label, match) for match in result.hypotheses]
-    return replace(result, hypotheses=ranked(matches).hypotheses)
+    effective, k = min(each.effective for each in weighed), max(each.k for each in weighed)
+    said = f", effective sample size {effective:.0f} and Pareto k {k:.2f} at temperature {temperature:.3g}"
+    return replace(result, hypotheses=ranked(matches).hypotheses), said
 
 
-def _refitted(recorded: Recorded, search: _Search, probability: float, settings: Synthesis) -> HypothesisMatch:
-    """Clearances of a hypothesis from all of its cases, predicted levels and distance from the best."""
-    scores = np.array(search.scores)
-    weights = np.exp((scores - scores.max()) / settings.clearance_temperature)
-    weights /= weights.sum()
+def _refitted(
+    recorded: Recorded,
+    search: _Search,
+    places: Sequence[int],
+    weights: FloatArray,
+    probability: float,
+    settings: Synthesis,
+) -> HypothesisMatch:
+    """Clearances of a hypothesis from its weighed sample, predicted levels and distance from its best cases."""
     estimates = []
     for found in search.match.clearances:
-        logs = np.log([case.fault[found.joint] for case in search.cases])
+        logs = np.log([search.cases[place].fault[found.joint] for place in places])
         middle = float(weights @ logs)
         half = NORMAL_90 * float(np.sqrt(weights @ (logs - middle) ** 2))
         half = max(half, 0.5 * LEAST_WIDTH * float(np.log(found.high / found.low)))

@@ -16,8 +16,8 @@ class Synthesis:
 
     Parameters
     ----------
-    budget : float
-        Seconds that may be spent, > 0; the first generation is always simulated.
+    cases : int
+        How many may be simulated, of all hypotheses: two generations at least are.
     certain : float
         Nothing is simulated where one hypothesis alone is in the candidate set and has more probability than this.
     hypotheses : int
@@ -26,30 +26,22 @@ class Synthesis:
         Probability below which none is.
     size, elite : int
         Cases of a hypothesis in each generation, and how many of all its cases are kept.
-    generations : int
-        At most.
     level_db : float
         Standard deviation of the levels that no simulation explains.
     degrees_of_freedom : float
         Of the Student-t score of a level: a few odd bands, as chaotic motion has them, do not decide.
-    temperature, clearance_temperature : float
-        Scores are divided by these, for the probabilities and for the clearances: neighbouring bands are not
-        independent. Both were found on held-out recordings (docs/diagnosis.md).
     seed : int
         Of everything drawn.
     """
 
-    budget: float = 3.5
+    cases: int = 240
     certain: float = 0.9
     hypotheses: int = 3
     least: float = 1e-3
     size: int = 16
     elite: int = 6
-    generations: int = 5
     level_db: float = 1.0
     degrees_of_freedom: float = 8.0
-    temperature: float = 12.0
-    clearance_temperature: float = 12.0
     seed: int = 0
 
 

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from catalogue.diagnosing.answer import Cause, Verdict
-from catalogue.diagnosing.causes import NEAREST, name_causes
+from catalogue.diagnosing.answer import Verdict
+from catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
 from catalogue.matching.matcher import HypothesisMatch, IntArray, MatchResult
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.sensor_flaws import SensorFlaw
 from catalogue.storage.store import Catalogue
 
-__all__ = ["CHANGED_BELOW", "UNKNOWN_BELOW", "causes_shown", "judged", "needs_cause"]
+__all__ = ["CHANGED_BELOW", "SURE_ABOVE", "UNKNOWN_BELOW", "find_causes", "judged", "needs_cause"]
 
 UNKNOWN_BELOW = 0.02
 """P-value below which a hypothesis does not explain a recording."""
@@ -22,9 +22,14 @@ CHANGED_BELOW = 1e-3
 """P-value of the trusted mode below which a machine is not as its file says: 15 of 15 other causes were so, and none of
 268 machines as filed."""
 
-SURE_ABOVE, SURE_P_VALUE = 0.9, 0.05
-"""Probability of wear, and p-value of the robust mode, from which on a machine that is not as its file says is called
-worn all the same."""
+DOUBTED_BELOW = 0.05
+"""P-value of the trusted mode below which a machine may be another one than its file's,"""
+
+SURE_ABOVE = 0.9
+"""and a probability of wear that is then called worn."""
+
+NAMED_ABOVE = 0.8
+"""Probability from which on a cause is what has changed."""
 
 
 def needs_cause(result: MatchResult) -> bool:
@@ -33,37 +38,40 @@ def needs_cause(result: MatchResult) -> bool:
 
 
 def judged(
-    result: MatchResult, coverage: float, causes: Sequence[Cause] = (), flaws: Sequence[SensorFlaw] = ()
+    result: MatchResult,
+    coverage: float,
+    causes: Sequence[NamedCause] = (),
+    flaws: Sequence[SensorFlaw] = (),
 ) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
     The p-value is that of the best fitting hypothesis of the candidate set: a recording is explained if any likely
     cause explains it. Below :data:`UNKNOWN_BELOW`, or where the set is empty, the verdict is unknown, unless a cause
-    other than play was found; else it is the likelier one of worn and in order. A machine that is not as its file says
-    (:func:`needs_cause`) is never called in order, and worn only where that is nearly sure. What sensors say that are
-    not what the file says of them is unknown.
+    other than play was found. A machine that is not as its file says (:func:`needs_cause`) is never in order, and worn
+    only where nothing else is found and that is nearly sure. What is neither nearly surely worn, nor in order rather
+    than not, is unknown where the machine is doubted. So is what sensors say that are not what the file says of them.
     """
     p_value = result.explained(coverage)
     if flaws:
         return p_value, "unknown"
     explained = p_value >= UNKNOWN_BELOW and bool(result.set(coverage).labels)
+    in_order = result.p_worn <= 0.5
+    trusted = 1.0 if result.trusted_p_value is None else result.trusted_p_value
+    is_worn = result.p_worn >= SURE_ABOVE if trusted < DOUBTED_BELOW else not in_order and bool(result.best.joints)
     if needs_cause(result):
-        if explained and p_value >= SURE_P_VALUE and result.p_worn >= SURE_ABOVE:
+        found = bool(causes) and causes[0].probability >= NAMED_ABOVE
+        if explained and is_worn and not found:
             return p_value, "worn"
-        return p_value, "changed" if explained or causes else "unknown"
-    if not explained:
+        return p_value, "changed" if explained or found else "unknown"
+    if not explained or not (in_order or is_worn):
         return p_value, "unknown"
-    return p_value, "worn" if result.p_worn > 0.5 else "in_order"
+    return p_value, "in_order" if in_order else "worn"
 
 
-def causes_shown(prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult) -> tuple[Cause, ...]:
+def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult) -> tuple[NamedCause, ...]:
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any."""
     worn = [(match.label, _nearest(catalogue, match)) for match in result.hypotheses[:1] if match.joints]
-    found = name_causes(prepared, catalogue, worn)
-    return tuple(
-        Cause(name=cause.name, size=cause.size, unit=cause.unit, probability=min(1.0, cause.probability))
-        for cause in found
-    )
+    return name_causes(prepared, catalogue, worn)
 
 
 def _nearest(catalogue: Catalogue, match: HypothesisMatch) -> IntArray:

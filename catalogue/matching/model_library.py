@@ -5,12 +5,10 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from catalogue.errors import DiagnosisError
 from catalogue.matching.blending import blended
@@ -24,6 +22,7 @@ from catalogue.matching.network_shelf import NetworkShelf
 from catalogue.matching.observation import Sensing, rounded_sensing
 from catalogue.matching.refit import Refit, merged
 from catalogue.matching.spectra import Spectra, band_widths
+from catalogue.matching.threads import one_thread
 from catalogue.plans.keys import content_digest
 
 Effort = Literal["fast", "standard", "thorough"]
@@ -122,9 +121,7 @@ class ModelLibrary:
         if mode not in ("auto", "trusted", "robust"):
             raise DiagnosisError(f"mode: {mode}: must be auto, trusted or robust")
         question = _Question(sensing, feature, watched, speed, weights)
-        # On one thread: the matrices are small, and threads that wait for each other cost eleven times the time of the
-        # sums they share (measured on two busy cores: 11 s against 1 s).
-        with _libraries().limit(limits=1, user_api="blas"):
+        with one_thread():
             if mode == "robust":
                 return self._answer(question, effort, Learning.of(mode, without=without, most=most), matcher)
             trusted = self._answer(question, effort, Learning.of("trusted", without=without, most=most), matcher)
@@ -237,12 +234,6 @@ class ModelLibrary:
         return (
             "the catalogue holds no draws of uncertain machines: only flexible modes and levels are taken as uncertain",
         )
-
-
-@lru_cache(maxsize=1)
-def _libraries() -> ThreadpoolController:
-    """The libraries of linear algebra, loaded with this module; looking for them takes 2 ms, a fifth of an answer."""
-    return ThreadpoolController()
 
 
 @dataclass(frozen=True)

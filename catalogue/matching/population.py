@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,21 +26,25 @@ LEAST_SPREAD = 0.05
 
 @dataclass(frozen=True)
 class _Space:
-    """Coordinates of cases that differ in numbers only: logarithms of what is always positive, else the numbers."""
+    """Coordinates of cases that differ in numbers only: logarithms of what is always positive, else the numbers.
+
+    `share` of a hypothesis' cases are of this kind.
+    """
 
     names: tuple[str, ...]
     logarithmic: BoolArray
     low: FloatArray
     high: FloatArray
     spread: FloatArray
+    share: float
 
     @classmethod
-    def of(cls, entries: Sequence[Entry]) -> _Space:
+    def of(cls, entries: Sequence[Entry], share: float) -> _Space:
         names = tuple(name for name in sorted(entries[0].parameters) if name != DRIVE_SPEED)
         values = _values(entries, names)
         logarithmic: BoolArray = np.asarray((values > 0.0).all(axis=0), dtype=np.bool_)
         points = np.where(logarithmic, np.log(np.where(logarithmic, values, 1.0)), values)
-        return cls(names, logarithmic, points.min(axis=0), points.max(axis=0), points.std(axis=0))
+        return cls(names, logarithmic, points.min(axis=0), points.max(axis=0), points.std(axis=0), share)
 
     def points(self, entries: Sequence[Entry]) -> FloatArray:
         values = _values(entries, self.names)
@@ -76,12 +81,16 @@ class Population:
         kinds: dict[Kind, list[Entry]] = defaultdict(list)
         for entry in entries:
             kinds[_kind(entry)].append(entry)
-        return cls({kind: _Space.of(each) for kind, each in kinds.items()}, tuple(start))
+        spaces = {kind: _Space.of(each, len(each) / len(entries)) for kind, each in kinds.items()}
+        return cls(spaces, tuple(start))
 
     def drawn(
         self, elite: Sequence[Entry], size: int, generator: np.random.Generator
-    ) -> Iterator[tuple[Entry, tuple[float, ...], dict[str, float]]]:
-        """Yield new cases: a case of their kind, clearances (m), and numbers by path.
+    ) -> Iterator[tuple[Entry, tuple[float, ...], dict[str, float], float]]:
+        """Yield new cases: a case of their kind, clearances (m), numbers by path, and an importance.
+
+        The importance is the logarithm of how much denser the catalogue's own draws lie there than the new ones, as if
+        they were spread evenly; 0 for the first generation, which is of the catalogue's own.
 
         Parameters
         ----------
@@ -99,7 +108,7 @@ class Population:
         """
         if not elite:
             for entry in self.start[:size]:
-                yield entry, entry.clearances, dict(entry.parameters)
+                yield entry, entry.clearances, dict(entry.parameters), 0.0
             return
         kinds: dict[Kind, list[Entry]] = defaultdict(list)
         for entry in elite:
@@ -109,12 +118,19 @@ class Population:
         for (kind, parents), count in zip(kinds.items(), counts, strict=True):
             space = self.spaces[kind]
             points = space.points(parents)
-            middle = points.mean(axis=0)
-            among = generator.normal(size=(count, len(parents))) @ (points - middle) / np.sqrt(max(1, len(parents) - 1))
-            around = generator.normal(size=(count, points.shape[1])) * LEAST_SPREAD * space.spread
-            for point in np.clip(middle + INFLATION * among + around, space.low, space.high):
-                clearances, parameters = space.case(point, len(parents[0].joints))
-                yield parents[0], clearances, parameters
+            middle, varies = points.mean(axis=0), space.spread > 0.0
+            away = (points - middle)[:, varies] / np.sqrt(max(1, len(parents) - 1))
+            covariance = INFLATION**2 * away.T @ away + np.diag((LEAST_SPREAD * space.spread[varies]) ** 2)
+            factor = np.linalg.cholesky(covariance)
+            # Of the density of the new draws and the even one of the catalogue's, a share of which is of this kind.
+            size_of = float(np.sum(np.log(np.diag(factor))) - np.sum(np.log((space.high - space.low)[varies])))
+            constant = size_of + 0.5 * int(varies.sum()) * math.log(2.0 * math.pi)
+            constant += math.log(space.share * len(elite) / len(parents))
+            for normal in generator.normal(size=(count, int(varies.sum()))):
+                point = middle.copy()
+                point[varies] += factor @ normal
+                clearances, parameters = space.case(np.clip(point, space.low, space.high), len(parents[0].joints))
+                yield parents[0], clearances, parameters, constant + 0.5 * float(normal @ normal)
 
 
 def _kind(entry: Entry) -> Kind:

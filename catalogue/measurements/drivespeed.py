@@ -38,6 +38,8 @@ KEPT_PER_REVOLUTION = 128
 MIN_REVOLUTIONS = 3.0
 #: Longest stretch searched and tracked at a time: over more, an error of the comb could slip by a revolution.
 BLOCK_REVOLUTIONS = 40.0
+#: Windows of the search where blows hide the orders.
+ROUGH_REVOLUTIONS = 8.0
 #: Least mean ratio [dB] of the comb's lines to what lies between them. Machines show 30 to 50; the best comb of a
 #: single channel of white noise reached 10.6 in 200 tries.
 COMB_CONTRAST_DB = 12.0
@@ -180,6 +182,43 @@ def comb_speed(kept: FloatArray, rate: float, turn: float) -> tuple[float, float
     off = np.log(power[between] + 1e-30).mean(axis=(1, 2))
     best = int(np.argmax(on - off))
     return float(candidates[best]), float((on - off)[best] * 10.0 / math.log(10.0))
+
+
+def rough_track(signal: npt.ArrayLike, sample_rate: float, nominal: float) -> SpeedTrack | None:
+    """Mean speed where blows from outside hide the orders in part of a recording.
+
+    Parameters
+    ----------
+    signal, sample_rate, nominal
+        As for :func:`estimate_speed`; long enough for it.
+
+    Returns
+    -------
+    SpeedTrack or None
+        Without a course, good to half a percent; None where no speed stands out even in the quieter half of windows of
+        eight revolutions.
+    """
+    turn = abs(nominal) / (2.0 * math.pi)
+    kept, rate = thinned(np.asarray(signal, dtype=np.float64), sample_rate, turn)
+    length = min(len(kept), round(ROUGH_REVOLUTIONS * rate / turn))
+    padded = scipy.fft.next_fast_len(8 * length, real=True)
+    step = rate / (16.0 * COMB_ORDERS * length)
+    candidates = np.arange(turn * (1.0 - SEARCH_RANGE), turn * (1.0 + SEARCH_RANGE) + step, step)
+    orders = np.arange(1, COMB_ORDERS + 1)
+    orders = orders[orders * candidates[-1] < 0.45 * rate]
+    lines, between = (np.rint(np.outer(candidates, orders - off) * (padded / rate)).astype(np.intp) for off in (0, 0.5))
+    contrast = []
+    for start in range(0, len(kept) - length + 1, max(1, length // 2)):
+        spectrum = scipy.fft.rfft(kept[start : start + length] * np.hanning(length)[:, None], padded, axis=0)
+        level = np.log(np.abs(spectrum) ** 2 + 1e-30)
+        contrast.append((level[lines] - level[between]).mean(axis=(1, 2)))
+    clear = np.sort(contrast, axis=0)[len(contrast) // 2 :].mean(axis=0)
+    best = int(np.argmax(clear))
+    decibels = float(clear[best]) * 10.0 / math.log(10.0)
+    if decibels < COMB_CONTRAST_DB:
+        return None
+    speed = 2.0 * math.pi * float(candidates[best])
+    return SpeedTrack(np.array([0.0]), np.array([speed]), SpeedEstimate(speed, 5e-3 * speed, False, 0.0, decibels))
 
 
 def _tracked(kept: FloatArray, rate: float, turn: float, contrast: float) -> SpeedTrack:

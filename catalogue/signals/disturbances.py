@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from catalogue.measurements.drivespeed import SpeedTrack
 
-__all__ = ["Disturbance", "DisturbanceKind", "find_shocks", "patched", "stretches_of", "without_loudest"]
+__all__ = ["Disturbance", "DisturbanceKind", "find_shocks", "patched", "stretches_of"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -46,8 +46,6 @@ UNNOTICED = 1e-5
 LASTING = 2.0
 #: What rings after it is not loud, but there where the machine is silent: left out for this part of its time longer.
 RINGS_ON = 0.25
-#: Before the course of the speed is known: moments louder by this than the loudest of usual revolutions are silenced.
-SILENCED = 2.0
 #: What is left out goes on for this long [s] after it, and is faded in and out over as long.
 MARGIN = 0.002
 
@@ -127,38 +125,6 @@ def find_shocks(signal: FloatArray, sample_rate: float, track: SpeedTrack, missi
             begin = max(first, first + int(np.argmax(hits[first:last])) - 1)
             found[edges[begin] : edges[last] + round(RINGS_ON * (edges[last] - edges[begin]))] = True
     return found
-
-
-def without_loudest(signal: FloatArray, sample_rate: float, speed: float) -> FloatArray:
-    """Silence moments far louder than the loudest of usual revolutions, so that the speed's course can be found.
-
-    Parameters
-    ----------
-    signal : (n, c) array
-    sample_rate : float
-    speed : float
-        About that of the drive [rad/s].
-
-    Returns
-    -------
-    (n, c) array
-        The signal itself where no moment is that loud.
-    """
-    angle: FloatArray = np.arange(len(signal), dtype=np.float64) * (abs(speed) / (2.0 * math.pi * sample_rate))
-    count = int(angle[-1])
-    if count < LEAST_REVOLUTIONS or len(signal) < LEAST_SAMPLES * MOMENTS * count:
-        return signal
-    edges = _places(angle, count * MOMENTS, MOMENTS)
-    rank = 1 + int(OTHERS_DISTURBED * count)
-    loud = np.zeros((count, MOMENTS), dtype=bool)
-    for loudness in (_fast(signal, edges, count), _slow(signal, edges, count, usual=False)):
-        loud |= loudness > SILENCED * _of_others(loudness.max(axis=1, keepdims=True), rank)
-    if not loud.any():
-        return signal
-    values = signal.copy()
-    for first, last in stretches_of(_near(loud, 1).astype(bool).ravel()):
-        values[edges[first] : edges[last]] = np.median(signal, axis=0)
-    return values
 
 
 def stretches_of(mask: BoolArray) -> list[tuple[int, int]]:
@@ -257,12 +223,12 @@ def _middle(signal: FloatArray, angle: FloatArray, count: int) -> FloatArray:
     return power
 
 
-def _slow(signal: FloatArray, edges: IntArray, count: int, usual: bool = True) -> FloatArray:
+def _slow(signal: FloatArray, edges: IntArray, count: int) -> FloatArray:
     """Power of the mean in each moment, less that of the usual revolution, channels alike, (r, m)."""
     power = np.zeros((count, MOMENTS))
     for column in signal.T:
         means = (np.add.reduceat(column[: edges[-1]], edges[:-1]) / np.diff(edges)).reshape(count, MOMENTS)
-        odd = (means - (np.median(means, axis=0) if usual else np.median(means))) ** 2 + UNNOTICED * float(means.var())
+        odd = (means - np.median(means, axis=0)) ** 2 + UNNOTICED * float(means.var())
         power += odd / max(float(odd.mean()), 1e-300)
     return power
 

@@ -24,7 +24,7 @@ from catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
 from catalogue.signals.sensors import SensorMap, map_sensors, without_columns
 from catalogue.signals.spectrum_features import prepare_spectrum
 from catalogue.signals.steadiness import KEPT, LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
-from catalogue.signals.undisturbed import flawed_samples, undisturbed, undisturbed_bands, without_lines
+from catalogue.signals.undisturbed import flawed_samples, lines_of, undisturbed, undisturbed_bands, without_lines
 from catalogue.storage.feature_bands import FEATURE_ORDERS, FeatureAxis, feature_axes, feature_vector, usable_cuts
 from solver.machines.machine import Machine
 from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS
@@ -206,7 +206,7 @@ def prepare(
         notes=tuple(notes),
         steps=steps,
         flaws=flaws,
-        disturbances=rest.disturbances,
+        disturbances=(*rest.disturbances, *lines_of(cleaned, first / rate, last / rate)),
         left_out=rest.left_out,
     )
 
@@ -219,9 +219,11 @@ def _sensors(
     names = measurement.channel_names
     left_out: list[int] = []
     flawed = flawed_samples(measurement, sensing)
+    # What all have lost is not won back by doing without one of them.
+    alone = flawed["drop-out"] & ~flawed["drop-out"].all(axis=1, keepdims=True)
     share = {
         column: max(
-            float(flawed["drop-out"][:, place].mean()) / MUCH_DROPPED,
+            float(alone[:, place].mean()) / MUCH_DROPPED,
             _share_of_revolutions(flawed["clipping"][:, place], measurement.sample_rate, speed) / MUCH_CLIPPED,
         )
         for place, column in enumerate(sensing.columns)

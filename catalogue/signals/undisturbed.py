@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from catalogue.errors import MeasurementError
-from catalogue.measurements.drivespeed import SpeedTrack
+from catalogue.measurements.drivespeed import SpeedTrack, rough_track
 from catalogue.measurements.measurement import Measurement
 from catalogue.measurements.waveform import clipped_samples
 from catalogue.signals.disturbances import (
@@ -20,14 +20,13 @@ from catalogue.signals.disturbances import (
     find_shocks,
     patched,
     stretches_of,
-    without_loudest,
 )
 from catalogue.signals.hum import Cleaned, remove_hum
 from catalogue.signals.sensors import SensorMap
 from solver.spectra.band_power import WINDOW_REVOLUTIONS, BandMatrix, band_matrix
 from solver.spectra.bands import BandScheme
 
-__all__ = ["Undisturbed", "flawed_samples", "undisturbed", "undisturbed_bands", "without_lines"]
+__all__ = ["Undisturbed", "flawed_samples", "lines_of", "undisturbed", "undisturbed_bands", "without_lines"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -154,10 +153,11 @@ def undisturbed(
     try:
         track = tracking(filled)
     except MeasurementError:
-        calm = without_loudest(filled, sample_rate, about)
-        if calm is filled:
+        rough = rough_track(filled, sample_rate, about)
+        if rough is None:
             raise
-        track = tracking(calm)
+        blows = missing | find_shocks(filled, sample_rate, rough, missing)
+        track = tracking(patched(filled, sample_rate, rough, blows)[0])
     shocks = find_shocks(filled, sample_rate, track, missing)
     bad = missing | shocks
     if not bad.any():
@@ -212,6 +212,20 @@ def without_lines(rest: Undisturbed, sample_rate: float) -> Cleaned:
         signal = patched(rest.raw - lines, sample_rate, rest.track, rest.bad)[0] + lines
         found = remove_hum(signal, sample_rate, rest.track)
     return found
+
+
+def lines_of(cleaned: Cleaned, begin: float, end: float) -> tuple[Disturbance, ...]:
+    """Return steady lines that were taken out between two times [s] as disturbances."""
+    found = []
+    for line in cleaned.lines:
+        of = (
+            f"multiple {round(line.frequency / line.mains)} of mains hum"
+            if line.mains
+            else "no multiple of the drive's"
+        )
+        text = f"steady line at {line.frequency:.2f} Hz, {of}: taken out"
+        found.append(Disturbance("line", text, begin, end, frequency=line.frequency))
+    return tuple(found)
 
 
 def undisturbed_bands(

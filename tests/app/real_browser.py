@@ -26,7 +26,7 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
-SECONDS = 300_000
+SECONDS = 120_000
 SCREENS = [(1280, 900, "light"), (360, 740, "dark")]
 
 

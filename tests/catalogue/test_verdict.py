@@ -1,0 +1,104 @@
+"""Rules of the verdict, branch by branch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from catalogue.diagnosing.answer import Cause
+from catalogue.diagnosing.verdict import (
+    CHANGED_BELOW,
+    SURE_ABOVE,
+    SURE_P_VALUE,
+    UNKNOWN_BELOW,
+    judged,
+    needs_cause,
+)
+from catalogue.matching.conformal import Conformal
+from catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
+from catalogue.signals.sensor_flaws import SensorFlaw
+
+NOTHING = np.zeros(1)
+MOUNT = Cause(name="mount 1", size=0.5, unit="x stiffness", probability=0.9)
+FLAW = SensorFlaw("inverted", ("s1-x",), "s1-x is inverted")
+
+
+def answer(trusted_p_value: float | None = 0.5, **hypotheses: tuple[float, float]) -> MatchResult:
+    """Hypotheses by probability and p-value; each worn in the joints of its name."""
+    matches = []
+    for label, (probability, p_value) in hypotheses.items():
+        joints = () if label == "healthy" else tuple(label)
+        matches.append(HypothesisMatch(label, joints, probability, (), 1.0, p_value, NOTHING, NOTHING))
+    return replace(ranked(matches), trusted_p_value=trusted_p_value)
+
+
+def test_the_likelier_of_worn_and_in_order() -> None:
+    assert judged(answer(A=(0.98, 0.3), healthy=(0.02, 0.001)), 0.95) == (0.3, "worn")
+    assert judged(answer(A=(0.02, 0.3), healthy=(0.98, 0.5)), 0.95) == (0.5, "in_order")
+    # Wear is what all sets of worn joints have together.
+    assert judged(answer(healthy=(0.4, 0.5), A=(0.35, 0.3), B=(0.25, 0.2)), 0.95) == (0.5, "worn")
+    # Neither is the likelier one: no joint is called worn.
+    assert judged(answer(healthy=(0.5, 0.5), A=(0.5, 0.3)), 0.95) == (0.5, "in_order")
+
+
+def test_what_fits_no_likely_hypothesis_is_unknown() -> None:
+    assert judged(answer(A=(0.99, 0.002), B=(0.01, 0.9)), 0.95) == (0.002, "unknown")
+    # One likely explanation that fits is enough, and what is likely depends on the coverage.
+    assert judged(answer(A=(0.7, 0.002), B=(0.3, 0.2)), 0.95) == (0.2, "worn")
+    assert judged(answer(A=(0.7, 0.002), B=(0.3, 0.2)), 0.5) == (0.002, "unknown")
+    at, below = UNKNOWN_BELOW, 0.99 * UNKNOWN_BELOW
+    assert judged(answer(A=(0.99, at), healthy=(0.01, 0.9)), 0.95) == (at, "worn")
+    assert judged(answer(A=(0.99, below), healthy=(0.01, 0.9)), 0.95) == (below, "unknown")
+
+
+def test_an_empty_set_is_unknown_however_well_the_best_fits() -> None:
+    # True hypotheses have 0.999 in all held-out draws: none of these is as probable.
+    sure = Conformal.fit(np.tile([0.999, 0.001], (10_000, 1)), np.zeros(10_000, dtype=np.int64), np.ones(10_000))
+    even = replace(answer(A=(0.4, 0.5), B=(0.35, 0.5), healthy=(0.25, 0.5)), conformal=sure)
+    assert even.set(0.95).labels == ()
+    assert judged(even, 0.95) == (0.5, "unknown")
+    # The same of a machine that is not as filed, unless something is known that it is.
+    changed = replace(even, trusted_p_value=1e-6)
+    assert judged(changed, 0.95) == (0.5, "unknown")
+    assert judged(changed, 0.95, [MOUNT]) == (0.5, "changed")
+
+
+def test_a_machine_is_not_as_filed_below_a_p_value() -> None:
+    for trusted_p, needed in ((None, False), (0.5, False), (CHANGED_BELOW, False), (0.99 * CHANGED_BELOW, True)):
+        assert needs_cause(answer(trusted_p, healthy=(0.9, 0.5), A=(0.1, 0.5))) is needed
+
+
+@pytest.mark.parametrize("causes", [[], [MOUNT]])
+def test_a_machine_that_is_not_as_filed_is_never_in_order(causes: list[Cause]) -> None:
+    assert judged(answer(1e-4, healthy=(0.97, 0.5), A=(0.03, 0.5)), 0.95, causes) == (0.5, "changed")
+    assert judged(answer(2e-3, healthy=(0.97, 0.5), A=(0.03, 0.5)), 0.95, causes) == (0.5, "in_order")
+
+
+@pytest.mark.parametrize("causes", [[], [MOUNT]])
+def test_a_machine_that_is_not_as_filed_is_worn_only_where_that_is_nearly_sure(causes: list[Cause]) -> None:
+    sure, fits = SURE_ABOVE, SURE_P_VALUE
+    for probability, p_value, verdict in (
+        (sure, fits, "worn"),
+        (0.99 * sure, fits, "changed"),
+        (sure, 0.99 * fits, "changed"),
+    ):
+        rest = (1.0 - probability, p_value)
+        assert judged(answer(1e-4, A=(probability, p_value), healthy=rest), 0.95, causes) == (p_value, verdict)
+
+
+def test_a_machine_that_nothing_explains_is_changed_only_where_a_cause_was_found() -> None:
+    unexplained = answer(1e-6, A=(0.99, 1e-3), healthy=(0.01, 1e-4))
+    assert judged(unexplained, 0.95) == (1e-3, "unknown")
+    assert judged(unexplained, 0.95, [MOUNT]) == (1e-3, "changed")
+    # Causes of a machine that is as filed are no reason.
+    as_filed = answer(0.01, A=(0.99, 1e-3), healthy=(0.01, 1e-4))
+    assert judged(as_filed, 0.95, [MOUNT]) == (1e-3, "unknown")
+
+
+@pytest.mark.parametrize("trusted_p", [None, 0.5, 1e-6])
+def test_what_flawed_sensors_say_is_unknown(trusted_p: float | None) -> None:
+    for found in (answer(trusted_p, A=(0.99, 0.5), healthy=(0.01, 0.1)), answer(trusted_p, healthy=(1.0, 0.5))):
+        assert judged(found, 0.95, [], [FLAW]) == (0.5, "unknown")
+        assert judged(found, 0.95, [MOUNT], [FLAW]) == (0.5, "unknown")
