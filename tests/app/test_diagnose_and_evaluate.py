@@ -190,9 +190,9 @@ def test_noise_takes_the_place_of_the_protocols(shelf: Path) -> None:
     assert_refused(invoke(*arguments, "--noise=-1 m/s2"), 2, "noise: -1 m/s2: must be a finite number, at least 0")
 
 
-def test_diagnose_refuses_a_budget_that_is_not_spent(shelf: Path, recording: Path) -> None:
-    result = invoke("diagnose", recording, "--catalogue", shelf / "slider-crank", "--budget", "1 s")
-    assert_refused(result, 2, "--budget: means something with --effort thorough only")
+def test_diagnose_refuses_cases_that_are_not_simulated(shelf: Path, recording: Path) -> None:
+    result = invoke("diagnose", recording, "--catalogue", shelf / "slider-crank", "--cases", "100")
+    assert_refused(result, 2, "--cases: means something with --effort thorough only")
 
 
 @pytest.mark.parametrize("option", ["--map", "--unit"])
