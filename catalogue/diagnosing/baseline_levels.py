@@ -25,7 +25,7 @@ DECIBELS = 10.0 / np.log(10.0)
 MODEL_DB = 0.4
 #: A level counts where the signal has this many times the power of the noise,
 LEAST_SIGNAL = 4.0
-#: where play of new fits shifts it by no more than this, and scatters no more than this [dB].
+#: where the play of fits shifts it by no more than this, and scatters no more than this [dB].
 MOST_SHIFT_DB = 3.0
 MOST_SCATTER_DB = 2.0
 #: Fewest entries that say how a machine in order scatters.

@@ -191,7 +191,7 @@ def test_noise_takes_the_place_of_the_protocols(shelf: Path) -> None:
 
 
 def test_diagnose_refuses_cases_that_are_not_simulated(shelf: Path, recording: Path) -> None:
-    result = invoke("diagnose", recording, "--catalogue", shelf / "slider-crank", "--cases", "32")
+    result = invoke("diagnose", recording, "--catalogue", shelf / "slider-crank", "--cases", "100")
     assert_refused(result, 2, "--cases: means something with --effort thorough only")
 
 

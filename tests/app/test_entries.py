@@ -62,7 +62,10 @@ def test_filters(client: httpx.Client, stored: Catalogue) -> None:
     sizes = sorted(item["clearances_um"]["B"] for item in of_b)
     some = walked(client, limit=50, joint="B", min_clearance_um=sizes[10], max_clearance_um=sizes[20])
     assert sorted(item["clearances_um"]["B"] for item in some) == sizes[10:21]
-    assert {item["hypothesis"] for item in walked(client, limit=200, min_clearance_um=1)} == {"A", "B", "O"}
+    assert {item["hypothesis"] for item in walked(client, limit=200, min_clearance_um=21)} == {"A", "B", "O"}
+    in_order = walked(client, limit=200, max_clearance_um=20)
+    assert {item["hypothesis"] for item in in_order} == {"healthy"}
+    assert all(set(item["clearances_um"]) == {"A", "B", "O"} and item["worn"] == [] for item in in_order)
     assert walked(client, limit=10, hypothesis="A", joint="B") == []
     assert walked(client, limit=10, status="jammed") == []
     assert len(walked(client, limit=200, status="ok", law="own", stratum="trusted")) == len(table)

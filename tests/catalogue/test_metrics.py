@@ -60,11 +60,13 @@ def test_ranks_sets_and_verdicts() -> None:
     assert found.auroc_deciding is found.auroc_trusted is found.rejected is None
 
 
-def test_as_new_is_right_where_no_joint_is_called_worn() -> None:
-    found = figures([replace(ANSWERS[2], label="as-new", clearances_um={"A": 8.0, "B": 8.0})], JOINTS)
-    assert found.top1 is None  # the catalogue has no such hypothesis
-    assert found.exact_set == 1.0
-    assert found.labels == ("as-new",)
+def test_play_of_fits_is_no_wear() -> None:
+    """Every joint of every machine has clearance; what counts are those that are worn."""
+    fits = {"A": 8.0, "B": 8.0}
+    plain = figures(ANSWERS, JOINTS)
+    assert figures([replace(each, clearances_um={**fits, **each.clearances_um}) for each in ANSWERS], JOINTS) == plain
+    found = figures([replace(ANSWERS[2], clearances_um=fits)], JOINTS)
+    assert (found.top1, found.exact_set, found.wrong_verdict) == (1.0, 1.0, 0.0)
     assert found.confusion == ((1, 0, 0, 0),)
 
 
