@@ -25,8 +25,9 @@ CHANGED_BELOW = 1e-3
 DOUBTED_BELOW = 0.05
 """P-value of the trusted mode below which a machine may be another one than its file's,"""
 
-SURE_ABOVE = 0.9
-"""and a probability of wear that is then called worn."""
+SURE_ABOVE, SURE_P_VALUE = 0.9, 0.05
+"""and a probability of wear that is then called worn; also where it is another one, if the robust mode has this
+p-value."""
 
 NAMED_ABOVE = 0.8
 """Probability from which on a cause is what has changed."""
@@ -60,7 +61,7 @@ def judged(
     is_worn = result.p_worn >= SURE_ABOVE if trusted < DOUBTED_BELOW else not in_order and bool(result.best.joints)
     if needs_cause(result):
         found = bool(causes) and causes[0].probability >= NAMED_ABOVE
-        if explained and is_worn and not found:
+        if explained and is_worn and not found and p_value >= SURE_P_VALUE:
             return p_value, "worn"
         return p_value, "changed" if explained or found else "unknown"
     if not explained or not (in_order or is_worn):

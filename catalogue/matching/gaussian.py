@@ -80,7 +80,7 @@ class GaussianAlongClearance:
     sparse_kernel: tuple[float, ...] = (0.5, 0.8, 1.0)
     sparse_bins: tuple[int, ...] = (6, 3, 2)
     few_cases: int = 100
-    many_cases: int = 160
+    many_cases: int = 180
     points: tuple[int, ...] = (24, 10, 6)
     stride: tuple[int, ...] = (2, 2, 2)
     full_stride: tuple[int, ...] = (4, 4, 5)

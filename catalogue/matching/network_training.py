@@ -70,7 +70,7 @@ class NetworkTraining:
     channel_db: float = 2.0
     tilt_db: float = 3.0
     lengths: tuple[float, float] = (2.0, 10.0)
-    least_cases: int = 160
+    least_cases: int = 180
     version: str = "1"
 
     def enough(self, matrix: Spectra, learning: Learning, speed: float | None) -> bool:

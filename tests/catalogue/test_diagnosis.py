@@ -321,8 +321,9 @@ def test_what_was_said_of_a_file_belongs_to_the_question(small_catalogue: Catalo
 def test_rules_of_the_verdict() -> None:
     assert judged(answer_of(A=(0.98, 0.3), healthy=(0.02, 0.001)), 0.95) == (0.3, "worn")
     assert judged(answer_of(A=(0.02, 0.3), healthy=(0.98, 0.5)), 0.95) == (0.5, "in_order")
-    # Whichever joint it is: together they are likelier than none.
-    assert judged(answer_of(healthy=(0.4, 0.3), A=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "worn")
+    # Whichever joint it is, together they are likelier than none; but a verdict never contradicts what stands first.
+    assert judged(answer_of(A=(0.4, 0.3), healthy=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "worn")
+    assert judged(answer_of(healthy=(0.4, 0.3), A=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "unknown")
     assert judged(answer_of(A=(0.99, 0.002), B=(0.01, 0.9)), 0.95) == (0.002, "unknown")
     # One likely explanation that fits is enough.
     assert judged(answer_of(A=(0.7, 0.002), B=(0.3, 0.2)), 0.95) == (0.2, "worn")
@@ -332,6 +333,7 @@ def test_rules_of_the_verdict() -> None:
     ("p_worn", "p_value", "causes", "verdict"),
     [
         (0.95, 0.3, (), "worn"),
+        (0.95, 0.3, ("unbalance",), "changed"),
         (0.95, 0.03, (), "changed"),
         (0.8, 0.3, (), "changed"),
         (0.01, 0.3, (), "changed"),

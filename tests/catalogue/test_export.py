@@ -84,7 +84,9 @@ def test_table_of_levels(catalogue: Catalogue, tmp_path: Path) -> None:
     assert entry.power is not None
     level = 10 * np.log10(entry.power[1, 2, 2].real)
     assert float(good["theta order 1.5 to 2.5 [dB]"]) == pytest.approx(level, abs=1e-3)
-    failed = next(row for row in rows if row["status"] != "ok")
+    assert export(catalogue, path) > len(rows)  # one case in eight fails, of these perhaps none
+    with open(path, encoding="utf-8", newline="") as file:
+        failed = next(row for row in csv.DictReader(file) if row["status"] != "ok")
     assert failed["x order 0.5 to 1.5 [dB]"] == ""
 
 
