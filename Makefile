@@ -35,7 +35,7 @@ format: $(STAMP) ## put the code into the form that the checks want
 	$(BIN)/ruff format .
 
 unit: $(STAMP)
-	$(BIN)/pytest -n $(WORKERS)
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
 fuzz: $(STAMP) ## 2000 random machines against the oracle; endings are kept in build/fuzz.jsonl, the same command goes on
 	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign 2000 $(WORKERS)

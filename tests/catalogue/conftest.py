@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
+from filelock import FileLock
 
 from catalogue.building.build import build
 from catalogue.plans.plan import parse_plan
@@ -21,7 +20,12 @@ PLAN = {
 
 @pytest.fixture(scope="session")
 def small_catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
-    """Single faults of the slider-crank, a few draws each."""
-    folder: Path = tmp_path_factory.mktemp("catalogue") / "slider-crank"
-    build(shipped_machine("slider-crank"), parse_plan(PLAN), folder, workers=0)
+    """Single faults of the slider-crank, a few draws each; test processes share it, and read it only."""
+    folder = tmp_path_factory.getbasetemp()
+    if folder.name.startswith("popen-"):
+        folder = folder.parent
+    folder = folder / "small-catalogue" / "slider-crank"
+    folder.parent.mkdir(exist_ok=True)
+    with FileLock(folder.with_suffix(".lock")):
+        build(shipped_machine("slider-crank"), parse_plan(PLAN), folder, workers=0)
     return Catalogue.open(folder)
