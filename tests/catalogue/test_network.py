@@ -31,7 +31,7 @@ from catalogue.matching.spectra import band_widths
 from catalogue.storage.store import Catalogue
 
 MODEL = SpectraModel(300, wide=200)
-SMALL = NetworkTraining(rows=6000, blocks=10, layers=(32,), epochs=(4, 2))
+SMALL = NetworkTraining(rows=6000, blocks=10, layers=(32,), epochs=(4, 2), least_cases=256)
 TRUSTED = Learning.of("trusted")
 
 
