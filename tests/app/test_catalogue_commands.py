@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import assert_refused, invoke
 
+import solver
 from catalogue.storage.directory import CatalogueDirectory
 from catalogue.storage.store import Catalogue
 
@@ -29,6 +30,23 @@ def test_reindex(folder: Path) -> None:
     assert CatalogueDirectory(folder).matrices.is_dir()
     shown = json.loads(invoke("reindex", "--catalogue", folder, "--json").stdout)
     assert (shown["sound"], shown["lost_entries"], shown["findings"]) == (True, 0, [])
+
+
+def test_other_numbers_are_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = invoke("verify", "--catalogue", folder).stdout.splitlines()
+    assert json.loads(invoke("verify", "--catalogue", folder, "--json").stdout)["other_numbers"] is None
+    held = solver.NUMBERS_VERSION
+    monkeypatch.setattr(solver, "NUMBERS_VERSION", 99)
+    rule = f"{folder}: holds numbers of version {held}, this program computes version 99"
+    told = invoke("verify", "--catalogue", folder)
+    assert told.exit_code == 0
+    assert told.stdout.splitlines() == [*plain, f"{rule}: diagnoses go on with it, builds do not"]
+    shown = json.loads(invoke("verify", "--catalogue", folder, "--json").stdout)
+    assert f"{folder}: {shown['other_numbers']}" == rule
+    arguments = ["build", "slider-crank", "--catalogue", folder, "--plan", "quick", "--workers", "1"]
+    built = invoke(*arguments)  # which shows the plan first
+    assert built.exit_code == 2
+    assert built.stderr.splitlines()[-1] == f"jointplay: {rule}: build into another folder"
 
 
 def test_damaged_matrix_is_one_line_that_says_what_to_do(folder: Path) -> None:
