@@ -9,6 +9,7 @@ import numpy as np
 from catalogue.diagnosing.answer import Verdict
 from catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
 from catalogue.matching.matcher import HypothesisMatch, IntArray, MatchResult
+from catalogue.matching.model_library import DOUBTED_BELOW
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.sensor_flaws import SensorFlaw
 from catalogue.storage.store import Catalogue
@@ -22,12 +23,9 @@ CHANGED_BELOW = 1e-3
 """P-value of the trusted mode below which a machine is not as its file says: 15 of 15 other causes were so, and none of
 268 machines as filed."""
 
-DOUBTED_BELOW = 0.05
-"""P-value of the trusted mode below which a machine may be another one than its file's,"""
-
 SURE_ABOVE, SURE_P_VALUE = 0.9, 0.05
-"""and a probability of wear that is then called worn; also where it is another one, if the robust mode has this
-p-value."""
+"""Probability of wear that is called worn where the model is doubted; also where the machine is not as its file says,
+if the robust mode has this p-value."""
 
 NAMED_ABOVE = 0.8
 """Probability from which on a cause is what has changed."""

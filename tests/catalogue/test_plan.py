@@ -4,62 +4,24 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections import Counter
-from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from small_plans import MOUNTS, QUICK_RETURN, counted, draws, keys, plan_of, sizes_of
 
 from catalogue.errors import CatalogueMismatchError, PlanError
-from catalogue.plans.cases import travel
-from catalogue.plans.draws import Distribution, unit_draws
-from catalogue.plans.entry import Entry, Recipe
+from catalogue.plans.entry import Recipe
 from catalogue.plans.parameters import MachineNumbers
-from catalogue.plans.plan import Plan, load_plan, parse_plan, preset, preset_names, resolve_plan
-from catalogue.plans.plan_parts import NEXT_TO_NONE
+from catalogue.plans.plan import parse_plan, preset, preset_names
 from catalogue.plans.plan_text import plan_lines
 from catalogue.plans.ranges import STIFFNESS_SCATTER
 from catalogue.plans.variants import Variant
 from solver.cases.history import Case
 from solver.cases.parameters import full_paths
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_text
+from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 from solver.simulation.simulate import Settings, simulate_batch
-
-QUICK_RETURN = shipped_machine("quick-return")
-MOUNTS = {
-    path: number
-    for path, number in MachineNumbers(QUICK_RETURN).by_path.items()
-    if re.search(r"supports\.\d\.(stiff|damp)", path)
-}
-
-
-TREE: dict[str, Any] = {"laws": {"own": 1}, "draws": {"healthy": 3, "single": 6, "pair": 4, "larger": 5}}
-
-
-def keys(plan: Plan, machine: Machine = QUICK_RETURN) -> list[str]:
-    return [entry.key for entry in plan.entries(machine)]
-
-
-def plan_of(**changes: Any) -> Plan:
-    return parse_plan({**TREE, **changes})
-
-
-def draws(**counts: int) -> dict[str, int]:
-    return {**TREE["draws"], **counts}
-
-
-def sizes_of(entry: Entry) -> dict[str, float]:
-    return dict(zip(entry.joints, entry.clearances, strict=True))
-
-
-def counted(entries: Iterable[Entry]) -> dict[str, int]:
-    return dict(Counter(entry.hypothesis.label for entry in entries))
 
 
 def test_presets_hold_what_they_say() -> None:
@@ -283,84 +245,6 @@ def test_a_drawn_ripple_and_load_are_those_of_a_file() -> None:
     assert np.allclose(drawn.displacement, filed.displacement, rtol=0, atol=1e-6 * scale)
 
 
-def test_every_joint_has_play_and_worn_ones_more_than_their_fit() -> None:
-    entries = plan_of(hypotheses=["healthy", "singles", "pairs", "triples"]).entries(QUICK_RETURN)
-    for entry in entries:
-        sizes = sizes_of(entry)
-        assert sorted(sizes) == sorted(QUICK_RETURN.turning_joints)
-        worn = [sizes.pop(joint) for joint in entry.worn]
-        assert all(2.5e-5 <= size <= 2e-3 for size in worn)
-        assert all(3e-6 / NEXT_TO_NONE <= size <= 2e-5 for size in sizes.values())
-        assert entry.fault == FaultState(dict(zip(entry.joints, entry.clearances, strict=True)))
-
-
-def test_fits_fill_their_range_and_one_in_ten_is_tight() -> None:
-    entries = plan_of(draws=draws(healthy=1024), hypotheses=["healthy"], fits={"silent": 0}).entries(QUICK_RETURN)
-    fits = np.array([entry.clearances for entry in entries])
-    assert fits.shape == (1024, 5)
-    tight = fits < 3e-6
-    assert np.abs(tight.mean(axis=0) - 0.1).max() < 2 / 1024
-    assert fits.min() >= 1e-7
-    assert fits.max() <= 2e-5
-    for joint in range(5):
-        counts = np.histogram(np.log(fits[~tight[:, joint], joint]), 9, (math.log(3e-6), math.log(2e-5)))[0]
-        assert np.ptp(counts) <= 2  # log-uniform, and a Sobol sequence
-    assert np.abs(np.corrcoef(np.log(fits).T) - np.eye(5)).max() < 0.1
-    loose = plan_of(draws=draws(healthy=64), hypotheses=["healthy"], fits={"tight": 0, "silent": 0}).entries(
-        QUICK_RETURN
-    )
-    assert min(min(entry.clearances) for entry in loose) >= 3e-6
-
-
-def test_one_machine_in_ten_is_silent_but_for_its_worn_joints() -> None:
-    entries = plan_of(draws=draws(healthy=1024, single=256), fits={"tight": 0}).entries(QUICK_RETURN)
-    for worn, count in (((), 1024), (("A",), 256)):
-        sizes = [sizes_of(entry) for entry in entries if entry.worn == worn]
-        others = np.array([[size for joint, size in each.items() if joint not in worn] for each in sizes])
-        tight = others < 3e-6
-        assert (tight.all(axis=1) == tight.any(axis=1)).all()
-        assert tight.all(axis=1).mean() == pytest.approx(0.1, abs=2 / count)
-        assert all(each[joint] >= 2.5e-5 for each in sizes for joint in worn)
-
-
-def machine_with_fits(**said: Any) -> Machine:
-    tree: dict[str, Any] = QUICK_RETURN.model_dump(mode="json")
-    for joint, fit in said.items():
-        tree["joints"][joint]["fit"] = fit
-    return parse_machine(tree)
-
-
-def test_fits_are_those_of_the_machine_file_unless_a_plan_says_otherwise() -> None:
-    machine = machine_with_fits(A=[10e-6, 60e-6])
-    asked = plan_of(draws=draws(healthy=256, single=64), fits={"tight": 0, "silent": 0})
-    entries = asked.entries(machine)
-    fits = {joint: [sizes_of(e)[joint] for e in entries if joint not in e.worn] for joint in machine.turning_joints}
-    assert 10e-6 <= min(fits["A"]) < 10.2e-6 and 59e-6 < max(fits["A"]) <= 60e-6
-    assert 3e-6 <= min(fits["F"]) < 3.1e-6 and 19.5e-6 < max(fits["F"]) <= 20e-6
-    # Wear is what goes beyond the fit, by a quarter at least.
-    worn = {joint: [sizes_of(e)[joint] for e in entries if e.worn == (joint,)] for joint in machine.turning_joints}
-    assert 75e-6 <= min(worn["A"]) < 80e-6
-    assert 25e-6 <= min(worn["F"]) < 27e-6
-    own = plan_of(fits={"low": "1 um", "high": "2 um", "tight": 0, "silent": 0}, hypotheses=["healthy"]).entries(
-        machine
-    )
-    assert all(1e-6 <= size <= 2e-6 for entry in own for size in entry.clearances)
-    assert "fits A 10-60 um, C 3-20 um, E 3-20 um, F 3-20 um, O 3-20 um" in plan_lines(asked, machine)[3]
-
-
-def test_wear_ends_where_a_pin_would_leave_its_socket() -> None:
-    tree: dict[str, Any] = QUICK_RETURN.model_dump(mode="json")
-    wide = plan_of(clearance={"low": "25 um", "high": "40 mm"}, draws=draws(single=64)).entries(parse_machine(tree))
-    for joint, largest in {"O": 8e-3, "A": 8e-3, "C": 25e-3, "E": 12e-3, "F": 12e-3}.items():
-        assert travel(QUICK_RETURN, joint) == pytest.approx(largest)  # a tenth of the shortest link it is a joint of
-        drawn = [sizes_of(entry)[joint] for entry in wide if entry.worn == (joint,)]
-        assert 0.85 * largest < max(drawn) <= largest * (1 + 1e-6)
-    # A fit that leaves no room is followed by a range of a factor of two: there is nothing better to say.
-    coarse = plan_of(fits={"low": "5 mm", "high": "7 mm"}, draws=draws(single=64)).entries(QUICK_RETURN)
-    drawn = [sizes_of(entry)["O"] for entry in coarse if entry.worn == ("O",)]
-    assert 8.75e-3 <= min(drawn) < max(drawn) <= 17.5e-3
-
-
 def test_a_plan_is_shown_in_words() -> None:
     lines = plan_lines(preset("standard"), QUICK_RETURN)
     resolved = preset("standard").resolved(QUICK_RETURN)
@@ -443,117 +327,6 @@ def test_plan_reads_back_and_hash_ignores_the_name() -> None:
     assert parse_plan(resolved.content) == resolved
     assert resolved.resolved(QUICK_RETURN) == resolved
     assert keys(resolved) == keys(preset("standard"))
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("draw: {}", 'my.yaml: draw: {}: unknown key; did you mean "draws"?'),
-        ("draws: {single: 0}", "my.yaml: draws.single: 0: must be greater than or equal to 1"),
-        ("draws: {single: 2.5}", "my.yaml: draws.single: 2.5: must be a valid integer"),
-        ("clearance: {low: 2 mm}", "my.yaml: clearance.high: 0.002: must be greater than low"),
-        ("sets: [[A, A]]", "my.yaml: sets.0: [A, A]: must name each joint once"),
-        ("laws: {}", "my.yaml: laws: {}: must name at least one"),
-        ("fits: {low: 20 um, high: 3 um}", "my.yaml: fits.high: 3e-06: must be greater than low"),
-        (
-            "fits: {high: 3 um}",
-            "my.yaml: fits.low: must be given with the other bound, or neither (fits are then the machine's)",
-        ),
-        ("fits: {tight: 2}", "my.yaml: fits.tight: 2: must be less than or equal to 1"),
-        ("fits: {in_faulty: 0.5}", "my.yaml: fits.in_faulty: 0.5: unknown key; known: low, high, tight, silent"),
-        ("wide: {draws: 2}", "my.yaml: wide.draws: 2: must be less than or equal to 1"),
-        ("clearance: {low: -1 um}", "my.yaml: clearance.low: -1 um: must be greater than 0"),
-        ("clearance: {high: 2 m}", "my.yaml: clearance.high: 2: must not be larger than 0.1 m"),
-        ("clearance: {lo: 1 um}", 'my.yaml: clearance.lo: 1 um: unknown key; did you mean "low"?'),
-        ("hypotheses: [single]", "my.yaml: hypotheses.0: single: must be healthy, singles, pairs or triples"),
-        ("hypotheses: [as-new]", "my.yaml: hypotheses.0: as-new: must be healthy, singles, pairs or triples"),
-        ("hypotheses: []", "my.yaml: hypotheses: []: must name at least one, and each once"),
-        ("speeds: [1, 1]", "my.yaml: speeds: [1, 1]: must name at least one, and each once"),
-        (
-            "uncertain: {contact.friction: {uniform: [2, 1]}}",
-            "my.yaml: uncertain.contact.friction.uniform: [2, 1]: must be [low, high] with low <= high",
-        ),
-        (
-            "uncertain: {contact.friction: {}}",
-            "my.yaml: uncertain.contact.friction: {}: must give exactly one of "
-            "uniform, loguniform, factor_uniform, factor_loguniform, lognormal",
-        ),
-        (
-            "sample_rate: 5 kHz",
-            "my.yaml: sample_rate: 5000: must be at least 10000 Hz: bands reach 4000 Hz at the highest speed",
-        ),
-        ("accuracy: fast", "my.yaml: accuracy: fast: must be draft, standard or reference"),
-        ("[1]", "my.yaml: a list: must be a mapping of keys to values"),
-    ],
-)
-def test_refusals_are_one_line(tmp_path: Path, text: str, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("my.yaml").write_text(text)
-    with pytest.raises(PlanError) as caught:
-        load_plan("my.yaml")
-    assert str(caught.value) == line
-
-
-@pytest.mark.parametrize("path", ["drive.ripple.0.phase", "joints.A.at.0", "sensors.0.at.0"])
-def test_numbers_that_no_equation_holds_are_refused(path: str) -> None:
-    tree = QUICK_RETURN.model_dump()
-    tree["drive"]["ripple"] = [{"order": 1, "amplitude": 0.01, "phase": 0.5}]
-    with pytest.raises(PlanError, match=rf"^plan: uncertain\.{path}: no equation of this machine holds such a number$"):
-        plan_of(uncertain={path: {"uniform": [0, 1]}}).entries(parse_machine(tree))
-
-
-def test_paths_the_machine_does_not_have_are_refused() -> None:
-    plan = parse_plan({"uncertain": {"contact.frictoin": {"uniform": [0, 1]}}})
-    with pytest.raises(PlanError, match=r'^plan: uncertain\.contact\.frictoin: .*did you mean "contact\.friction"\?$'):
-        plan.entries(QUICK_RETURN)
-
-
-def test_joints_whose_names_make_two_hypotheses_of_one_name_are_refused() -> None:
-    text = QUICK_RETURN.canonical_json().replace('"C"', '"E+F"')
-    with pytest.raises(PlanError, match=r"^plan: hypotheses: E\+F: names two hypotheses of machine quick-return"):
-        plan_of(hypotheses=["singles", "pairs"]).entries(parse_machine(text))
-
-
-def test_machine_without_constant_speed_is_refused() -> None:
-    tree = QUICK_RETURN.model_dump()
-    tree["drive"]["speed"] = [[0, 0], [1, 10]]
-    with pytest.raises(PlanError, match="a catalogue needs a drive of kind rotation with one speed"):
-        plan_of().entries(parse_machine(tree))
-
-
-def test_unknown_presets_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(PlanError, match='did you mean "standard"'):
-        resolve_plan("standart")
-    with pytest.raises(PlanError, match="cannot be read"):
-        resolve_plan(tmp_path)
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**64 - 1), st.integers(1, 8), st.integers(1, 40), st.integers(0, 100))
-def test_draws_continue(seed: int, dimensions: int, count: int, more: int) -> None:
-    points = unit_draws(seed, dimensions, count)
-    assert points.shape == (count, dimensions)
-    assert np.array_equal(unit_draws(seed, dimensions, count + more)[:count], points)
-
-
-def test_draws_fill_the_range_evenly() -> None:
-    points = unit_draws(5, 4, 32)
-    for column in points.T:
-        assert len({int(32 * u) for u in column}) == 32
-
-
-def test_quantiles() -> None:
-    assert Distribution(uniform=(2.0, 4.0)).quantile(0.25) == 2.5
-    assert Distribution(factor_uniform=(0.9, 1.1)).quantile(1.0) == pytest.approx(1.1)
-    assert Distribution(loguniform=(1.0, 100.0)).quantile(0.5) == pytest.approx(10.0)
-    assert Distribution(factor_loguniform=(0.5, 2.0)).quantile(0.5) == pytest.approx(1.0)
-    assert [Distribution(loguniform=(1, 9)).is_factor, Distribution(factor_loguniform=(1, 9)).is_factor] == [
-        False,
-        True,
-    ]
-    assert Distribution(lognormal=0.4).quantile(0.5) == pytest.approx(1.0)
-    assert Distribution(lognormal=0.4).quantile(0.8413447460685429) == pytest.approx(math.exp(0.4))
-    assert 0 < Distribution(lognormal=0.4).quantile(0.0) < 1 < Distribution(lognormal=0.4).quantile(1.0) < math.inf
 
 
 def test_a_recipe_reads_back_and_is_not_mixed_with_another() -> None:

@@ -10,7 +10,6 @@ import pytest
 from catalogue.diagnosing.causes import NamedCause
 from catalogue.diagnosing.verdict import (
     CHANGED_BELOW,
-    DOUBTED_BELOW,
     NAMED_ABOVE,
     SURE_ABOVE,
     UNKNOWN_BELOW,
@@ -19,6 +18,7 @@ from catalogue.diagnosing.verdict import (
 )
 from catalogue.matching.conformal import Conformal
 from catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
+from catalogue.matching.model_library import DOUBTED_BELOW
 from catalogue.signals.sensor_flaws import SensorFlaw
 
 NOTHING = np.zeros(1)

@@ -1,0 +1,95 @@
+"""Plans that cannot be: each is refused in one line that names field, value and rule."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from small_plans import QUICK_RETURN, plan_of
+
+from catalogue.errors import PlanError
+from catalogue.plans.plan import load_plan, parse_plan, resolve_plan
+from solver.machines.machine import parse_machine
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("draw: {}", 'my.yaml: draw: {}: unknown key; did you mean "draws"?'),
+        ("draws: {single: 0}", "my.yaml: draws.single: 0: must be greater than or equal to 1"),
+        ("draws: {single: 2.5}", "my.yaml: draws.single: 2.5: must be a valid integer"),
+        ("clearance: {low: 2 mm}", "my.yaml: clearance.high: 0.002: must be greater than low"),
+        ("sets: [[A, A]]", "my.yaml: sets.0: [A, A]: must name each joint once"),
+        ("laws: {}", "my.yaml: laws: {}: must name at least one"),
+        ("fits: {low: 20 um, high: 3 um}", "my.yaml: fits.high: 3e-06: must be greater than low"),
+        (
+            "fits: {high: 3 um}",
+            "my.yaml: fits.low: must be given with the other bound, or neither (fits are then the machine's)",
+        ),
+        ("fits: {tight: 2}", "my.yaml: fits.tight: 2: must be less than or equal to 1"),
+        ("fits: {in_faulty: 0.5}", "my.yaml: fits.in_faulty: 0.5: unknown key; known: low, high, tight, silent"),
+        ("wide: {draws: 2}", "my.yaml: wide.draws: 2: must be less than or equal to 1"),
+        ("clearance: {low: -1 um}", "my.yaml: clearance.low: -1 um: must be greater than 0"),
+        ("clearance: {high: 2 m}", "my.yaml: clearance.high: 2: must not be larger than 0.1 m"),
+        ("clearance: {lo: 1 um}", 'my.yaml: clearance.lo: 1 um: unknown key; did you mean "low"?'),
+        ("hypotheses: [single]", "my.yaml: hypotheses.0: single: must be healthy, singles, pairs or triples"),
+        ("hypotheses: [as-new]", "my.yaml: hypotheses.0: as-new: must be healthy, singles, pairs or triples"),
+        ("hypotheses: []", "my.yaml: hypotheses: []: must name at least one, and each once"),
+        ("speeds: [1, 1]", "my.yaml: speeds: [1, 1]: must name at least one, and each once"),
+        (
+            "uncertain: {contact.friction: {uniform: [2, 1]}}",
+            "my.yaml: uncertain.contact.friction.uniform: [2, 1]: must be [low, high] with low <= high",
+        ),
+        (
+            "uncertain: {contact.friction: {}}",
+            "my.yaml: uncertain.contact.friction: {}: must give exactly one of "
+            "uniform, loguniform, factor_uniform, factor_loguniform, lognormal",
+        ),
+        (
+            "sample_rate: 5 kHz",
+            "my.yaml: sample_rate: 5000: must be at least 10000 Hz: bands reach 4000 Hz at the highest speed",
+        ),
+        ("accuracy: fast", "my.yaml: accuracy: fast: must be draft, standard or reference"),
+        ("[1]", "my.yaml: a list: must be a mapping of keys to values"),
+    ],
+)
+def test_refusals_are_one_line(tmp_path: Path, text: str, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("my.yaml").write_text(text)
+    with pytest.raises(PlanError) as caught:
+        load_plan("my.yaml")
+    assert str(caught.value) == line
+
+
+@pytest.mark.parametrize("path", ["drive.ripple.0.phase", "joints.A.at.0", "sensors.0.at.0"])
+def test_numbers_that_no_equation_holds_are_refused(path: str) -> None:
+    tree = QUICK_RETURN.model_dump()
+    tree["drive"]["ripple"] = [{"order": 1, "amplitude": 0.01, "phase": 0.5}]
+    with pytest.raises(PlanError, match=rf"^plan: uncertain\.{path}: no equation of this machine holds such a number$"):
+        plan_of(uncertain={path: {"uniform": [0, 1]}}).entries(parse_machine(tree))
+
+
+def test_paths_the_machine_does_not_have_are_refused() -> None:
+    plan = parse_plan({"uncertain": {"contact.frictoin": {"uniform": [0, 1]}}})
+    with pytest.raises(PlanError, match=r'^plan: uncertain\.contact\.frictoin: .*did you mean "contact\.friction"\?$'):
+        plan.entries(QUICK_RETURN)
+
+
+def test_joints_whose_names_make_two_hypotheses_of_one_name_are_refused() -> None:
+    text = QUICK_RETURN.canonical_json().replace('"C"', '"E+F"')
+    with pytest.raises(PlanError, match=r"^plan: hypotheses: E\+F: names two hypotheses of machine quick-return"):
+        plan_of(hypotheses=["singles", "pairs"]).entries(parse_machine(text))
+
+
+def test_machine_without_constant_speed_is_refused() -> None:
+    tree = QUICK_RETURN.model_dump()
+    tree["drive"]["speed"] = [[0, 0], [1, 10]]
+    with pytest.raises(PlanError, match="a catalogue needs a drive of kind rotation with one speed"):
+        plan_of().entries(parse_machine(tree))
+
+
+def test_unknown_presets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlanError, match='did you mean "standard"'):
+        resolve_plan("standart")
+    with pytest.raises(PlanError, match="cannot be read"):
+        resolve_plan(tmp_path)
