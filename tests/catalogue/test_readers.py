@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import signal
 import struct
 import warnings
@@ -279,12 +280,13 @@ def test_npz_files_that_are_encrypted_or_packed_in_another_way_are_refused(
 @pytest.mark.parametrize(
     ("limits", "rule"),
     [
-        (Limits(reader_seconds=0.01), "UFF file: takes longer than 0.01 s to be read"),
+        # Ended by its processor time, or, where others have the processors, by ten times that of the clock.
+        (Limits(reader_seconds=0.01), r"UFF file: takes longer than 0\.0?1 s to be read"),
         (Limits(reader_memory=1_000_000), "needs more than 1 MB to be read"),
     ],
 )
 def test_a_reader_that_takes_too_much_is_ended_and_the_next_file_is_read(limits: Limits, rule: str) -> None:
-    assert rule in refusal(content("slider-crank-03.uff"), "s.uff", limits=limits)
+    assert re.search(rule, refusal(content("slider-crank-03.uff"), "s.uff", limits=limits))
     assert held(read_measurement(npz(), name="s.npz"))
 
 
