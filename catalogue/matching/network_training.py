@@ -43,8 +43,9 @@ class NetworkTraining:
         Different noises and lengths among them.
     layers : tuple of int
         Units of the hidden layers.
-    penalty : float
-        On the squares of the weights.
+    penalty, strata_penalty : float
+        On the squares of the weights: of networks that tell hypotheses apart, of whose worn machines there are some
+        hundred cases each, and of those that tell strata apart, of whose there are thousands.
     epochs, rates : tuple
         Passes over all recordings, and step size of the Adam optimiser, of each stage.
     batch : int
@@ -61,9 +62,10 @@ class NetworkTraining:
 
     rows: int = 200_000
     blocks: int = 80
-    layers: tuple[int, ...] = (256, 256, 128)
-    penalty: float = 1e-3
-    epochs: tuple[int, ...] = (6, 3)
+    layers: tuple[int, ...] = (128, 64)
+    penalty: float = 3.0
+    strata_penalty: float = 0.5
+    epochs: tuple[int, ...] = (2, 2)
     rates: tuple[float, ...] = (1e-3, 1e-4)
     batch: int = 256
     noise: tuple[float, float] = (3e-3, 1.0)
@@ -71,7 +73,7 @@ class NetworkTraining:
     tilt_db: float = 3.0
     lengths: tuple[float, float] = (2.0, 10.0)
     least_cases: int = 180
-    version: str = "1"
+    version: str = "2"
 
     def enough(self, matrix: Spectra, learning: Learning, speed: float | None) -> bool:
         """Whether there are cases enough: of worn joints to learn from, of every hypothesis to calibrate on."""
@@ -117,7 +119,10 @@ class NetworkTraining:
         with threadpool_limits(limits=1, user_api="blas"):
             inputs, index, noise = self._recordings(matrix, sensing, learning, speed, lambda done: tell(done, total))
             centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
-            classifier = self._fitted((inputs - centre) / scale, index, lambda s: tell(self.blocks + 10 * s, total))
+            penalty = self.strata_penalty if learning.subject == "strata" else self.penalty
+            classifier = self._fitted(
+                (inputs - centre) / scale, index, penalty, lambda s: tell(self.blocks + 10 * s, total)
+            )
         labels = tuple(known.label for known in matrix.hypotheses if known.label not in learning.without)
         if learning.subject == "strata":
             labels = (AS_FILED, DIFFERS)
@@ -137,15 +142,19 @@ class NetworkTraining:
         tell: Callable[[int], None],
     ) -> tuple[FloatArray, IntArray, tuple[float, float]]:
         """Inputs (n, d + c), class (n,), and the least and largest mean noise, dB."""
-        classes = _classes(matrix, replace(learning, most=learning.reach), speed)
-        chosen = [rows[~held_out(rows)] for _, rows in classes]
+        learning = replace(learning, most=learning.reach)
+        # Machines whose own data differ show what a fault looks like whatever they are: every other block is of them.
+        pools = [
+            [rows[~held_out(rows)] for _, rows in _classes(matrix, each, speed)]
+            for each in (learning, replace(learning, mode="robust"))
+        ]
         edges_hz = np.array(matrix.edges) * abs(matrix.nominal_speed) / (2.0 * math.pi)
         width = np.diff(edges_hz)[: sensing.bands]
         middle = np.sqrt(np.maximum(edges_hz[:-1], 0.5 * edges_hz[1]) * edges_hz[1:])[: sensing.bands]
         shortest = max(self.lengths[0], 5.0 * 2.0 * math.pi / abs(matrix.nominal_speed))
         quiet_db, loud_db = (10.0 * math.log10(each**2 / FULL_BAND) for each in self.noise)
         own_db = 10.0 * np.log10(np.sum(sensing.channels**2, axis=1))
-        share = max(1, self.rows // self.blocks // len(classes))
+        share = max(1, self.rows // self.blocks // len(pools[0]))
         generator = np.random.default_rng(learning.seed)
         inputs, index = [], []
         for block in range(self.blocks):
@@ -157,7 +166,7 @@ class NetworkTraining:
             seconds = shortest * (self.lengths[1] / self.lengths[0]) ** generator.uniform()
             freedom = 2.0 * np.maximum(1.0, seconds * width)
             seen = replace(sensing, noise=density * width[:, None], degrees_of_freedom=freedom)
-            for number, rows in enumerate(chosen):
+            for number, rows in enumerate(pools[block % 2]):
                 some = generator.choice(rows, share, replace=share > len(rows))
                 copies = np.ones(len(some), np.int64)
                 seed = (learning.seed, block, number)
@@ -170,14 +179,14 @@ class NetworkTraining:
         return np.concatenate(inputs), np.concatenate(index), (quiet_db + mean, loud_db + mean)
 
     def _fitted(
-        self, inputs: FloatArray, index: IntArray, tell: Callable[[int], None]
+        self, inputs: FloatArray, index: IntArray, penalty: float, tell: Callable[[int], None]
     ) -> tuple[list[FloatArray], list[FloatArray]]:
         # Here, not above: the import takes a second, and only the training needs it.
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.neural_network import MLPClassifier
 
         classifier = MLPClassifier(
-            self.layers, alpha=self.penalty, batch_size=min(self.batch, len(inputs)), random_state=0, warm_start=True
+            self.layers, alpha=penalty, batch_size=min(self.batch, len(inputs)), random_state=0, warm_start=True
         )
         for stage, (epochs, rate) in enumerate(zip(self.epochs, self.rates, strict=True)):
             classifier.set_params(max_iter=epochs, learning_rate_init=rate)
