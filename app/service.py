@@ -158,9 +158,10 @@ class Service:
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
         baseline = None if asset is None else self.baseline_of(asset, request.measurement)
-        mapping = dict(request.mapping)
+        mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
-        return Asked(offer, asset, tasks.Question(*place, speed, request.effort, request.mode, mapping, baseline))
+        question = tasks.Question(*place, speed, request.effort, request.mode, mapping, prior, baseline)
+        return Asked(offer, asset, question)
 
     def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Mapping[str, Any]) -> NewDiagnosis:
         """Return a diagnosis as it is stored, with what is told of it."""

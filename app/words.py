@@ -351,6 +351,13 @@ def mode_sentence(result: Mapping[str, Any]) -> str:
     return f"The machine is taken to differ from its model (robust){reason}."
 
 
+def prior_sentence(result: Mapping[str, Any]) -> str:
+    """Return what was held likely before the recording."""
+    prior = result["prior"]
+    own = "".join(f"; {joint} {weight:g} times as likely" for joint, weight in prior["joints"].items())
+    return f"Before the recording, every worn joint beyond the first counts {prior['another']:g}{own}."
+
+
 def enumerate_words(words: Sequence[str]) -> str:
     """Return words joined by commas and an "and"."""
     if len(words) < 2:

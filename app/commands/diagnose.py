@@ -19,6 +19,7 @@ from app.commands.parameters import (
     refuse_given,
 )
 from app.commands.tables import indented, table
+from catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:
     from catalogue.diagnosing.answer import Effort, ModeAsked
@@ -53,6 +54,20 @@ if TYPE_CHECKING:
     default=240,
     show_default=True,
     help="Cases that effort thorough may simulate.",
+)
+@click.option(
+    "--prior",
+    "priors",
+    type=Pairs("JOINT=WEIGHT"),
+    multiple=True,
+    help='How much likelier than the others a joint is to wear: "A=3"; may be repeated.',
+)
+@click.option(
+    "--another",
+    type=click.FloatRange(1.0 / LARGEST, LARGEST),
+    default=Prior().another,
+    show_default=True,
+    help="What every worn joint beyond the first multiplies a probability by beforehand.",
 )
 @click.option(
     "--baseline",
@@ -94,6 +109,8 @@ def command(
     effort: Effort,
     mode: ModeAsked,
     cases: int,
+    priors: Sequence[tuple[str, str]],
+    another: float,
     baseline: Path | None,
     sample_rate: float | None,
     mapping: Sequence[tuple[str, str]],
@@ -137,6 +154,7 @@ def command(
         mode=mode,
         mapping=sensors or None,
         cases=cases,
+        prior=Prior(another, {joint: weight_of(joint, said) for joint, said in each_once(priors, "--prior").items()}),
         baseline=in_order,
     )
     result = diagnosis.model_dump(mode="json")
@@ -150,6 +168,14 @@ def command(
         click.echo(report(result))
         if plot is not None:
             click.echo(f"drawn: {plot}")
+
+
+def weight_of(joint: str, said: str) -> float:
+    """Return the weight that an option gives a joint."""
+    try:
+        return float(said)
+    except ValueError:
+        raise click.BadParameter(f'"{joint}={said}": the weight must be a number', param_hint="--prior") from None
 
 
 def said_of(full_scale: str | None, sensitivities: Mapping[str, str]) -> dict[str, Any]:
@@ -184,7 +210,7 @@ def report(result: Mapping[str, Any]) -> str:
         parts += [words.joints_sentence(result), indented(joints(result))]
     parts += [
         f"drive speed {result['drive_speed_rpm']:.6g} rpm; {words.fit_sentence(result)}",
-        words.mode_sentence(result),
+        f"{words.mode_sentence(result)} {words.prior_sentence(result)}",
         indented(ranking(result)),
         words.set_sentence(result),
     ]

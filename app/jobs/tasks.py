@@ -38,6 +38,8 @@ class Question:
         auto, trusted or robust.
     mapping : Mapping
         Column to sensor.
+    prior : Mapping
+        Numbers of :class:`~catalogue.matching.prior.Prior`.
     baseline : tuple, optional
         Path, name and what is told of a recording of the machine in order.
     """
@@ -48,6 +50,7 @@ class Question:
     effort: Effort
     mode: ModeAsked
     mapping: Mapping[str, str]
+    prior: Mapping[str, Any]
     baseline: tuple[str, str, Told] | None = None
 
 
@@ -101,6 +104,7 @@ def summarise_and_diagnose(path: str, name: str, told: Told, question: Question)
 def diagnosed(measurement: Measurement | MeasuredSpectrum, question: Question) -> dict[str, Any]:
     """Diagnose what was read and return the contract's members as JSON values."""
     from catalogue.diagnosing.diagnosis import diagnose as ranked
+    from catalogue.matching.prior import Prior
 
     result = ranked(
         measurement,
@@ -109,6 +113,7 @@ def diagnosed(measurement: Measurement | MeasuredSpectrum, question: Question) -
         effort=question.effort,
         mode=question.mode,
         mapping=question.mapping or None,
+        prior=Prior(**question.prior),
         baseline=None if question.baseline is None else in_order(*question.baseline),
     )
     document: dict[str, Any] = result.model_dump(mode="json")

@@ -111,6 +111,7 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         likelihood=(
             words.set_sentence(result),
             f"{words.capital(words.fit_sentence(result))}. {words.mode_sentence(result)}",
+            words.prior_sentence(result),
         ),
         severity=(*sizes(result), NO_ZONE),
         joints=tuple(joint_row(row) for row in words.joint_rows(result)),

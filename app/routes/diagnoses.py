@@ -32,7 +32,7 @@ from app.storage.uploads import MULTIPART, Form, media_type, received_form
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
 JSON_TYPE = "application/json"
-FIELDS = TOLD | {"measurement", "catalogue", "speed", "effort", "mode", "mapping", "asset"}
+FIELDS = TOLD | {"measurement", "catalogue", "speed", "effort", "mode", "mapping", "prior", "asset"}
 TEXT = {"type": "string"}
 FORM = {
     "type": "object",
@@ -48,6 +48,7 @@ FORM = {
         "mode": TEXT,
         "asset": ASSET,
         "mapping": {"type": "string", "description": "A JSON object: measurement column to sensor."},
+        "prior": {"type": "string", "description": "A JSON object, as in the other form of the body."},
     },
 }
 
@@ -122,8 +123,9 @@ def of_form(form: Form) -> tuple[DiagnosisRequest, Told]:
     """Return what a form asks for, with the id that its file has when it is stored, and what is told of the file."""
     members: dict[str, Any] = {name: value for name, value in form.fields.items() if name not in TOLD}
     told = told_of(form.fields)
-    if "mapping" in members:
-        members["mapping"] = parsed(members["mapping"], "mapping")
+    for name in ("mapping", "prior"):
+        if name in members:
+            members[name] = parsed(members[name], name)
     if form.file is None:
         named = sorted(TOLD & form.fields.keys())
         if named:

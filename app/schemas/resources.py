@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
+from catalogue.matching.prior import LARGEST, Prior
+
 Effort = Literal["fast", "standard", "thorough"]
 Mode = Literal["auto", "trusted", "robust"]
 
@@ -146,6 +148,28 @@ class MeasurementPage(Page):
     items: list[MeasurementOut]
 
 
+class PriorAsked(Shape):
+    """What is held likely before a measurement; of a machine in order the weight is 1."""
+
+    another: Annotated[
+        StrictFloat,
+        Field(
+            default=Prior().another,
+            ge=1.0 / LARGEST,
+            le=LARGEST,
+            description="What every worn joint beyond the first multiplies the weight of a hypothesis by.",
+        ),
+    ]
+    joints: Annotated[
+        dict[str, Annotated[StrictFloat, Field(ge=1.0 / LARGEST, le=LARGEST)]],
+        Field(
+            default={},
+            max_length=64,
+            description="What a worn joint multiplies the weight of a hypothesis by; 1 for those that are not named.",
+        ),
+    ]
+
+
 class DiagnosisRequest(Shape):
     """What to compare, and how."""
 
@@ -173,6 +197,7 @@ class DiagnosisRequest(Shape):
             " one with an empty sensor is left out.",
         ),
     ]
+    prior: Annotated[PriorAsked, Field(default=PriorAsked(), description="What is held likely beforehand.")]
     asset: Annotated[
         str | None,
         Field(default=None, max_length=128, description="External id of the machine that was measured."),

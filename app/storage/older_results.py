@@ -1,4 +1,4 @@
-"""Answers stored by versions before 2.0 of the interface, in the form that answers have now."""
+"""Answers stored by versions before 2.1 of the interface, in the form that answers have now."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from typing import Any
 
 from solver.machines.joints import TurningJoint
 from solver.machines.machine import parse_machine
+
+PRIOR = {"another": 0.15, "joints": {}}
+"""What answers before 2.1 held likely before a measurement."""
 
 VERDICTS = {"fault": "worn", "healthy": "in_order"}
 """Verdicts of then by what they are called now."""
@@ -30,8 +33,11 @@ def in_present_form(result: Mapping[str, Any], machine: Mapping[str, Any]) -> di
     machine : Mapping
         File of the machine that was diagnosed.
     """
-    if "joints" in result or "joint_probabilities" not in result:
+    if "joint_probabilities" not in result:
         return dict(result)
+    result = {"prior": PRIOR, **result}
+    if "joints" in result:
+        return result
     verdict = VERDICTS.get(result["verdict"], result["verdict"])
     joints = worn_joints(result, machine) if verdict == "worn" else {}
     return {**result, "verdict": verdict, "joints": joints, "causes": [], "sensors": []}

@@ -19,6 +19,7 @@ from catalogue.diagnosing.answer import (
     Hypothesis,
     JointState,
     ModeUsed,
+    PriorUsed,
     Provenance,
     SensorFlaw,
     SuggestionShown,
@@ -46,6 +47,7 @@ class DiagnosisOut(BaseModel):
     effort: Effort = Field(description="How much was computed.")
     effort_spent: EffortSpent = Field(description="What was simulated for this answer alone.")
     mode: ModeUsed = Field(description="How far the model of the machine was believed.")
+    prior: PriorUsed = Field(description="What was held likely before the measurement.")
     verdict: Verdict = Field(description=VERDICT)
     joints: Mapping[str, JointState] = Field(
         description="Every joint by itself; of answers from before 2.0 those alone that were found worn."

@@ -186,6 +186,21 @@ class ModeUsed(_Frozen):
     trusted_p_value: float | None
 
 
+class PriorUsed(_Frozen):
+    """What was held likely before the recording; of a machine in order the weight is 1.
+
+    Attributes
+    ----------
+    another : float
+        What every worn joint beyond the first multiplies the weight of a hypothesis by.
+    joints : mapping of str to float
+        What a worn joint multiplies it by; 1 for those that are not named.
+    """
+
+    another: float
+    joints: Mapping[str, float]
+
+
 class EffortSpent(_Frozen):
     """What was computed for this answer alone, besides comparing with the catalogue.
 
@@ -307,6 +322,7 @@ class Diagnosis(_Frozen):
         As asked.
     effort_spent : EffortSpent
     mode : ModeUsed
+    prior : PriorUsed
     verdict : {"worn", "in_order", "changed", "unknown"}
         Changed is a machine that is not as its file says, and not by play.
     joints : mapping of str to JointState
@@ -344,6 +360,7 @@ class Diagnosis(_Frozen):
     effort: Effort
     effort_spent: EffortSpent
     mode: ModeUsed
+    prior: PriorUsed
     verdict: Verdict
     joints: Mapping[str, JointState]
     hypotheses: tuple[Hypothesis, ...]

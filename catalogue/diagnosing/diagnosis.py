@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import get_args
 
@@ -20,6 +20,7 @@ from catalogue.diagnosing.answer import (
     MatcherIdentity,
     ModeAsked,
     ModeUsed,
+    PriorUsed,
     Provenance,
     SensorFlaw,
 )
@@ -45,6 +46,7 @@ from catalogue.matching.libraries import library_of
 from catalogue.matching.matcher import FloatArray, Matcher, MatchResult
 from catalogue.matching.model_library import ModelLibrary
 from catalogue.matching.observation import Sensing
+from catalogue.matching.prior import Prior
 from catalogue.matching.threads import one_thread
 from catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from catalogue.measurements.measurement import Measurement
@@ -70,8 +72,8 @@ class Question:
     ----------
     effort : {"fast", "standard", "thorough"}
         ``fast`` looks the answer up in a model for about this noise, ``standard`` refits what that leaves open to the
-        noise of the recording, ``thorough`` also simulates anew around the most probable hypotheses where that can
-        change the answer.
+        noise of the recording, and looks for causes other than play where none is needed, too; ``thorough`` also
+        simulates anew around the most probable hypotheses where that can change the answer.
     mode : {"auto", "trusted", "robust"}
         Whether the machine is taken to be as simulated, or to differ from it in whatever the catalogue varies;
         ``auto`` trusts the model unless it does not explain the recording.
@@ -79,6 +81,8 @@ class Question:
         Probability the candidate set is to hold, in (0, 1).
     cases : int
         Cases that ``thorough`` may simulate, > 0.
+    prior : Prior
+        Which joints are likely to wear, and how many at once.
 
     Raises
     ------
@@ -90,6 +94,7 @@ class Question:
     mode: ModeAsked = "auto"
     coverage: float = 0.95
     cases: int = 240
+    prior: Prior = field(default_factory=Prior)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.coverage < 1.0:
@@ -112,6 +117,7 @@ def diagnose(
     mapping: Mapping[str, str] | None = None,
     coverage: float = 0.95,
     cases: int = 240,
+    prior: Prior | None = None,
     baseline: Measurement | None = None,
     matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
@@ -126,7 +132,7 @@ def diagnose(
         Of the same machine.
     speed : float, optional
         Drive speed, rad/s; estimated from the recording where it is not given.
-    effort, mode, coverage, cases
+    effort, mode, coverage, cases, prior
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
@@ -148,7 +154,7 @@ def diagnose(
     DiagnosisError
         A setting breaks a rule, or the catalogue holds too little.
     """
-    question = Question(effort, mode, coverage, cases)
+    question = Question(effort, mode, coverage, cases, prior or Prior())
     prepared = prepare(measurement, catalogue.machine, mapping, speed, catalogue.scheme)
     known = None
     if baseline is not None:
@@ -207,6 +213,7 @@ def answer(
     DiagnosisError
         The catalogue holds too little.
     """
+    question.prior.check(catalogue.matrix.joints)
     library = library or library_of(catalogue)
     weights = None
     if known:
@@ -219,7 +226,7 @@ def answer(
     )
     sensing, feature, result = look(prepared, weights)
     causes: tuple[NamedCause, ...] = ()
-    if needs_cause(result) and not prepared.flaws:
+    if not prepared.flaws and (question.effort != "fast" or needs_cause(result)):
         with one_thread():
             causes = find_causes(prepared, catalogue, result)
     p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
@@ -276,6 +283,7 @@ def answer(
         matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,
     )
+    prior = PriorUsed(another=question.prior.another, joints=dict(sorted(question.prior.joints.items())))
     asked = [question.effort, question.mode, question.coverage, *([question.cases] * (question.effort == "thorough"))]
     content = {
         "id": _digest(
@@ -284,6 +292,7 @@ def answer(
                 prepared.drive_speed,
                 dict(mapping or {}),
                 asked,
+                prior.model_dump(mode="json"),
                 # What a sender has said of the file: units, sensitivities, a full scale.
                 list(prepared.notes),
                 known and [known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
@@ -295,6 +304,7 @@ def answer(
         "effort": question.effort,
         "effort_spent": spent,
         "mode": ModeUsed(asked=question.mode, used=result.mode, trusted_p_value=result.trusted_p_value),
+        "prior": prior,
         "verdict": verdict,
         "joints": joints,
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
@@ -344,7 +354,7 @@ def _match(
         without=without,
         most=most,
     )
-    return sensing, feature, result
+    return sensing, feature, question.prior.applied(result)
 
 
 def _digest(content: object) -> str:

@@ -13,11 +13,9 @@ import numpy as np
 from catalogue.errors import DiagnosisError
 from catalogue.matching.matcher import BoolArray, Draws, FloatArray, IntArray, Mode, TrainingSet
 from catalogue.matching.observation import Discrepancy, Sensing, observe
+from catalogue.matching.prior import Prior
 from catalogue.matching.spectra import Spectra
 from catalogue.matching.transfer import RandomTransfer
-
-PRIOR_OF_ANOTHER_JOINT = 0.15
-"""How much less likely a hypothesis becomes with every joint beyond the first: joints rarely wear out together."""
 
 WIDE_SHARE = 2.0 / 3.0
 """Part of the draws of the robust mode that come from machines whose own data are uncertain, where there are such."""
@@ -70,11 +68,6 @@ class Learning:
             return cls(mode, without=without, most=seen, reach=reach)
         robust = replace(Discrepancy(), level_db=2.0, rigid_level_db=1.0, transfer=RandomTransfer())
         return cls(mode, robust, rows=800, without=without, most=seen, reach=reach)
-
-
-def prior(joints: tuple[str, ...]) -> float:
-    """Return the weight of a hypothesis before the measurement; singles and healthy have 1."""
-    return PRIOR_OF_ANOTHER_JOINT ** max(0, len(joints) - 1)
 
 
 def rows_of(matrix: Spectra, label: str, learning: Learning, speed: float | None = None) -> IntArray:
@@ -137,9 +130,8 @@ def training_set(
         features, entry = observe(matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz)
         weight = None if weights is None else weights[known.label][entry]
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
-        sets.append(
-            Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior(known.joints), weight)
-        )
+        prior = Prior().weight(known.joints)
+        sets.append(Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))
     return TrainingSet(tuple(sets), watched)
 
 

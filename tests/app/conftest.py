@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 from filelock import FileLock
+from http_answers import send
 from playwright.sync_api import Browser
 from real_browser import running
 from recordings import unpacked
@@ -86,3 +88,12 @@ def listener() -> Iterator[Listener]:
     """A server that webhooks can lead to."""
     with listening() as found:
         yield found
+
+
+@pytest.fixture(scope="module")
+def measurement(client: httpx.Client, worn: bytes) -> dict[str, Any]:
+    """A recording of a worn machine, stored."""
+    response = send(client, worn, "worn.csv")
+    assert response.status_code == 201, response.text
+    document: dict[str, Any] = response.json()
+    return document

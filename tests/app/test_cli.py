@@ -289,7 +289,7 @@ def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
         shown = list(itertools.takewhile(lambda line: not line.startswith("building: 0 of "), process.stderr))
         process.send_signal(signal.SIGINT)
         assert process.wait(300) == 130
-        assert re.fullmatch(r"plan thorough, [0-9a-f]{12}: 32768 cases \(16384 trusted, 16384 wide\)\n", shown[0])
+        assert re.fullmatch(r"plan thorough, [0-9a-f]{12}: 48128 cases \(24064 trusted, 24064 wide\)\n", shown[0])
         assert "hypotheses: healthy, 5 of a single, 10 of a pair, 10 of a triple\n" in shown
         assert process.stderr.read().splitlines()[-1] == "jointplay: interrupted"
 

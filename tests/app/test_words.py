@@ -174,6 +174,15 @@ def test_why_a_model_is_not_believed() -> None:
     assert words.mode_sentence(asked) == "The machine is taken to differ from its model (robust)."
 
 
+def test_what_was_held_likely() -> None:
+    assert words.prior_sentence({"prior": {"another": 0.4, "joints": {}}}) == (
+        "Before the recording, every worn joint beyond the first counts 0.4."
+    )
+    assert words.prior_sentence({"prior": {"another": 1.0, "joints": {"A": 3.0, "B": 0.5}}}) == (
+        "Before the recording, every worn joint beyond the first counts 1; A 3 times as likely; B 0.5 times as likely."
+    )
+
+
 def test_a_widened_set_promises_nothing() -> None:
     found = {**result("worn", hypothesis("F", 0.6, F=20)), "candidate_set": ["F"]}
     assert words.set_sentence(found) == "Candidates, which hold the true cause in 95 % of cases: F."

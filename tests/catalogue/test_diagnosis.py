@@ -103,7 +103,7 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
     documented = {
         "id", "machine", "catalogue", "drive_speed_rpm", "effort", "verdict", "hypotheses", "joint_probabilities",
         "candidate_set", "coverage", "widened", "goodness_of_fit", "evidence", "warnings", "joints", "causes",
-        "sensors",
+        "sensors", "prior",
     }  # fmt: skip
     assert set(content) == documented | {"mode", "effort_spent", "baseline", "suggestions", "provenance", "hash"}
     first = content["hypotheses"][0]
