@@ -68,14 +68,16 @@ def _plays(catalogue: Catalogue, joint: str) -> FloatArray:
 
 
 def _span(catalogue: Catalogue, joint: str) -> tuple[float, float] | None:
-    """Least and greatest clearance [m] that the catalogue has of a worn joint: where it alone is, or else with others.
+    """Least and greatest clearance [m] of a worn joint that is told: where it alone is, or else with others.
 
-    None where the clearances of its entries are not known.
+    The catalogue's cases go beyond the greatest. None where the clearances of its entries are not known.
     """
     spans = catalogue.matrix.ranges.clearance
     labels = [known.label for known in catalogue.matrix.hypotheses if joint in known.joints and known.label in spans]
     found = [spans[joint]] if joint in labels else [spans[label] for label in labels]
-    return (min(low for low, _ in found), max(high for _, high in found)) if found else None
+    if not found:
+        return None
+    return min(low for low, _ in found), min(max(high for _, high in found), catalogue.plan.clearance.high)
 
 
 def _bound(posterior: JointPosterior, catalogue: Catalogue) -> Bound:

@@ -66,7 +66,7 @@ class Learning:
         seen, reach = (cls.most, cls.reach) if most is None else (most, most)
         if mode == "trusted":
             return cls(mode, without=without, most=seen, reach=reach)
-        robust = replace(Discrepancy(), level_db=2.0, rigid_level_db=1.0, transfer=RandomTransfer())
+        robust = replace(Discrepancy(), gain=0.06, level_db=2.0, rigid_level_db=1.0, transfer=RandomTransfer())
         return cls(mode, robust, rows=800, without=without, most=seen, reach=reach)
 
 

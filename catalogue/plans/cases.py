@@ -12,7 +12,7 @@ from catalogue.errors import PlanError
 from catalogue.plans.draws import Distribution, log_uniform, unit_draws
 from catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
 from catalogue.plans.keys import seed_from
-from catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, ripple_order
+from catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, load_order, ripple_order
 from catalogue.plans.variants import LawChoice, Variant, output_load
 from solver.machines.joints import TurningJoint
 from solver.machines.machine import Machine
@@ -162,12 +162,13 @@ class _Drawing:
             return self.plan.fits.quantile(u, part, is_silent=is_silent)
         bounds = self.plan.clearance
         low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(part)[1])
-        return log_uniform(low, max(min(bounds.high, travel(self.machine, joint)), 2.0 * low), u)
+        return log_uniform(low, max(min(bounds.beyond * bounds.high, travel(self.machine, joint)), 2.0 * low), u)
 
     def _variant(self, spread: Mapping[str, Distribution], law: LawChoice) -> Variant:
         orders = {order for order in map(ripple_order, spread) if order is not None}
-        load = output_load(self.machine) if LOAD in spread else None
-        return Variant(law, tuple(sorted(orders)), load.link if load else "")
+        waves = {order for order in map(load_order, spread) if order is not None}
+        load = output_load(self.machine) if LOAD in spread or waves else None
+        return Variant(law, tuple(sorted(orders)), load.link if load else "", tuple(sorted(waves)) if load else ())
 
     def _scatter(self, variant: Variant, spread: Mapping[str, Distribution], laws: Iterable[LawChoice]) -> Scatter:
         """What is drawn for a variant; numbers that only contacts of another law have are left out, others refused."""

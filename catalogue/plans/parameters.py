@@ -18,7 +18,16 @@ from solver.machines.fields import nearest
 from solver.machines.joints import TurningJoint
 from solver.machines.machine import Machine
 
-__all__ = ["LOAD", "SHARED", "MachineNumbers", "Scatter", "check_drawable", "nominal_drive_speed", "ripple_order"]
+__all__ = [
+    "LOAD",
+    "SHARED",
+    "MachineNumbers",
+    "Scatter",
+    "check_drawable",
+    "load_order",
+    "nominal_drive_speed",
+    "ripple_order",
+]
 
 SHARED = SHORTHANDS
 """Short paths that stand for a number of every turning joint; each joint draws its own."""
@@ -31,6 +40,8 @@ _USUAL = re.compile(r"drive\.speed|supports\.\d+\.(stiffness|damping)(\.[01])?|j
 """Numbers that every machine's equations hold."""
 
 _RIPPLE = re.compile(r"ripple\.([1-9][0-9]{0,2})\.(sin|cos)")
+_LOAD_ORDER = re.compile(r"load\.([1-9][0-9]{0,2})\.(sin|cos)")
+_ONE_MOUNT = re.compile(r"supports\.\d+\.(stiffness|damping)")
 _SUPPORTS = {
     f"supports.{name}{'.' + axis if axis else ''}": re.compile(rf"supports\.\d+\.{name}{ending}")
     for name in ("stiffness", "damping")
@@ -61,6 +72,12 @@ def ripple_order(path: str) -> int | None:
     return int(match[1]) if match else None
 
 
+def load_order(path: str) -> int | None:
+    """The order of a short path ``load.2.sin``; None for any other path."""
+    match = _LOAD_ORDER.fullmatch(path)
+    return int(match[1]) if match else None
+
+
 @dataclass(frozen=True)
 class Target:
     """One number that a path of a plan stands for: its path in the machine file, its value there, its share."""
@@ -75,8 +92,9 @@ class MachineNumbers:
 
     ``contact.friction`` and its like mean all turning joints that have such a number; ``frame.mass``, ``frame.inertia``
     the frame; ``supports.stiffness.x`` (``y``; without either, of springs) and ``supports.damping.x`` all supports by
-    one factor; ``load`` the process load, ``ripple.1.sin`` and ``ripple.1.cos`` a term of the drive's ripple, where the
-    variant of the machine has them.
+    one factor, ``supports.0.stiffness`` both directions of a mount; ``load`` the process load, ``load.1.sin`` and
+    ``load.1.cos`` a term of it over the drive's angle, ``ripple.1.sin`` and ``ripple.1.cos`` a term of the drive's
+    ripple, where the variant of the machine has them.
 
     Parameters
     ----------
@@ -121,8 +139,10 @@ class MachineNumbers:
         elif order is not None and isinstance(self._machine.drive, RotationDrive):
             terms = [i for i, term in enumerate(self._machine.drive.ripple) if term.order == order]
             listed = [(f"drive.ripple.{terms[-1 - path.endswith('sin')]}.amplitude", 1.0)] if len(terms) > 1 else []
-        elif path == LOAD and self._machine.loads:
-            listed = self._load()
+        elif _ONE_MOUNT.fullmatch(path) and path not in self.by_path:
+            listed = [(f"{path}.{k}", 1.0) for k in range(2)]
+        elif path == LOAD or load_order(path) is not None:
+            listed = self._load(load_order(path), is_sine=path.endswith("sin"))
         else:
             listed = []
         return [(full, share) for full, share in listed if full in self.by_path]
@@ -131,10 +151,13 @@ class MachineNumbers:
         found = self._machine.joints[joint]
         return isinstance(found, TurningJoint) and found.contact.has(path.rpartition(".")[2])
 
-    def _load(self) -> list[tuple[str, float]]:
-        load, path = output_load(self._machine), f"loads.{len(self._machine.loads) - 1}"
-        if load is None:
+    def _load(self, order: int | None, *, is_sine: bool) -> list[tuple[str, float]]:
+        load = output_load(self._machine)
+        # The last ones: a variant's stand behind the machine's own.
+        places = [i for i, each in enumerate(self._machine.loads) if each.order == order]
+        if load is None or len(places) < (1 if order is None else 2):
             return []
+        path = f"loads.{places[-1 - (order is not None and is_sine)]}"
         if load.arm:
             return [(f"{path}.torque", 1.0)]
         return [(f"{path}.force.{k}", share) for k, share in enumerate(load.direction) if share]
@@ -215,7 +238,9 @@ class Scatter:
         parameters: dict[str, float] = {}
         for column, spread, target in self._drawn:
             value = spread.quantile(point[column])
-            parameters[target.path] = value * (target.nominal if spread.is_factor else target.share)
+            # Factors of a number multiply: of all mounts, and of one of them.
+            known = parameters.get(target.path, target.nominal)
+            parameters[target.path] = value * (known if spread.is_factor else target.share)
         if speed != 1.0:
             parameters[DRIVE_SPEED] = parameters.get(DRIVE_SPEED, self._speed) * speed
         return parameters

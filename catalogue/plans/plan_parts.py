@@ -26,13 +26,15 @@ NEXT_TO_NONE = 30.0
 
 
 class ClearanceRange(Part):
-    """Radial clearance of worn joints: log-uniform from ``low`` to ``high`` [m].
+    """Radial clearance of worn joints: log-uniform from ``low`` to ``beyond`` times ``high`` [m].
 
-    It begins later where a joint's fit is wider: wear is what goes beyond it, by a quarter at least.
+    It begins later where a joint's fit is wider: wear is what goes beyond it, by a quarter at least. Answers tell
+    clearances up to ``high``, and "at least" from there on: what is larger has to be known to be told from two joints.
     """
 
     low: Clearance = 2.5e-5
     high: Clearance = 2e-3
+    beyond: Annotated[float, Field(ge=1.0, le=100.0)] = 2.0
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
@@ -54,7 +56,7 @@ class Fits(Part):
     low: Clearance | None = None
     high: Clearance | None = None
     tight: Share = 0.1
-    silent: Share = 0.1
+    silent: Share = 0.25
 
     def bounds(self, joint: TurningJoint) -> tuple[float, float]:
         """Least and greatest play of a joint [m], tight ones aside."""

@@ -21,12 +21,14 @@ DAMPING_SCATTER = 0.4
 #: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
 HYSTERESIS = (0.3, 30.0)
 
-#: Speed ripple of the first two orders, relative.
-RIPPLE = 3e-3
-RIPPLE_ORDERS = (1, 2)
+#: Speed ripple of an order, relative; the low orders of drives that are too weak, 6 and 12 of motors with three phases.
+RIPPLE = 6e-3
+RIPPLE_ORDERS = (1, 2, 3, 4, 6, 12)
 
-#: Largest process load, as a multiple of the weight of the moving links.
+#: Largest process load, as a multiple of the weight of the moving links, and orders of what comes and goes with a turn:
+#: a force on one of two strokes has most of its work in the first, and little in the second.
 LOAD_WEIGHTS = 2.5
+LOAD_ORDERS = (1, 2, 3)
 #: Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat.
 WEIGHT = 9.81
 
@@ -75,7 +77,8 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
 def default_wide(machine: Machine) -> dict[str, Distribution]:
     """What else is not known of a machine whose data cannot be trusted: frame, supports, load, ripple of the drive.
 
-    Supports have one common factor each for x and y: a single loose mount stays outside of all draws.
+    Supports have one common factor each for x and y, and each mount a smaller one of its own: a single loose mount
+    stays outside of all draws.
 
     Returns
     -------
@@ -89,7 +92,9 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         "supports.damping": Distribution(factor_loguniform=(0.5, 2.0)),
     }
     numbers = MachineNumbers(machine).by_path
+    own = {"stiffness": Distribution(factor_uniform=(0.85, 1.15)), "damping": Distribution(factor_uniform=(0.8, 1.25))}
     kinds = {type(support) for support in machine.supports}
+    mounts = [place for place, support in enumerate(machine.supports) if isinstance(support, Mount)]
     found = {
         f"frame.{name}": factors[f"frame.{name}"]
         for name in ("mass", "inertia")
@@ -98,6 +103,7 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
     for name, single in (("stiffness", Spring), ("damping", Damper)):
         if Mount in kinds:
             found |= {f"supports.{name}.{axis}": factors[f"supports.{name}"] for axis in "xy"}
+            found |= {f"supports.{place}.{name}": own[name] for place in mounts}
         if single in kinds:
             found[f"supports.{name}"] = factors[f"supports.{name}"]
     load = output_load(machine)
@@ -105,6 +111,9 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
         largest = float(f"{LOAD_WEIGHTS * WEIGHT * moving * (load.arm or 1.0):.3g}")
         found["load"] = Distribution(uniform=(-largest, largest))
+        for order in LOAD_ORDERS:
+            spread = Distribution(uniform=(-0.5 * largest / order, 0.5 * largest / order))
+            found |= {f"load.{order}.sin": spread, f"load.{order}.cos": spread}
     for order in RIPPLE_ORDERS:
         spread = Distribution(uniform=(-RIPPLE / order, RIPPLE / order))
         found |= {f"ripple.{order}.sin": spread, f"ripple.{order}.cos": spread}

@@ -28,6 +28,10 @@ DAMPING_RATIO = 0.1
 """Damping ratio of a linear contact that stands for another one, at the lighter link's mass."""
 
 
+_PHASES = (0.0, math.pi / 2)
+"""Of the sine and the cosine of an order."""
+
+
 @dataclass(frozen=True)
 class Variant:
     """How the machine of a case differs in kind from the machine file.
@@ -41,18 +45,22 @@ class Variant:
         any amplitude and phase.
     load : str
         Link that carries an additional load of size 0, see :func:`output_load`; empty for none.
+    load_orders : tuple of int
+        Orders of further such loads, each a sine and a cosine over the angle of the drive.
     """
 
     law: LawChoice = "own"
     ripple: tuple[int, ...] = ()
     load: str = ""
+    load_orders: tuple[int, ...] = ()
 
     @property
     def content(self) -> dict[str, Any]:
         """What differs from the machine file, as plain data; empty if nothing does. :meth:`from_content` reads it."""
         law = {} if self.law == "own" else {"law": self.law}
         ripple = {"ripple": list(self.ripple)} if self.ripple else {}
-        return {**law, **ripple, **({"load": self.load} if self.load else {})}
+        orders = {"load_orders": list(self.load_orders)} if self.load_orders else {}
+        return {**law, **ripple, **({"load": self.load} if self.load else {}), **orders}
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Self:
@@ -65,7 +73,8 @@ class Variant:
         ValueError
             A law that is not known.
         """
-        variant = cls(**{**content, "ripple": tuple(map(int, content.get("ripple", ())))})
+        listed = {name: tuple(map(int, content.get(name, ()))) for name in ("ripple", "load_orders")}
+        variant = cls(**{**content, **listed})
         if variant.law not in get_args(LawChoice):
             raise ValueError(f"law {variant.law!r} is not known")
         return variant
@@ -133,11 +142,12 @@ def _machine(base: Machine, variant: Variant) -> Machine:
             for name, joint in base.joints.items()
         }
     if variant.ripple and isinstance(base.drive, RotationDrive):
-        terms = [Ripple(order=o, amplitude=0.0, phase=p) for o in variant.ripple for p in (0.0, math.pi / 2)]
+        terms = [Ripple(order=o, amplitude=0.0, phase=p) for o in variant.ripple for p in _PHASES]
         changes["drive"] = base.drive.model_copy(update={"ripple": (*base.drive.ripple, *terms)})
     load = output_load(base) if variant.load else None
     if load is not None:
-        changes["loads"] = (*base.loads, Load(link=variant.load, at=load.at))
+        waves = [Load(link=variant.load, at=load.at, order=o, phase=p) for o in variant.load_orders for p in _PHASES]
+        changes["loads"] = (*base.loads, Load(link=variant.load, at=load.at), *waves)
     return base.model_copy(update=changes) if changes else base
 
 

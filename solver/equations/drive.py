@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from solver.equations.harmonics import WHOLE, Harmonics
 from solver.equations.numbers import Number, Numbers
 from solver.equations.tables import linear, linear_integral
 from solver.errors import SettingsError
-from solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive, TranslationDrive
+from solver.machines.drives import ForceDrive, Ripple, RotationDrive, TorqueDrive, TranslationDrive
 from solver.machines.machine import Machine
 
-#: Orders that are this far from a whole number count as one.
-_WHOLE = 1e-6
 #: Samples of a travel in one period of its fastest harmonic, 0.05 % of an amplitude; and of all periods of a long run.
 _TRAVEL_SAMPLES = 100
 _MOST_TRAVEL_SAMPLES = 1_000_000
@@ -95,13 +94,13 @@ def repeating_frequency(machine: Machine, drive_speed: float) -> float:
         raise SettingsError(f"{machine.name}: drive: {kind}: must turn at a constant speed for spectra in orders")
     frequency = abs(drive_speed) / (2 * math.pi)
     if isinstance(drive, TranslationDrive):
-        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - _WHOLE]
+        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - WHOLE]
         if odd or drive.speed:
             rule = "must repeat with the lowest of its frequencies for spectra in orders"
             raise SettingsError(f"{machine.name}: drive: {rule}")
     if isinstance(drive, RotationDrive):
         for i, ripple in enumerate(drive.ripple):
-            if ripple.amplitude and abs(ripple.order - round(ripple.order)) > _WHOLE:
+            if ripple.amplitude and abs(ripple.order - round(ripple.order)) > WHOLE:
                 rule = "must be a whole number for spectra in orders: the drive does not repeat with its revolution"
                 raise SettingsError(f"{machine.name}: drive.ripple.{i}.order: {ripple.order:g}: {rule}")
     for i, load in enumerate(machine.loads):
@@ -124,16 +123,30 @@ def prescribed_motion(machine: Machine, number: Callable[[str, float], Number], 
         base = number("drive.speed", drive.speed) * t
     value = ca.SX(base)
     if isinstance(drive, RotationDrive):
-        for i, ripple in enumerate(drive.ripple):
-            amplitude = number(f"drive.ripple.{i}.amplitude", ripple.amplitude)
-            value += amplitude * (ca.sin(ripple.order * base + ripple.phase) - ca.sin(ripple.phase))
-    else:
-        for i, harmonic in enumerate(drive.harmonics):
-            amplitude = number(f"drive.harmonics.{i}.amplitude", harmonic.amplitude)
-            phase = 2 * ca.pi * harmonic.frequency * t + harmonic.phase
-            value += amplitude * (ca.sin(phase) - ca.sin(harmonic.phase))
+        return PrescribedMotion(drive.joint, True, *_rippled(value, drive.ripple, number, t))
+    for i, harmonic in enumerate(drive.harmonics):
+        amplitude = number(f"drive.harmonics.{i}.amplitude", harmonic.amplitude)
+        phase = 2 * ca.pi * harmonic.frequency * t + harmonic.phase
+        value += amplitude * (ca.sin(phase) - ca.sin(harmonic.phase))
     rate = ca.jacobian(value, t)
-    return PrescribedMotion(drive.joint, isinstance(drive, RotationDrive), value, rate, ca.jacobian(rate, t))
+    return PrescribedMotion(drive.joint, False, value, rate, ca.jacobian(rate, t))
+
+
+def _rippled(
+    base: ca.SX, ripples: Sequence[Ripple], number: Callable[[str, float], Number], t: ca.SX
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Angle, rate and acceleration of a drive with ripple; sums of the same sines and cosines."""
+    rate = ca.jacobian(base, t)
+    acceleration = ca.jacobian(rate, t)
+    waves = Harmonics(base)
+    shift, slope, bend = ca.SX(0), ca.SX(0), ca.SX(0)
+    for i, ripple in enumerate(ripples):
+        amplitude = number(f"drive.ripple.{i}.amplitude", ripple.amplitude)
+        sine, cosine = waves.wave(ripple.order, ripple.phase)
+        shift += amplitude * (sine - math.sin(ripple.phase))
+        slope += amplitude * ripple.order * cosine
+        bend -= amplitude * ripple.order**2 * sine
+    return base + shift, rate * (1 + slope), acceleration * (1 + slope) + rate * rate * bend
 
 
 def travel_range(machine: Machine, values: Mapping[str, float], duration: float) -> tuple[float, float]:

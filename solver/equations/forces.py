@@ -13,6 +13,7 @@ import casadi as ca
 from solver.equations import contact_laws
 from solver.equations.contact import ContactForce, ContactNumbers, NormalLaw, impact_pair
 from solver.equations.drive import known_effort
+from solver.equations.harmonics import Harmonics
 from solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
 from solver.equations.poses import Kinematics
 from solver.equations.tables import linear, periodic
@@ -197,6 +198,7 @@ class _MountSums:
 
 def loads(scene: Scene) -> None:
     """External loads: constant, over time, over the drive angle; the point moves with its link, axes are global."""
+    waves: Harmonics | None = None
     for i, load in enumerate(scene.machine.loads):
         path = f"loads.{i}"
         if load.over_time is not None:
@@ -206,6 +208,10 @@ def loads(scene: Scene) -> None:
         else:
             names = (("force.0", load.force[0]), ("force.1", load.force[1]), ("torque", load.torque))
             values = [ca.SX(scene.number(f"{path}.{name}", value)) for name, value in names]
+            if load.order is not None:
+                waves = waves or Harmonics(_drive_angle(scene))
+                sine, _ = waves.wave(load.order, load.phase)
+                values = [value * sine for value in values]
         force = scene.kinematics.terms.to_frame(Complex(values[0], values[1]))
         scene.push(scene.kinematics.poses[load.link].point(load.at), force)
         scene.twist(load.link, values[2])

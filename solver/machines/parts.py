@@ -108,12 +108,17 @@ class Mount(Part):
 
 
 class Load(Part):
-    """Force and torque on a link at a point that moves with it: constant, over time, or over the drive angle."""
+    """Force and torque on a link at a point that moves with it: constant, over time, or over the drive angle.
+
+    With an ``order`` force and torque are amplitudes: of the sine of so many times the drive angle, plus ``phase``.
+    """
 
     link: Name
     at: Point
     force: Force = (0.0, 0.0)
     torque: Torque = 0.0
+    order: Annotated[int, Field(ge=1, le=1000, strict=True)] | None = None
+    phase: Angle = 0.0
     over_time: Annotated[LoadTable, Table((units.TIME, *_LOAD_COLUMNS))] | None = None
     over_angle: Annotated[LoadTable, Table((units.ANGLE, *_LOAD_COLUMNS), period=2 * math.pi)] | None = None
 

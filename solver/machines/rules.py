@@ -138,8 +138,14 @@ def _loads(machine: Machine) -> Iterator[Breach]:
         constant = True if said or any(load.force) or load.torque else None  # a zero beside a table is no load
         choices = {"force or torque": constant, "over_time": load.over_time, "over_angle": load.over_angle}
         yield from _one_of(path, choices)
-        if load.over_angle is not None and not isinstance(machine.drive, (RotationDrive, TorqueDrive)):
-            yield Breach(f"{path}.over_angle", None, "needs a rotation or torque drive: there is no drive angle")
+        if table and load.order is not None:
+            yield Breach(f"{path}.order", load.order, "is of a force or torque, and there is a table")
+        if load.phase and load.order is None:
+            yield Breach(f"{path}.phase", load.phase, "needs an order")
+        if not isinstance(machine.drive, (RotationDrive, TorqueDrive)):
+            for name in ("over_angle", "order"):
+                if getattr(load, name) is not None:
+                    yield Breach(f"{path}.{name}", None, "needs a rotation or torque drive: there is no drive angle")
 
 
 def _sensors(machine: Machine) -> Iterator[Breach]:

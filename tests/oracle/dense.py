@@ -171,6 +171,8 @@ class _System:
                 row = time_row(load.over_time, self.t)
             elif load.over_angle is not None:
                 row = periodic_row(load.over_angle, self.state.drive_motion()[0])
+            elif load.order is not None:
+                row = row * math.sin(load.order * self.state.drive_motion()[0] + load.phase)
             self.force(i, self.state.point(i, load.at), row[:2])
             self.c[3 * i + 2] += row[2]
 

@@ -184,10 +184,13 @@ class _Draft:
         link = self.pick()
         data: dict[str, Any] = {"link": link, "at": self.near(self.links[link]["cg"])}
         rows = self.rng.uniform(-1, 1, (3, 3)) * [200, 200, 10]
-        kinds = ("constant", "over_time", "over_angle") if by_angle else ("constant", "over_time")
+        kinds = ("constant", "over_time", "over_angle", "order") if by_angle else ("constant", "over_time")
         kind = self.choose(kinds)
         if kind == "constant":
             return data | {"force": list(rows[0, :2]), "torque": rows[0, 2]}
+        if kind == "order":
+            waves = {"order": int(self.rng.integers(1, 7)), "phase": float(self.rng.uniform(-3, 3))}
+            return data | {"force": list(rows[0, :2]), "torque": rows[0, 2]} | waves
         start = float(self.rng.uniform(-0.5, 0.5))
         arguments = (0.0, 0.01, 0.02) if kind == "over_time" else (start, start + 0.4, start + 2.0)
         return data | {kind: [[x, *row] for x, row in zip(arguments, rows.tolist(), strict=True)]}

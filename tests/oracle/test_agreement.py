@@ -91,7 +91,8 @@ def features(sketch: Sketch, state: State) -> set[str]:
     for support in machine.supports:
         seen.add(f"{support.kind} to {'link' if support.to_link else 'ground'}")
     for load in machine.loads:
-        seen.add("load " + ("over time" if load.over_time else "over angle" if load.over_angle else "constant"))
+        of_an_order = "of an order" if load.order else "constant"
+        seen.add("load " + ("over time" if load.over_time else "over angle" if load.over_angle else of_an_order))
     drive = machine.drive
     if drive is not None:
         seen.add(drive.kind)
@@ -114,7 +115,7 @@ EXPECTED = {
     "law gonthier": 2, "law lankarani-nikravesh": 2, "spring to ground": 10, "spring to link": 10,
     "damper to ground": 5, "damper to link": 5, "mount to ground": 5, "mount to link": 5, "load constant": 10,
     "load over time": 10,
-    "load over angle": 3, "rotation": 10, "rotation ripple": 5, "rotation ramp": 3, "translation": 5,
+    "load over angle": 3, "load of an order": 2, "rotation": 10, "rotation ripple": 5, "rotation ramp": 3, "translation": 5,
     "translation harmonics": 2, "translation ramp": 2, "torque": 5, "torque curve": 2, "force": 5, "force curve": 2,
     "rotation of a worn joint": 2,
 }  # fmt: skip
