@@ -22,7 +22,7 @@ def test_every_joint_has_play_and_worn_ones_more_than_their_fit() -> None:
         sizes = sizes_of(entry)
         assert sorted(sizes) == sorted(QUICK_RETURN.turning_joints)
         worn = [sizes.pop(joint) for joint in entry.worn]
-        assert all(2.5e-5 <= size <= 2e-3 for size in worn)
+        assert all(2.5e-5 <= size <= 4e-3 for size in worn)
         assert all(3e-6 / NEXT_TO_NONE <= size <= 2e-5 for size in sizes.values())
         assert entry.fault == FaultState(dict(zip(entry.joints, entry.clearances, strict=True)))
 
@@ -45,14 +45,14 @@ def test_fits_fill_their_range_and_one_in_ten_is_tight() -> None:
     assert min(min(entry.clearances) for entry in loose) >= 3e-6
 
 
-def test_one_machine_in_ten_is_silent_but_for_its_worn_joints() -> None:
+def test_one_machine_in_four_is_silent_but_for_its_worn_joints() -> None:
     entries = plan_of(draws=draws(healthy=1024, single=256), fits={"tight": 0}).entries(QUICK_RETURN)
     for worn, count in (((), 1024), (("A",), 256)):
         sizes = [sizes_of(entry) for entry in entries if entry.worn == worn]
         others = np.array([[size for joint, size in each.items() if joint not in worn] for each in sizes])
         tight = others < 3e-6
         assert (tight.all(axis=1) == tight.any(axis=1)).all()
-        assert tight.all(axis=1).mean() == pytest.approx(0.1, abs=2 / count)
+        assert tight.all(axis=1).mean() == pytest.approx(0.25, abs=2 / count)
         assert all(each[joint] >= 2.5e-5 for each in sizes for joint in worn)
 
 

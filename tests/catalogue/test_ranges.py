@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from catalogue.plans.parameters import MachineNumbers
+from catalogue.plans.draws import Distribution
+from catalogue.plans.parameters import MachineNumbers, Scatter
 from catalogue.plans.ranges import default_laws, default_uncertain, default_wide
 from catalogue.plans.variants import Variant, output_load
 from solver.machines.machine import Machine, parse_machine, shipped_machine
@@ -54,8 +55,21 @@ def test_springs_and_dampers_have_one_factor_each() -> None:
     targets = MachineNumbers(machine).targets("supports.stiffness")
     assert [(target.path, target.nominal) for target in targets] == [("supports.0.stiffness", 1e5)]
     assert {path for path in default_wide(SLIDER_CRANK) if path.startswith("supports")} == {
-        f"supports.{name}.{axis}" for name in ("stiffness", "damping") for axis in "xy"
+        *(f"supports.{name}.{axis}" for name in ("stiffness", "damping") for axis in "xy"),
+        *(f"supports.{mount}.{name}" for name in ("stiffness", "damping") for mount in (0, 1)),
     }
+
+
+def test_factors_of_one_number_multiply() -> None:
+    spread = {
+        "supports.stiffness.x": Distribution(factor_uniform=(2.0, 2.0 + 1e-12)),
+        "supports.1.stiffness": Distribution(factor_uniform=(3.0, 3.0 + 1e-12)),
+    }
+    numbers = MachineNumbers(SLIDER_CRANK)
+    found = Scatter(numbers, spread).parameters([0.5, 0.5], 1.0)
+    factors = {path: value / numbers.by_path[path] for path, value in found.items()}
+    expected = {"supports.0.stiffness.0": 2.0, "supports.1.stiffness.0": 6.0, "supports.1.stiffness.1": 3.0}
+    assert factors == {path: pytest.approx(factor) for path, factor in expected.items()}
 
 
 def test_numbers_of_contacts_follow_the_laws() -> None:
