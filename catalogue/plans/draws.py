@@ -29,6 +29,8 @@ class Distribution(Part):
     ----------
     uniform, loguniform : (float, float), optional
         Bounds of a uniform, or log-uniform (> 0), distribution of the number itself, SI.
+    either_loguniform : (float, float), optional
+        Bounds, > 0, of the log-uniform size of a number of either sign: of what there may be little or much of.
     factor_uniform, factor_loguniform : (float, float), optional
         Bounds, > 0, of a distribution of the factor on the machine's own number.
     lognormal : float, optional
@@ -37,6 +39,7 @@ class Distribution(Part):
 
     uniform: Annotated[tuple[float, float], Vector((Quantity(RATIO),) * 2)] | None = None
     loguniform: _PositiveBounds | None = None
+    either_loguniform: _PositiveBounds | None = None
     factor_uniform: _PositiveBounds | None = None
     factor_loguniform: _PositiveBounds | None = None
     lognormal: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
@@ -54,13 +57,15 @@ class Distribution(Part):
     @property
     def is_factor(self) -> bool:
         """Whether :meth:`quantile` is a factor on the machine's own number, not the number itself."""
-        return self.uniform is None and self.loguniform is None
+        return self.uniform is None and self.loguniform is None and self.either_loguniform is None
 
     def quantile(self, u: float) -> float:
         """Number, or factor, below which the fraction `u` (in [0, 1]) of all draws lies."""
         if self.lognormal is not None:
             deviate = float(ndtri(min(max(u, _CELL / 2), 1.0 - _CELL / 2)))
             return math.exp(self.lognormal * deviate)
+        if self.either_loguniform is not None:
+            return math.copysign(log_uniform(*self.either_loguniform, abs(2.0 * u - 1.0)), u - 0.5)
         logarithmic = self.loguniform or self.factor_loguniform
         if logarithmic is not None:
             return log_uniform(*logarithmic, u)
@@ -73,6 +78,8 @@ class Distribution(Part):
         """In words: ``x 0.97 to 1.03``."""
         if self.lognormal is not None:
             return f"x exp({self.lognormal:g} N(0, 1))"
+        if self.either_loguniform is not None:
+            return "+-{:g} to {:g} (log)".format(*self.either_loguniform)
         bounds = self.uniform or self.loguniform or self.factor_uniform or self.factor_loguniform
         assert bounds is not None
         scale = " (log)" if self.loguniform or self.factor_loguniform else ""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from catalogue.plans.draws import Distribution
 from catalogue.plans.parameters import MachineNumbers
 from catalogue.plans.variants import LawChoice, output_load
+from solver.machines.drives import RotationDrive
 from solver.machines.joints import TurningJoint
 from solver.machines.machine import Machine
 from solver.machines.parts import Damper, Mount, Spring
@@ -22,13 +24,13 @@ DAMPING_SCATTER = 0.4
 HYSTERESIS = (0.3, 30.0)
 
 #: Speed ripple of an order, relative; the low orders of drives that are too weak, 6 and 12 of motors with three phases.
-RIPPLE = 6e-3
+RIPPLE = (1e-4, 1e-2)
 RIPPLE_ORDERS = (1, 2, 3, 4, 6, 12)
 
-#: Largest process load, as a multiple of the weight of the moving links, and orders of what comes and goes with a turn:
-#: a force on one of two strokes has most of its work in the first, and little in the second.
-LOAD_WEIGHTS = 2.5
-LOAD_ORDERS = (1, 2, 3)
+#: Process load, as a part of the weight and the inertia of the moving links; and orders of what comes and goes with a
+#: turn, each as a part of that: a force on one of two strokes is 1/2, 0.64, 0 and 0.21 of itself in orders 0 to 3.
+LOAD = (0.01, 1.0)
+LOAD_ORDERS = {1: 0.6, 2: 0.3, 3: 0.2}
 #: Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat.
 WEIGHT = 9.81
 
@@ -108,13 +110,28 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
             found[f"supports.{name}"] = factors[f"supports.{name}"]
     load = output_load(machine)
     if load is not None:
-        moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
-        largest = float(f"{LOAD_WEIGHTS * WEIGHT * moving * (load.arm or 1.0):.3g}")
-        found["load"] = Distribution(uniform=(-largest, largest))
-        for order in LOAD_ORDERS:
-            spread = Distribution(uniform=(-0.5 * largest / order, 0.5 * largest / order))
+        scale = _weight_and_inertia(machine) * (load.arm or 1.0)
+        found["load"] = _either(LOAD, scale)
+        for order, share in LOAD_ORDERS.items():
+            spread = _either(LOAD, share * scale)
             found |= {f"load.{order}.sin": spread, f"load.{order}.cos": spread}
     for order in RIPPLE_ORDERS:
-        spread = Distribution(uniform=(-RIPPLE / order, RIPPLE / order))
+        spread = _either(RIPPLE, 1.0 / order)
         found |= {f"ripple.{order}.sin": spread, f"ripple.{order}.cos": spread}
     return found
+
+
+def _either(bounds: tuple[float, float], scale: float) -> Distribution:
+    low, high = (float(f"{scale * bound:.3g}") for bound in bounds)
+    return Distribution(either_loguniform=(low, high))
+
+
+def _weight_and_inertia(machine: Machine) -> float:
+    """Force [N] of the moving links' weight, and of their mass on the way of the driven link's end."""
+    moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
+    drive = machine.drive
+    joint = machine.joints.get(str(getattr(drive, "joint", "")))
+    speed = drive.speed if isinstance(drive, RotationDrive) and isinstance(drive.speed, float) else 0.0
+    driven = [name for name in joint.links if name != machine.frame] if joint else []
+    ends = [math.dist(joint.at, end.at) for end in machine.joints.values() if joint and {*driven} & {*end.links}]
+    return moving * (WEIGHT + max(ends, default=0.0) * speed**2)

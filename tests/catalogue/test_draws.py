@@ -31,6 +31,10 @@ def test_quantiles() -> None:
     assert Distribution(factor_uniform=(0.9, 1.1)).quantile(1.0) == pytest.approx(1.1)
     assert Distribution(loguniform=(1.0, 100.0)).quantile(0.5) == pytest.approx(10.0)
     assert Distribution(factor_loguniform=(0.5, 2.0)).quantile(0.5) == pytest.approx(1.0)
+    either = Distribution(either_loguniform=(0.1, 10.0))
+    assert [either.quantile(u) for u in (0.0, 0.25, 0.75, 1.0)] == pytest.approx([-10.0, -1.0, 1.0, 10.0])
+    assert not either.is_factor
+    assert str(either) == "+-0.1 to 10 (log)"
     assert [Distribution(loguniform=(1, 9)).is_factor, Distribution(factor_loguniform=(1, 9)).is_factor] == [
         False,
         True,

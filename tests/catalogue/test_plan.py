@@ -149,7 +149,8 @@ def test_numbers_of_one_draw_are_not_tied_to_each_other() -> None:
         own = [[value for path, value in e.parameters.items() if not path.startswith("supports")] for e in some]
         table = np.column_stack([np.log([e.clearances for e in some]), own])
         assert table.shape[1] == (26 if stratum == "trusted" else 47)
-        off_diagonal = np.abs(np.corrcoef(table.T) - np.eye(table.shape[1]))
+        ranks = table.argsort(axis=0).argsort(axis=0)
+        off_diagonal = np.abs(np.corrcoef(ranks.T) - np.eye(table.shape[1]))
         # Measured: 0.08 of 325 pairs, 0.19 of 1081; root mean square 0.012, 0.016. Independent draws: 0.15, 0.044.
         assert off_diagonal.max() < (0.15 if stratum == "trusted" else 0.25)
         assert np.sqrt(np.mean(off_diagonal**2)) < 0.03
@@ -222,8 +223,8 @@ def test_wide_draws_vary_the_machine_by_common_factors_and_each_mount_by_one_of_
         assert factors["supports.0.stiffness.0"] != factors["supports.0.stiffness.1"]
         assert 0.7 * 0.85 <= factors["supports.0.stiffness.1"] <= 1.3 * 1.15
         assert 0.5 * 0.8 <= factors["supports.1.damping.1"] <= 2 * 1.25
-        assert abs(numbers["loads.0.force.0"]) <= 2.5 * 9.81 * 4.5
-        assert abs(numbers["loads.1.force.0"]) <= 1.25 * 9.81 * 4.5
+        assert 1.01 <= abs(numbers["loads.0.force.0"]) <= 101
+        assert abs(numbers["loads.1.force.0"]) <= 60.6
         assert {f"drive.ripple.{i}.amplitude" for i in range(12)} < set(numbers)
     assert not {
         path for entry in entries if entry.stratum == "trusted" for path in entry.parameters if "supports" in path
@@ -263,7 +264,7 @@ def test_a_plan_is_shown_in_words() -> None:
     )
     assert lines[4] == "contact laws: own 1, hertz 1"
     assert "drive.speed x 0.97 to 1.03" in lines[5]
-    assert "load -110 to 110" in lines[6]
+    assert "load +-1.01 to 101 (log)" in lines[6]
     assert "drive.speed" not in lines[6]
     assert not any("wide draws" in line for line in plan_lines(preset("quick"), QUICK_RETURN))
 

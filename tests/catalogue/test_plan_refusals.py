@@ -43,7 +43,7 @@ from solver.machines.machine import parse_machine
         (
             "uncertain: {contact.friction: {}}",
             "my.yaml: uncertain.contact.friction: {}: must give exactly one of "
-            "uniform, loguniform, factor_uniform, factor_loguniform, lognormal",
+            "uniform, loguniform, either_loguniform, factor_uniform, factor_loguniform, lognormal",
         ),
         (
             "sample_rate: 5 kHz",

@@ -32,10 +32,11 @@ def test_load_acts_on_what_does_the_work() -> None:
     # A torque is the force times the length of the link.
     bar = shipped_machine("four-bar")
     weight = 9.81 * sum(link.mass or 0.0 for name, link in bar.links.items() if name != bar.frame)
-    bounds = default_wide(bar)["load"].uniform
+    bounds = default_wide(bar)["load"].either_loguniform
     assert bounds is not None
-    assert bounds[1] == pytest.approx(2.5 * weight * rocker.arm, rel=0.005)
-    assert bounds[0] == -bounds[1]
+    inertia = weight / 9.81 * 0.06 * 31.416**2  # the crank's length, and its speed
+    assert bounds[1] == pytest.approx((weight + inertia) * rocker.arm, rel=0.005)
+    assert bounds[0] == pytest.approx(0.01 * bounds[1], rel=0.005)
 
 
 def test_a_machine_without_an_output_link_has_no_load() -> None:

@@ -120,16 +120,23 @@ TORQUE = {"kind": "torque", "joint": "O"}
          "loads.0.over_angle.1.0: must be less than one turn after the first row: the table repeats by itself"),
         ("loads", [{**LOAD, "over_time": [[1, 0, 0, 0], [0, 0, 0, 0]]}],
          "loads.0.over_time.1.0: must be greater than in the row before (1)"),
+        ("loads", [{**LOAD, "order": 2, "over_time": [[0, 0, 0, 0]]}],
+         "loads.0.order: 2: is of a force or torque, and there is a table"),
+        ("loads", [{**LOAD, "torque": 1, "phase": 0.5}], "loads.0.phase: 0.5: needs an order"),
+        ("loads", [{**LOAD, "torque": 1, "order": 1.5}], "loads.0.order: 1.5: must be a valid integer"),
     ],
 )  # fmt: skip
 def test_refusals_name_file_path_value_and_rule(path: str, value: object, line: str) -> None:
     assert refusal(changed(path, value)) == f"m.yaml: {line}"
 
 
-def test_a_load_over_the_angle_needs_a_drive_that_turns() -> None:
-    tree = changed("loads", [{**LOAD, "over_angle": [[0, 1, 1, 1]]}])
+@pytest.mark.parametrize(
+    ("name", "said"), [("over_angle", {"over_angle": [[0, 1, 1, 1]]}), ("order", {"torque": 1, "order": 2})]
+)
+def test_a_load_over_the_angle_needs_a_drive_that_turns(name: str, said: dict[str, object]) -> None:
+    tree = changed("loads", [{**LOAD, **said}])
     del tree["drive"]
-    assert refusal(tree) == "m.yaml: loads.0.over_angle: needs a rotation or torque drive: there is no drive angle"
+    assert refusal(tree) == f"m.yaml: loads.0.{name}: needs a rotation or torque drive: there is no drive angle"
 
 
 def test_a_fixed_link_has_no_velocity() -> None:
