@@ -23,6 +23,7 @@ _RULES = {
     "list_type": "must be a list",
     "tuple_type": "must be a list",
     "bool_type": "must be true or false",
+    "int_type": "must be a whole number",
 }
 
 

@@ -123,7 +123,7 @@ TORQUE = {"kind": "torque", "joint": "O"}
         ("loads", [{**LOAD, "order": 2, "over_time": [[0, 0, 0, 0]]}],
          "loads.0.order: 2: is of a force or torque, and there is a table"),
         ("loads", [{**LOAD, "torque": 1, "phase": 0.5}], "loads.0.phase: 0.5: needs an order"),
-        ("loads", [{**LOAD, "torque": 1, "order": 1.5}], "loads.0.order: 1.5: must be a valid integer"),
+        ("loads", [{**LOAD, "torque": 1, "order": 1.5}], "loads.0.order: 1.5: must be a whole number"),
     ],
 )  # fmt: skip
 def test_refusals_name_file_path_value_and_rule(path: str, value: object, line: str) -> None:
