@@ -15,12 +15,13 @@ from app.schemas.resources import DiagnosisRequest
 from app.service import speed_of
 from app.storage.told import TOLD
 from app.storage.uploads import media_type
+from catalogue.matching.prior import LARGEST
 from catalogue.signals.sensors import matched_by_name
 from solver.machines.machine import Machine
 
 SAID = tuple(sorted(TOLD))
 UPLOAD = ("catalogue", "file", "asset", *SAID)
-CONFIRM = ("measurement", "catalogue", "asset", "speed", "effort", "mode", "mapping")
+CONFIRM = ("measurement", "catalogue", "asset", "speed", "effort", "mode", "prior", "mapping")
 NOT_USED = "-"
 URLENCODED = "application/x-www-form-urlencoded"
 MAX_FIELDS = 200
@@ -62,7 +63,7 @@ def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -
     Raises
     ------
     BadFieldError
-        For a speed that is none, a sensor that two columns are said to be, or no sensor at all.
+        For a speed that is none, a sensor that two columns are said to be, or no sensor at all, weights that are none.
     RequestValidationError
         For a field that breaks a rule of the HTTP interface.
     """
@@ -74,6 +75,8 @@ def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -
         # The page asks for revolutions per minute; whoever writes a unit is believed.
         members["speed"] = f"{speed} rpm" if plain_number(speed) else speed
         speed_of(members["speed"])
+    if given.get("prior"):
+        members["prior"] = {"joints": weights_of(given["prior"], machine)}
     return checked({**members, "mapping": chosen_sensors(given, columns, machine)})
 
 
@@ -96,6 +99,30 @@ def chosen_sensors(given: Mapping[str, str], columns: Sequence[str], machine: Ma
         for column, sensor in chosen.items()
         if sensor != NOT_USED or column in by_name
     }
+
+
+def weights_of(text: str, machine: Machine) -> dict[str, float]:
+    """Return how likely joints are to wear, as "A=3, B=0.5" says it.
+
+    Raises
+    ------
+    BadFieldError
+        For what is no joint of the machine, no number, or said twice.
+    """
+    found: dict[str, float] = {}
+    for part in filter(None, (each.strip() for each in text.split(","))):
+        joint, _, weight = (each.strip() for each in part.partition("="))
+        if joint not in machine.turning_joints:
+            known = ", ".join(sorted(machine.turning_joints))
+            raise BadFieldError(f"prior: {part[:80]}: must be joint=number, the joint one of {known}", field="prior")
+        if joint in found or not plain_number(weight):
+            rule = "is said twice" if joint in found else "must be joint=number, such as A=3"
+            raise BadFieldError(f"prior: {part[:80]}: {rule}", field="prior")
+        found[joint] = float(weight)
+        if not 1.0 / LARGEST <= found[joint] <= LARGEST:
+            rule = f"must be from {1.0 / LARGEST:g} to {LARGEST:g}"
+            raise BadFieldError(f"prior: {part[:80]}: {rule}", field="prior")
+    return found
 
 
 def checked(members: Mapping[str, Any]) -> DiagnosisRequest:

@@ -115,7 +115,7 @@ def test_every_field_has_a_label_and_a_place_for_its_error(client: httpx.Client,
     page = Page(client.get(place if step == "confirm" else step).text)
     assert len(page.ids) == len(set(page.ids))
     shown = [field for field in page.fields if field.get("type") != "hidden" and field["id"] != "other-catalogue"]
-    assert len(shown) == (8 if step == "confirm" else 3 + len(TOLD))
+    assert len(shown) == (9 if step == "confirm" else 3 + len(TOLD))
     for field in shown:
         assert field["id"] in page.labels
         described = str(field["aria-describedby"]).split()
@@ -225,6 +225,10 @@ def test_a_wrong_field_of_the_upload_is_told_beside_it(
         ({f"sensor-{index}": "-" for index in range(4)}, "mapping", "which sensor"),
         ({"effort": "much"}, "effort", "fast"),
         ({"mode": "much"}, "mode", "robust"),
+        ({"prior": "Z=3"}, "prior", "prior: Z=3: must be joint=number, the joint one of A, B, O"),
+        ({"prior": "A=much"}, "prior", "prior: A=much: must be joint=number"),
+        ({"prior": "A=2, A=3"}, "prior", "prior: A=3: is said twice"),
+        ({"prior": "A=0"}, "prior", "prior: A=0: must be from 0.001 to 1000"),
     ],
 )
 @pytest.mark.parametrize("htmx", [True, False])
@@ -232,7 +236,13 @@ def test_a_wrong_field_of_the_confirmation_is_told_beside_it(
     client: httpx.Client, place: str, fields: dict[str, str], field: str, text: str, htmx: bool
 ) -> None:
     response = ask(client, place, htmx=htmx, **fields)
-    assert_told(response, field, text, {"measurement", "speed", "effort", "mode", "mapping"})
+    assert_told(response, field, text, {"measurement", "speed", "effort", "mode", "prior", "mapping"})
+
+
+def test_what_is_likely_beforehand_is_asked_and_told(client: httpx.Client, place: str) -> None:
+    key = ask(client, place, prior="A=3, O = 0.5").headers["location"].rpartition("/")[2]
+    assert client.get(f"/api/v1/diagnoses/{key}").json()["prior"]["joints"] == {"A": 3.0, "O": 0.5}
+    assert "A 3 times as likely; O 0.5 times as likely" in client.get(f"/api/v1/diagnoses/{key}/report").text
 
 
 def assert_told(response: httpx.Response, field: str, text: str, fields: set[str]) -> None:
