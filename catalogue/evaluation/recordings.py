@@ -51,7 +51,7 @@ class Recordings:
     folder : Path, optional
         Nothing is kept without one.
     limit : int
-        Bytes kept; a recording of 2.5 s with four sensors has 0.4 MB.
+        Bytes kept; a recording of 8 s with four sensors has 1.3 MB.
     """
 
     folder: Path | None = None
