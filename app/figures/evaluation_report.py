@@ -178,7 +178,9 @@ def details(row: Row) -> list[str]:
         if each.f1 is not None
     ]
     if scores:
-        lines.append(indented(table(("joint", "precision", "recall", "F1", "log-loss"), scores, frozenset({1, 2, 3, 4}))))
+        lines.append(
+            indented(table(("joint", "precision", "recall", "F1", "log-loss"), scores, frozenset({1, 2, 3, 4})))
+        )
     bins = [
         (f"{each.low:.1f} to {each.high:.1f}", str(each.count), percent(each.confidence), percent(each.right))
         for each in found.reliability

@@ -15,10 +15,10 @@ import pytest
 
 from catalogue.diagnosing.answer import Diagnosis
 from catalogue.diagnosing.baseline_levels import OrderLevels
-from catalogue.diagnosing.diagnosis import answered
-from catalogue.diagnosing.separation import _more_sensors
 from catalogue.diagnosing.cause_families import IdealFrame, families_of
+from catalogue.diagnosing.diagnosis import answered
 from catalogue.diagnosing.frame_forces import Revolution
+from catalogue.diagnosing.separation import _more_sensors
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation import sweep
 from catalogue.evaluation.differences import DIFFERENCES, with_differences
