@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from catalogue.evaluation.study import Study
     from catalogue.evaluation.sweep import Sweep
 
-PROTOCOLS = "matched, noisy, hard, model-error, other-cause, healthy, pairs, triples"
+PROTOCOLS = (
+    "matched, noisy, hard, healthy, pairs, triples, small, beyond-range, cyclic-load, and groups model-error, "
+    "other-cause, disturbed, sensor-flaws, drop-outs"
+)
 
 
 @click.command("evaluate")
@@ -26,11 +29,11 @@ PROTOCOLS = "matched, noisy, hard, model-error, other-cause, healthy, pairs, tri
     "--protocol",
     "protocols",
     type=Names(),
-    default="noisy",
+    default="hard",
     show_default=True,
     metavar="NAME,...",
-    help=f"Kinds of recordings: {PROTOCOLS}; one error or cause as model-error-a ... model-error-all, "
-    "other-cause-half-mount ...",
+    help=f"Kinds of recordings: {PROTOCOLS}; one of a group as model-error-a, other-cause-half-mount, "
+    "disturbed-shocks, sensor-flaw-dead, drop-out-short ...",
 )
 @click.option(
     "--noise",

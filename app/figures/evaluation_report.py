@@ -21,6 +21,12 @@ def report(found: Study | Sweep) -> str:
         "",
         "how much, how sure, at what cost:",
         indented(certainty_table(found.rows)),
+        "",
+        "every joint by itself:",
+        indented(joints_table(found.rows)),
+        "",
+        "what else is said:",
+        indented(other_table(found.rows)),
     ]
     foreign = [row for row in found.rows if row.protocol.foreign]
     if foreign:
@@ -87,6 +93,54 @@ def certainty_table(rows: Sequence[Row]) -> str:
     return table(head, cells, frozenset(range(len(_SETUP), len(head))))
 
 
+def joints_table(rows: Sequence[Row]) -> str:
+    """Return how true probabilities, clearances and limits of detection of single joints are, row by row."""
+    head = (
+        *_SETUP,
+        "log-loss",
+        "not contradicted",
+        "open",
+        "ranks off by (of)",
+        "coverage off by (of)",
+        "seen from, limit = 1 (of)",
+        '"at least" beyond range',
+    )
+    cells = []
+    for row in rows:
+        found = row.figures.joint_posterior
+        cells.append(
+            (
+                *_setup(row),
+                number(found.log_loss),
+                percent(found.condition_holds),
+                percent(found.condition_open),
+                f"{number(found.ranks.distance)} ({found.ranks.count})",
+                f"{number(found.credibilities.distance)} ({found.credibilities.count})",
+                f"{number(found.limit_ratio, 2)} ({found.limits})",
+                percent(row.figures.at_least),
+            )
+        )
+    return table(head, cells, frozenset(range(len(_SETUP), len(head))))
+
+
+def other_table(rows: Sequence[Row]) -> str:
+    """Return what is said of causes other than play and of sensors, and what got no answer, row by row."""
+    head = (*_SETUP, "cause right", "cause wrong", "sensors right", "sensors wrong", "failed", "refused")
+    cells = [
+        (
+            *_setup(row),
+            percent(row.figures.cause_right),
+            percent(row.figures.cause_wrong),
+            percent(row.figures.sensors_right),
+            percent(row.figures.sensors_wrong),
+            str(row.failed),
+            str(row.refused),
+        )
+        for row in rows
+    ]
+    return table(head, cells, frozenset(range(len(_SETUP), len(head))))
+
+
 def foreign_table(rows: Sequence[Row]) -> str:
     """Return how well p-values tell foreign causes from listed ones, row by row."""
     head = (*_SETUP, "AUROC, deciding p", "AUROC, trusted p", "rejected at 5 % false alarms")
@@ -114,13 +168,19 @@ def details(row: Row) -> list[str]:
             f"  worn joints that never open: {found.hidden} recordings, the same as of machines in order to a tenth of "
             f"their noise; exact joints in the others: {percent(found.exact_of_seen)}"
         )
+    losses = found.joint_posterior.log_losses
     scores = [
-        (each.joint, percent(each.precision), percent(each.recall), number(each.f1))
+        (
+            *(each.joint, percent(each.precision), percent(each.recall), number(each.f1)),
+            number(losses.get(each.joint)),
+        )
         for each in found.joints
         if each.f1 is not None
     ]
     if scores:
-        lines.append(indented(table(("joint", "precision", "recall", "F1"), scores, frozenset({1, 2, 3}))))
+        lines.append(
+            indented(table(("joint", "precision", "recall", "F1", "log-loss"), scores, frozenset({1, 2, 3, 4})))
+        )
     bins = [
         (f"{each.low:.1f} to {each.high:.1f}", str(each.count), percent(each.confidence), percent(each.right))
         for each in found.reliability

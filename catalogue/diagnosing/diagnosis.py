@@ -54,7 +54,7 @@ from catalogue.signals.features import PreparedMeasurement, prepare
 from catalogue.signals.suspension import with_filed_suspension
 from catalogue.storage.store import Catalogue
 
-__all__ = ["Question", "answer", "diagnose"]
+__all__ = ["Question", "answer", "answered", "diagnose"]
 
 
 MOST_CASES = 100_000
@@ -187,7 +187,37 @@ def answer(
     without: tuple[str, ...] = (),
     most: int | None = None,
 ) -> Diagnosis:
-    """Diagnose a recording that has been prepared.
+    """Diagnose a recording that has been prepared: the first of :func:`answered`, with its parameters and errors."""
+    return answered(
+        prepared,
+        sha256,
+        catalogue,
+        question,
+        mapping=mapping,
+        known=known,
+        suggesting=suggesting,
+        matcher=matcher,
+        library=library,
+        without=without,
+        most=most,
+    )[0]
+
+
+def answered(
+    prepared: PreparedMeasurement,
+    sha256: str,
+    catalogue: Catalogue,
+    question: Question,
+    *,
+    mapping: Mapping[str, str] | None = None,
+    known: KnownMachine | None = None,
+    suggesting: bool = False,
+    matcher: Matcher | None = None,
+    library: ModelLibrary | None = None,
+    without: tuple[str, ...] = (),
+    most: int | None = None,
+) -> tuple[Diagnosis, MatchResult]:
+    """Diagnose a recording that has been prepared, and return what the answer was made of, too.
 
     Parameters
     ----------
@@ -207,6 +237,11 @@ def answer(
         Hypotheses that are left out.
     most : int, optional
         Entries of a hypothesis that are learned from, at most.
+
+    Returns
+    -------
+    (Diagnosis, MatchResult)
+        The answer, and the posterior that it shows.
 
     Raises
     ------
@@ -325,7 +360,7 @@ def answer(
         "provenance": provenance,
     }
     unsigned = Diagnosis.model_validate({**content, "hash": ""})
-    return unsigned.model_copy(update={"hash": _digest(unsigned.model_dump(mode="json", exclude={"hash"}))})
+    return unsigned.model_copy(update={"hash": _digest(unsigned.model_dump(mode="json", exclude={"hash"}))}), result
 
 
 def _match(

@@ -12,7 +12,7 @@ from catalogue.matching.matcher import HEALTHY, FloatArray, HypothesisMatch, Mat
 from catalogue.storage.store import Catalogue
 from solver.machines.joints import TurningJoint
 
-__all__ = ["edge_warnings", "joint_states"]
+__all__ = ["edge_warnings", "joint_states", "plays_of_fits"]
 
 EDGE = 0.02
 """Share of the catalogue's clearance range, at either end, which an interval has to reach to be a bound."""
@@ -30,7 +30,7 @@ def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> 
     """
     joints = sorted({joint for match in result.hypotheses for joint in match.joints})
     worn = {found.joint: found.median for found in result.best.clearances}
-    posteriors = joint_posteriors(result, {joint: _plays(catalogue, joint) for joint in joints})
+    posteriors = joint_posteriors(result, {joint: plays_of_fits(catalogue, joint) for joint in joints})
     states = {}
     for joint, posterior in posteriors.items():
         sightings = result.sightings
@@ -54,8 +54,8 @@ def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> 
     return states
 
 
-def _plays(catalogue: Catalogue, joint: str) -> FloatArray:
-    """Plays [m] of a joint in the catalogue's machines in order; those of its fit where there are none."""
+def plays_of_fits(catalogue: Catalogue, joint: str) -> FloatArray:
+    """Return the plays [m] of a joint in the catalogue's machines in order; those of its fit where there are none."""
     matrix = catalogue.matrix
     rows = matrix.rows(HEALTHY)
     if len(rows) and joint in matrix.joints:

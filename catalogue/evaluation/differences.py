@@ -11,9 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from catalogue.diagnosing.frame_forces import Revolution
 from catalogue.evaluation.response import Response
 from catalogue.evaluation.truth import Truth, contact_of, drawn_contacts
 from catalogue.plans.keys import seed_from
+from catalogue.plans.parameters import MachineNumbers, nominal_drive_speed
+from catalogue.plans.variants import Variant, output_load
 from solver.machines.joints import SlidingJoint, TurningJoint
 from solver.machines.machine import Machine, parse_machine
 
@@ -30,6 +33,15 @@ LAWS: Mapping[str, Mapping[str, float]] = {"hertz": {"hysteresis": 1.7}, "lankar
 
 TABLE_POINTS = 36
 """Points of a load over the drive angle."""
+
+LOAD_ORDERS = 8
+"""Orders of a load that comes and goes with the strokes of a machine."""
+
+RIPPLE_ORDERS = (1, 2, 3, 4, 6, 12)
+"""Orders of which one is the ripple of a drive."""
+
+WEIGHT = 9.81
+"""Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat."""
 
 
 def with_differences(truth: Truth, names: tuple[str, ...], seed: int, number: int) -> Truth:
@@ -87,29 +99,61 @@ def _frame(truth: Truth, draws: np.random.Generator) -> Truth:
         if getattr(body, name):
             changed[f"links.{machine.frame}.{name}"] = getattr(body, name) * factor
     factors = draws.uniform(0.7, 1.3, 2).tolist()
-    changed |= _stiffness(machine, range(len(machine.supports)), (factors[0], factors[1]))
+    changed |= _supports(machine, range(len(machine.supports)), (factors[0], factors[1]))
     return replace(truth, parameters={**truth.parameters, **changed})
 
 
-def _stiffness(machine: Machine, supports: range, factors: tuple[float, float]) -> dict[str, float]:
-    """Changed stiffness of some supports: in x and y, or along a spring with the first factor."""
+def _supports(
+    machine: Machine, supports: range, factors: tuple[float, float], name: str = "stiffness"
+) -> dict[str, float]:
+    """Changed stiffness or damping of some supports: in x and y, or along a spring with the first factor."""
     changed: dict[str, float] = {}
     for index in supports:
-        own = getattr(machine.supports[index], "stiffness", None)
+        own = getattr(machine.supports[index], name, None)
         if isinstance(own, tuple):
             changed |= {
-                f"supports.{index}.stiffness.{axis}": value * factors[axis] for axis, value in enumerate(own) if value
+                f"supports.{index}.{name}.{axis}": value * factors[axis] for axis, value in enumerate(own) if value
             }
         elif own:
-            changed[f"supports.{index}.stiffness"] = own * factors[0]
+            changed[f"supports.{index}.{name}"] = own * factors[0]
     return changed
 
 
 def _half_mount(truth: Truth, draws: np.random.Generator) -> Truth:
     """One support at half its stiffness."""
-    index = int(draws.integers(len(truth.machine.supports)))
-    changed = _stiffness(truth.machine, range(index, index + 1), (0.5, 0.5))
-    return replace(truth, parameters={**truth.parameters, **changed})
+    return _with_soft_mount(truth, 0.5, int(draws.integers(len(truth.machine.supports))))
+
+
+def _loose_mount(truth: Truth, draws: np.random.Generator) -> Truth:
+    """One support at a tenth of its stiffness, and a third of its damping."""
+    return _with_soft_mount(truth, 0.1, int(draws.integers(len(truth.machine.supports))), damping=True)
+
+
+def _with_soft_mount(truth: Truth, factor: float, index: int, *, damping: bool = False) -> Truth:
+    changed = _supports(truth.machine, range(index, index + 1), (factor, factor))
+    if damping:
+        changed |= _supports(truth.machine, range(index, index + 1), (math.sqrt(factor),) * 2, "damping")
+    return replace(truth, parameters={**truth.parameters, **changed}, causes=(*truth.causes, f"mount {index}"))
+
+
+def _soft_mounts(truth: Truth, draws: np.random.Generator) -> Truth:
+    """All supports at 40 to 75 % of their stiffness; softer rubber damps less."""
+    factor = float(draws.uniform(0.4, 0.75))
+    every = range(len(truth.machine.supports))
+    changed = _supports(truth.machine, every, (factor, factor))
+    changed |= _supports(truth.machine, every, (math.sqrt(factor),) * 2, "damping")
+    return replace(truth, parameters={**truth.parameters, **changed}, causes=(*truth.causes, "all mounts"))
+
+
+def _frame_mass(truth: Truth, draws: np.random.Generator) -> Truth:
+    """A frame that is 20 to 40 % lighter or heavier, and as much easier or harder to turn."""
+    factor = 1.0 + float(draws.choice([-1.0, 1.0])) * float(draws.uniform(0.2, 0.4))
+    machine = truth.machine
+    body = machine.links[machine.frame]
+    own = {name: getattr(body, name) for name in ("mass", "inertia")}
+    changed = {f"links.{machine.frame}.{name}": factor * value for name, value in own.items() if value}
+    causes = (*truth.causes, f"mass of {machine.frame}")
+    return replace(truth, parameters={**truth.parameters, **changed}, causes=causes)
 
 
 def _gain(truth: Truth, draws: np.random.Generator) -> Truth:
@@ -124,7 +168,78 @@ def _load(truth: Truth, draws: np.random.Generator) -> Truth:
     machine = _with_load(truth.machine, link, at, "force", (0.0, 0.0))
     place = len(machine.loads) - 1
     changed = {f"loads.{place}.force.{axis}": force * part for axis, part in enumerate(along)}
-    return replace(truth, machine=machine, parameters={**truth.parameters, **changed})
+    return replace(truth, machine=machine, parameters={**truth.parameters, **changed}, causes=(*truth.causes, "load"))
+
+
+def _cyclic_load(truth: Truth, draws: np.random.Generator) -> Truth:
+    """A force against one of the two strokes of the output link, of one to three weights of the moving links.
+
+    Its first orders are what they are of a force that comes and goes at once, weighed so that its edges are soft
+    (C. Lanczos, Discourse on Fourier series, 1966, chapter 4). Their amplitudes are numbers of a case, so that one
+    compiled model serves all recordings.
+    """
+    base = truth.machine
+    place = output_load(base)
+    if place is None:
+        return truth
+    moving = sum(link.mass or 0.0 for name, link in base.links.items() if name != base.frame)
+    force = float(draws.uniform(1.0, 3.0)) * moving * WEIGHT * (place.arm or 1.0)
+    stroke = float(draws.choice([-1.0, 1.0]))
+    mean, waves = _stroke(base, stroke)
+    machine = Variant(load=place.link, load_orders=tuple(range(1, LOAD_ORDERS + 1))).machine(base)
+    numbers = MachineNumbers(machine)
+    parts = {"load": mean, **waves}
+    changed = {
+        target.path: -stroke * force * part * target.share
+        for path, part in parts.items()
+        for target in numbers.targets(path)
+    }
+    causes = (*truth.causes, "load on one stroke")
+    return replace(truth, machine=machine, parameters={**truth.parameters, **changed}, causes=causes)
+
+
+@lru_cache(maxsize=16)
+def _stroke(machine: Machine, stroke: float) -> tuple[float, dict[str, float]]:
+    """Mean and waves, by the path of a plan, of what is 1 on the strokes forward (1) or back (-1), else 0."""
+    place = output_load(machine)
+    assert place is not None
+    speed = nominal_drive_speed(machine)
+    velocity = Revolution.of(machine, speed).velocity(place.link, place.direction)
+    course = (stroke * velocity > 0.0).astype(np.float64)
+    angle = math.copysign(2.0 * math.pi, speed) * np.arange(len(course)) / len(course)
+    waves = {}
+    for order in range(1, LOAD_ORDERS + 1):
+        soft = 2.0 * float(np.sinc(order / (LOAD_ORDERS + 1)))
+        waves[f"load.{order}.sin"] = soft * float(np.mean(course * np.sin(order * angle)))
+        waves[f"load.{order}.cos"] = soft * float(np.mean(course * np.cos(order * angle)))
+    return float(course.mean()), waves
+
+
+def _motor_ripple(truth: Truth, draws: np.random.Generator) -> Truth:
+    """Ripple of a motor with three phases: up to 1 % of the speed at order 6, up to 0.5 % at order 12."""
+    shares = {6: float(draws.uniform(0.0, 0.01)), 12: float(draws.uniform(0.0, 0.005))}
+    return _with_ripple(truth, tuple(shares), shares, draws)
+
+
+def _ripple(truth: Truth, draws: np.random.Generator) -> Truth:
+    """Ripple of the drive at one order, of 0.5 to 1.5 % of its speed."""
+    order = int(draws.choice(RIPPLE_ORDERS))
+    return _with_ripple(truth, RIPPLE_ORDERS, {order: float(draws.uniform(0.005, 0.015))}, draws)
+
+
+def _with_ripple(
+    truth: Truth, orders: tuple[int, ...], shares: Mapping[int, float], draws: np.random.Generator
+) -> Truth:
+    """A machine with terms of some orders, and speeds that ripple by some shares of the mean at some of them."""
+    machine = Variant(ripple=orders).machine(truth.machine)
+    numbers = MachineNumbers(machine)
+    changed: dict[str, float] = {}
+    for order, share in shares.items():
+        phase = float(draws.uniform(0.0, 2.0 * math.pi))
+        for path, part in (("sin", math.cos(phase)), ("cos", math.sin(phase))):
+            changed |= {target.path: share / order * part for target in numbers.targets(f"ripple.{order}.{path}")}
+    causes = (*truth.causes, *(f"ripple of the drive, order {order}" for order in shares))
+    return replace(truth, machine=machine, parameters={**truth.parameters, **changed}, causes=causes)
 
 
 def _bent_rail(truth: Truth, draws: np.random.Generator) -> Truth:
@@ -142,7 +257,8 @@ def _bent_rail(truth: Truth, draws: np.random.Generator) -> Truth:
 
 def _unbalance(truth: Truth, draws: np.random.Generator) -> Truth:
     """A weight at the far end of the driven link, 10, 20 or 30 % of its own."""
-    return replace(truth, machine=_with_unbalance(truth.machine, float(draws.choice([0.1, 0.2, 0.3]))))
+    machine = _with_unbalance(truth.machine, float(draws.choice([0.1, 0.2, 0.3])))
+    return replace(truth, machine=machine, causes=(*truth.causes, "unbalance"))
 
 
 @lru_cache(maxsize=16)
@@ -204,6 +320,12 @@ DIFFERENCES: Mapping[str, Difference] = {
     "gain": _gain,
     "load": _load,
     "half-mount": _half_mount,
+    "loose-mount": _loose_mount,
+    "soft-mounts": _soft_mounts,
+    "frame-mass": _frame_mass,
+    "ripple": _ripple,
+    "cyclic-load": _cyclic_load,
+    "motor-ripple": _motor_ripple,
     "bent-rail": _bent_rail,
     "unbalance": _unbalance,
 }

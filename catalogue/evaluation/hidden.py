@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from catalogue.evaluation.elsewhere import transform_of
 from catalogue.evaluation.protocols import Protocol
 from catalogue.evaluation.recordings import Recordings
 from catalogue.evaluation.truth import Truth
-from solver.spectra.sensor import sensor_transform
 
 __all__ = ["SEEN_FROM", "hidden"]
 
@@ -57,11 +57,5 @@ def _in_order(truth: Truth) -> Truth:
 
 def _noise(protocol: Protocol, truth: Truth) -> float:
     """Root mean square of the noise of all sensors, m/s2."""
-    machine = truth.machine
-    transform = sensor_transform(
-        [sensor.at for sensor in machine.sensors],
-        [sensor.direction for sensor in machine.sensors],
-        machine.links[machine.frame].cg,
-    )
-    power = (transform * np.array(protocol.frame_noise)) ** 2
+    power = (transform_of(truth.machine) * np.array(protocol.frame_noise)) ** 2
     return float(np.sqrt(np.mean(power.sum(axis=1) + protocol.sensor_noise**2)))

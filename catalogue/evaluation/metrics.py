@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -11,8 +12,16 @@ from numpy.typing import NDArray
 
 from catalogue.diagnosing.answer import Diagnosis, Verdict
 from catalogue.evaluation.detection import auroc, rejected
+from catalogue.evaluation.joint_figures import (
+    JointAnswer,
+    JointFigures,
+    credibility_of,
+    joint_answers,
+    joint_figures,
+)
 from catalogue.evaluation.truth import Truth
 from catalogue.matching.calibration import calibration_error, log_loss
+from catalogue.matching.matcher import MatchResult
 
 __all__ = ["Answered", "Figures", "JointScore", "ReliabilityBin", "figures", "joint_scores", "reliability"]
 
@@ -47,6 +56,16 @@ class Answered:
         Cases simulated for it.
     hidden : bool
         The recording cannot be told from one of the same machine in order, see :mod:`catalogue.evaluation.hidden`.
+    joints : tuple of JointAnswer
+        Every joint by itself.
+    credibility : float or None
+        Of all clearances at once, see :func:`catalogue.evaluation.joint_figures.credibility_of`.
+    causes : tuple of str
+        Causes other than play that are true, in the words of answers.
+    cause : str
+        The first one that was told; empty for none.
+    flawed, accused : frozenset of str
+        Sensors that are flawed; those the answer names.
     """
 
     label: str
@@ -62,10 +81,30 @@ class Answered:
     seconds: float
     simulations: int
     hidden: bool = False
+    joints: tuple[JointAnswer, ...] = ()
+    credibility: float | None = None
+    causes: tuple[str, ...] = ()
+    cause: str = ""
+    flawed: frozenset[str] = frozenset()
+    accused: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, truth: Truth, answer: Diagnosis, seconds: float) -> Self:
-        """Keep of an answer what figures are made of."""
+    def of(
+        cls, truth: Truth, answer: Diagnosis, result: MatchResult, fits: Mapping[str, FloatArray], seconds: float
+    ) -> Self:
+        """Keep of an answer, and of the posterior behind it, what figures are made of.
+
+        Parameters
+        ----------
+        truth : Truth
+        answer : Diagnosis
+        result : MatchResult
+            The posterior.
+        fits : mapping of str to ndarray
+            Plays [m] that each joint has where it is not worn.
+        seconds : float
+            Of the answer.
+        """
         best = answer.hypotheses[0]
         return cls(
             label=truth.hypothesis.label,
@@ -80,6 +119,12 @@ class Answered:
             trusted_p_value=answer.mode.trusted_p_value,
             seconds=seconds,
             simulations=answer.effort_spent.simulations,
+            joints=joint_answers(truth, answer, result),
+            credibility=credibility_of(truth, result, fits),
+            causes=truth.causes,
+            cause=answer.causes[0].name if answer.causes else "",
+            flawed=frozenset(truth.flaw.sensors if truth.flaw else ()),
+            accused=frozenset(sensor for flaw in answer.sensors for sensor in flaw.sensors),
         )
 
     @property
@@ -152,6 +197,18 @@ class Figures:
         Recordings of worn machines that cannot be told from the same machines in order.
     exact_of_seen : float or None
         As `exact_set`, without those.
+    joint_posterior : JointFigures
+        Of every joint by itself.
+    at_least : float or None
+        Share of worn joints beyond the largest clearance that the catalogue tells that are told "at least".
+    cause_right : float or None
+        Share of recordings with a cause other than play whose first cause is a true one.
+    cause_wrong : float or None
+        Share of all recordings whose first cause is not a true one.
+    sensors_right : float or None
+        Share of recordings of flawed sensors whose answer names all of them.
+    sensors_wrong : float or None
+        Share of all recordings whose answer names sensors that are in order.
     """
 
     count: int
@@ -183,12 +240,19 @@ class Figures:
     simulations: float | None
     hidden: int
     exact_of_seen: float | None
+    joint_posterior: JointFigures
+    at_least: float | None
+    cause_right: float | None
+    cause_wrong: float | None
+    sensors_right: float | None
+    sensors_wrong: float | None
 
 
 def figures(
     answers: Sequence[Answered],
     joints_of: Mapping[str, frozenset[str]],
     listed: Sequence[Answered] = (),
+    largest_um: float = math.inf,
 ) -> Figures:
     """Return the figures of some answers.
 
@@ -200,6 +264,8 @@ def figures(
         Worn joints of every hypothesis that was compared, in the order of the columns of the confusion matrix.
     listed : sequence of Answered
         Recordings that a hypothesis of the catalogue explains: what p-values are told apart from.
+    largest_um : float
+        Largest clearance that the catalogue tells.
     """
     columns = tuple(joints_of)
     labels = tuple(dict.fromkeys([*(label for label in columns if any(a.label == label for a in answers))]))
@@ -215,6 +281,7 @@ def figures(
     place = rank[np.arange(len(truth)), truth]
     errors, inside = clearance_errors(answers)
     seconds = [answer.seconds for answer in answers]
+    beyond = [joint for answer in answers for joint in answer.joints if joint.worn and joint.clearance_um > largest_um]
     return Figures(
         count=len(answers),
         top1=_mean(place == 0),
@@ -245,6 +312,14 @@ def figures(
         simulations=_mean([answer.simulations for answer in answers]),
         hidden=sum(answer.hidden for answer in answers),
         exact_of_seen=_mean([joints_of[answer.first] == answer.worn for answer in answers if not answer.hidden]),
+        joint_posterior=joint_figures(
+            [answer.joints for answer in answers], [answer.credibility for answer in answers]
+        ),
+        at_least=_mean([joint.bound == "at_least" for joint in beyond]),
+        cause_right=_mean([answer.cause in answer.causes for answer in answers if answer.causes]),
+        cause_wrong=_mean([bool(answer.cause) and answer.cause not in answer.causes for answer in answers]),
+        sensors_right=_mean([answer.flawed <= answer.accused for answer in answers if answer.flawed]),
+        sensors_wrong=_mean([bool(answer.accused - answer.flawed) for answer in answers]),
     )
 
 

@@ -8,14 +8,24 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
+import numpy as np
+
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation.differences import DIFFERENCES
+from catalogue.evaluation.spoiling import SPOILINGS
 from catalogue.plans.entry import Hypothesis
+from catalogue.plans.keys import seed_from
 from catalogue.storage.store import Catalogue
 
 __all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "protocols_of", "with_noise"]
 
-Kind = Literal["listed", "healthy", "singles", "pairs", "triples"]
+Kind = Literal["listed", "healthy", "singles", "pairs", "triples", "sets"]
+
+LEAST_REVOLUTIONS = 5.0
+"""Length of a recording in drive revolutions, at least."""
+
+LARGEST_SET = 3
+"""Worn joints of the kind `sets`, at most."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +35,14 @@ class Protocol:
     Parameters
     ----------
     name : str
-    kind : {"listed", "healthy", "singles", "pairs", "triples"}
+    kind : {"listed", "healthy", "singles", "pairs", "triples", "sets"}
         What the machines are: every hypothesis of the catalogue in turn; in order; in order and single worn joints in
-        turn; two or three worn joints, whether the catalogue holds such hypotheses or not. Every joint that is not worn
-        has the play of a fit.
+        turn; two or three worn joints, or any sets of one to three, whether the catalogue holds such hypotheses or not.
+        Every joint that is not worn has the play of a fit. Sets come in an order of the seed, and need not all come.
     differences : tuple of str
         In what the machines differ from the model, names in :data:`catalogue.evaluation.differences.DIFFERENCES`.
+    spoiling : str
+        What spoils the recordings, a name in :data:`catalogue.evaluation.spoiling.SPOILINGS`; empty for nothing.
     foreign : bool
         True where no hypothesis is the truth, and "unknown" the right answer.
     unlisted : bool
@@ -41,6 +53,8 @@ class Protocol:
         White noise of the frame's x, y (m/s2) and theta (rad/s2), rms: vibration from elsewhere.
     clearance : tuple of float
         Radial clearances of worn joints, log-uniform, m.
+    beyond : tuple of float or None
+        In place of these: as multiples of the largest clearance that the catalogue tells.
     fits : tuple of float
         Radial clearances of the joints that are not worn, log-uniform, m.
     speed : float
@@ -49,8 +63,8 @@ class Protocol:
         Contact friction, uniform.
     scatter : float
         Standard deviation of the logarithms of contact stiffness and damping.
-    seconds : float
-        Length of a recording, s; never less than five revolutions.
+    revolutions : float
+        Length of a recording, in turns of its drive; never less than five.
     sample_rate : float
         Hz.
     """
@@ -58,20 +72,40 @@ class Protocol:
     name: str
     kind: Kind = "listed"
     differences: tuple[str, ...] = ()
+    spoiling: str = ""
     foreign: bool = False
     unlisted: bool = False
     sensor_noise: float = 0.0
     frame_noise: tuple[float, float, float] = (0.1, 0.1, 0.5)
     clearance: tuple[float, float] = (50e-6, 1e-3)
+    beyond: tuple[float, float] | None = None
     fits: tuple[float, float] = (3e-6, 15e-6)
     speed: float = 0.03
     friction: tuple[float, float] = (0.01, 0.15)
     scatter: float = 0.4
-    seconds: float = 2.5
+    revolutions: float = 40.0
     sample_rate: float = 10_000.0
 
-    def hypotheses(self, catalogue: Catalogue) -> tuple[Hypothesis, ...]:
+    @property
+    def least_revolutions(self) -> float:
+        """Length of a recording that can be diagnosed, in turns of its drive."""
+        return max(self.revolutions, 1.01 * LEAST_REVOLUTIONS)
+
+    def of(self, catalogue: Catalogue) -> Protocol:
+        """Return the protocol with clearances in place of multiples of the largest that a catalogue tells."""
+        if self.beyond is None:
+            return self
+        low, high = (factor * catalogue.plan.clearance.high for factor in self.beyond)
+        return replace(self, clearance=(low, high), beyond=None)
+
+    def hypotheses(self, catalogue: Catalogue, seed: int = 1) -> tuple[Hypothesis, ...]:
         """Return the hypotheses that recordings are made of, in turn.
+
+        Parameters
+        ----------
+        catalogue : Catalogue
+        seed : int
+            Of the order of sets.
 
         Raises
         ------
@@ -85,6 +119,11 @@ class Protocol:
             return (Hypothesis.of(()),)
         if self.kind == "singles":
             return (Hypothesis.of(()), *(Hypothesis.of([joint]) for joint in joints))
+        if self.kind == "sets":
+            sizes = range(1, min(LARGEST_SET, len(joints)) + 1)
+            found = [Hypothesis.of(worn) for size in sizes for worn in combinations(joints, size)]
+            np.random.default_rng(seed_from("sets", seed)).shuffle(found)
+            return tuple(found)
         count = 2 if self.kind == "pairs" else 3
         if len(joints) < count:
             raise DiagnosisError(f"protocol {self.name}: {len(joints)} turning joints: must be at least {count}")
@@ -101,7 +140,14 @@ _MODEL_ERRORS = {
     "e": ("load",),
     "all": ("law", "resonance", "frame", "gain", "load"),
 }
-_OTHER_CAUSES = ("half-mount", "unbalance", "bent-rail", "load", "frame", "mode")
+_OTHER_CAUSES = (
+    *("half-mount", "loose-mount", "soft-mounts", "frame-mass", "unbalance", "bent-rail", "load", "ripple"),
+    *("frame", "mode"),
+)
+_DISTURBED = ("shocks", "neighbour", "gear-mesh", "bursts", "clipping")
+_SENSOR_FLAWS = ("swapped", "inverted", "dead")
+_DROP_OUTS = {"short": 15.0, "long": 50.0}
+"""Revolutions of recordings that lack 25 ms and half a second: 3 and 10 s at 300 rpm."""
 
 PROTOCOLS: Mapping[str, Protocol] = {
     protocol.name: protocol
@@ -112,6 +158,15 @@ PROTOCOLS: Mapping[str, Protocol] = {
         replace(_HARD, name="healthy", kind="healthy"),
         replace(_HARD, name="pairs", kind="pairs"),
         replace(_HARD, name="triples", kind="triples"),
+        replace(_HARD, name="small", kind="sets", clearance=(30e-6, 500e-6)),
+        replace(_HARD, name="beyond-range", kind="singles", beyond=(1.05, 1.5)),
+        replace(_HARD, name="cyclic-load", kind="singles", differences=("cyclic-load", "motor-ripple")),
+        *(replace(_HARD, name=f"disturbed-{name}", kind="singles", spoiling=name) for name in _DISTURBED),
+        *(replace(_HARD, name=f"sensor-flaw-{name}", kind="singles", spoiling=name) for name in _SENSOR_FLAWS),
+        *(
+            replace(_HARD, name=f"drop-out-{name}", kind="singles", spoiling=f"{name}-gap", revolutions=revolutions)
+            for name, revolutions in _DROP_OUTS.items()
+        ),
         *(
             replace(_HARD, name=f"model-error-{name}", kind="singles", differences=differences)
             for name, differences in _MODEL_ERRORS.items()
@@ -126,7 +181,8 @@ PROTOCOLS: Mapping[str, Protocol] = {
 """Protocols by name; all but the first two add vibration from elsewhere to the frame."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
-    group: tuple(name for name in PROTOCOLS if name.startswith(f"{group}-")) for group in ("model-error", "other-cause")
+    group: tuple(name for name in PROTOCOLS if name.startswith(f"{group.removesuffix('s')}-"))
+    for group in ("model-error", "other-cause", "disturbed", "sensor-flaws", "drop-outs")
 }
 """Names that stand for several protocols."""
 
@@ -137,7 +193,7 @@ def protocols_of(names: Sequence[str | Protocol]) -> tuple[Protocol, ...]:
     Raises
     ------
     DiagnosisError
-        A name that is not known, or a difference that is not.
+        A name that is not known, or a difference or spoiling that is not.
     """
     found: dict[str, Protocol] = {}
     for name in names:
@@ -146,6 +202,9 @@ def protocols_of(names: Sequence[str | Protocol]) -> tuple[Protocol, ...]:
             if unknown:
                 known = ", ".join(DIFFERENCES)
                 raise DiagnosisError(f"protocol {name.name}: difference {min(unknown)}: must be one of {known}")
+            if name.spoiling and name.spoiling not in SPOILINGS:
+                known = ", ".join(SPOILINGS)
+                raise DiagnosisError(f"protocol {name.name}: spoiling {name.spoiling}: must be one of {known}")
             found[name.name] = name
             continue
         if name not in PROTOCOLS and name not in GROUPS:

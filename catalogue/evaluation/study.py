@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.diagnosing.answer import Effort, ModeAsked
-from catalogue.diagnosing.diagnosis import Question, answer
+from catalogue.diagnosing.diagnosis import Question, answered
+from catalogue.diagnosing.joint_states import plays_of_fits
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.evaluation.differences import with_differences
 from catalogue.evaluation.hidden import hidden
 from catalogue.evaluation.metrics import Answered, Figures, figures
 from catalogue.evaluation.protocols import Protocol, protocols_of
 from catalogue.evaluation.recordings import TOGETHER, Recordings, recorded
+from catalogue.evaluation.spoiling import with_spoiling
 from catalogue.evaluation.truth import Truth, draw_truth
 from catalogue.matching.cosine import CosineEntry
 from catalogue.matching.matcher import Matcher
@@ -130,7 +132,7 @@ def setups_of(methods: Sequence[str], efforts: Sequence[Effort], modes: Sequence
 
 def evaluate(
     catalogue: Catalogue,
-    protocols: Sequence[str | Protocol] = ("noisy",),
+    protocols: Sequence[str | Protocol] = ("hard",),
     count: int = 120,
     seed: int = 1,
     *,
@@ -147,7 +149,7 @@ def evaluate(
     protocols : sequence of str or Protocol
         Names in :data:`catalogue.evaluation.protocols.PROTOCOLS`, groups of them, or conditions of one's own.
     count : int
-        Recordings a protocol, at least one a hypothesis.
+        Recordings a protocol, at least one a hypothesis; of sets of joints fewer.
     seed : int
         Of everything drawn.
     setups : sequence of Setup
@@ -168,7 +170,7 @@ def evaluate(
     DiagnosisError
         An unknown protocol, too few recordings, a machine without sensors, or nothing could be diagnosed.
     """
-    wanted = protocols_of(protocols)
+    wanted = tuple(protocol.of(catalogue) for protocol in protocols_of(protocols))
     if not catalogue.machine.sensors:
         raise DiagnosisError(f"machine {catalogue.machine.name}: has no sensors to record with")
     run = _Run(
@@ -193,12 +195,15 @@ def evaluate(
         listed: Mapping[Setup, Sequence[Answered]] = {}
         if protocol.foreign:
             # The same machines without the foreign cause, asked of the same catalogue.
-            plain = replace(protocol, name="listed", kind="singles", differences=(), foreign=False, unlisted=False)
+            plain = replace(
+                protocol, name="listed", kind="singles", differences=(), spoiling="", foreign=False, unlisted=False
+            )
             if (plain, without) not in known:
                 known[plain, without] = run.answers(plain, without, told).answers
             listed = known[plain, without]
         for setup, answers in found.answers.items():
-            made = figures(answers, run.columns(without), listed.get(setup, ()))
+            largest = 1e6 * catalogue.plan.clearance.high
+            made = figures(answers, run.columns(without), listed.get(setup, ()), largest)
             rows.append(Row(protocol, setup, found.failed, found.refused, made))
     if progress is not None:
         progress(total, total)
@@ -238,8 +243,8 @@ class _Run:
     networks: NetworkShelf
 
     def hypotheses(self, protocol: Protocol) -> tuple[Hypothesis, ...]:
-        found = protocol.hypotheses(self.catalogue)
-        if self.count < len(found):
+        found = protocol.hypotheses(self.catalogue, self.seed)
+        if self.count < len(found) and protocol.kind != "sets":
             rule = f"must be at least {len(found)}, one a hypothesis of protocol {protocol.name}"
             raise DiagnosisError(f"count: {self.count}: {rule}")
         return found
@@ -259,7 +264,8 @@ class _Run:
         for index in range(self.count):
             hypothesis, number = hypotheses[index % len(hypotheses)], index // len(hypotheses)
             truth = draw_truth(machine, hypothesis, protocol, self.seed, number)
-            found.append(with_differences(truth, protocol.differences, self.seed, number))
+            truth = with_differences(truth, protocol.differences, self.seed, number)
+            found.append(with_spoiling(truth, protocol.spoiling, self.seed, number))
         return found
 
     def answers(self, protocol: Protocol, without: tuple[str, ...], told: Callable[[], None]) -> _Found:
@@ -270,6 +276,8 @@ class _Run:
         )
         numbers: dict[Setup, list[int]] = {setup: [] for setup in self.setups}
         signals: dict[int, NDArray[np.float64]] = {}
+        worn = sorted({joint for joints in self.columns(without).values() for joint in joints})
+        fits = {joint: plays_of_fits(self.catalogue, joint) for joint in worn}
         unseen: set[int] = set()
         for index, signal in self.recordings.ideal(protocol, truths):
             told()
@@ -281,8 +289,8 @@ class _Run:
                 if len(signals) == TOGETHER:
                     unseen |= hidden(protocol, truths, signals, self.recordings)
                     signals.clear()
-            recording = recorded(protocol, truths[index], signal)
             try:
+                recording = recorded(protocol, truths[index], signal)
                 prepared = prepare(recording, self.catalogue.machine, scheme=self.catalogue.scheme)
             except MeasurementError:
                 found.refused += 1
@@ -291,7 +299,7 @@ class _Run:
                 method = METHODS[setup.method]
                 question = Question(setup.effort, setup.mode)
                 begin = time.perf_counter()
-                got = answer(
+                got, result = answered(
                     prepared,
                     recording.sha256,
                     self.catalogue,
@@ -301,7 +309,8 @@ class _Run:
                     without=without,
                     most=self.most,
                 )
-                found.answers[setup].append(Answered.of(truths[index], got, time.perf_counter() - begin))
+                took = time.perf_counter() - begin
+                found.answers[setup].append(Answered.of(truths[index], got, result, fits, took))
                 numbers[setup].append(index)
         unseen |= hidden(protocol, truths, signals, self.recordings)
         for setup, answers in found.answers.items():

@@ -17,10 +17,9 @@ from solver.machines.joints import Contact, TurningJoint
 from solver.machines.machine import Machine
 
 if TYPE_CHECKING:
+    from catalogue.evaluation.elsewhere import Disturbance
     from catalogue.evaluation.protocols import Protocol
-
-LEAST_REVOLUTIONS = 5.0
-"""Length of a recording in drive revolutions, at least."""
+    from catalogue.evaluation.spoiling import Flaw
 
 RESTITUTION = (0.5, 0.85)
 """Drawn restitutions, uniform."""
@@ -48,6 +47,12 @@ class Truth:
         Of the sensors, 1 for a true one.
     seed : int
         Of the noise.
+    causes : tuple of str
+        What differs beside play, in the words of answers; empty where no answer has a name for it.
+    disturbance : Disturbance, optional
+        What shakes the frame besides.
+    flaw : Flaw, optional
+        What is wrong with sensors or the recorder.
     """
 
     hypothesis: Hypothesis
@@ -58,6 +63,9 @@ class Truth:
     response: Response = field(default_factory=Response)
     gains: tuple[float, ...] = ()
     seed: int = 0
+    causes: tuple[str, ...] = ()
+    disturbance: Disturbance | None = None
+    flaw: Flaw | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -85,7 +93,7 @@ def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: Protocol, see
         machine=machine,
         clearances=clearances,
         parameters=parameters,
-        seconds=max(protocol.seconds, 1.01 * LEAST_REVOLUTIONS * 2.0 * math.pi / abs(speed)),
+        seconds=protocol.least_revolutions * 2.0 * math.pi / abs(speed),
         gains=(1.0,) * len(machine.sensors),
         seed=seed_from("noise", seed, hypothesis.label, number),
     )

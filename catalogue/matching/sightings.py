@@ -12,7 +12,7 @@ from scipy.special import expit
 
 from catalogue.matching.conformal import Conformal
 
-__all__ = ["Sightings"]
+__all__ = ["SEEN_ABOVE", "Sightings", "crossing"]
 
 FloatArray = NDArray[np.float64]
 
@@ -121,11 +121,22 @@ class Sightings:
         x = self.log_clearance[rows, place]
         low, high = float(x.min()), float(x.max())
         seen = self.p_worn[rows, place] >= SEEN_ABOVE
-        return _crossing(np.r_[x, low - BELOW], np.r_[seen, False], np.r_[weight, weight.max()], low, high)
+        return crossing(np.r_[x, low - BELOW], np.r_[seen, False], np.r_[weight, weight.max()], low, high)
 
 
-def _crossing(x: FloatArray, seen: FloatArray, weight: FloatArray, low: float, high: float) -> float | None:
-    """Clearance at which the logistic curve through `seen` over x reaches :data:`SEEN_SHARE`, within low and high."""
+def crossing(x: FloatArray, seen: FloatArray, weight: FloatArray, low: float, high: float) -> float | None:
+    """Return where the logistic curve through what was seen over x reaches :data:`SEEN_SHARE`, as exp(x).
+
+    Parameters
+    ----------
+    x : ndarray, shape (m,)
+        ln(clearance), or ln of its ratio to something.
+    seen : ndarray, shape (m,)
+        1 where the wear was seen, else 0.
+    weight : ndarray, shape (m,)
+    low, high : float
+        Ends of x: nothing smaller is returned, and None in place of what is larger.
+    """
     slope, scatter = STEEPNESS
     middle = float(np.average(x, weights=weight))
     design = np.column_stack([np.ones(len(x)), x - middle])

@@ -141,6 +141,31 @@ def test_evaluate_names_the_p_values_that_tell_foreign_causes(shelf: Path) -> No
     assert "AUROC" not in plain
 
 
+def test_evaluate_says_what_is_told_of_joints_and_sensors_and_what_is_refused(shelf: Path) -> None:
+    arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "sensor-flaw-inverted,drop-out-long"]
+    printed = invoke(*arguments, "--count", "8").stdout.splitlines()
+    rows = {}
+    for title in ("every joint by itself:", "what else is said:"):
+        head, flawed, gaps, *_ = printed[printed.index(title) + 1 :]
+        names = re.split(r"  +", head.strip())
+        rows[title] = [dict(zip(names, re.split(r"  +", row.strip()), strict=True)) for row in (flawed, gaps)]
+    flawed, gaps = rows["what else is said:"]
+    assert float(flawed["sensors right"].removesuffix(" %")) >= 75.0  # four sensors of a frame that moves in three ways
+    assert (flawed["refused"], flawed["cause right"], gaps["sensors right"]) == ("0", "-", "-")
+    assert int(gaps["refused"]) > 0  # those with no numbers in place of samples
+    flawed, gaps = rows["every joint by itself:"]
+    assert 0.0 <= float(flawed["log-loss"]) < 5.0
+    assert flawed["ranks off by (of)"].endswith("(6)")  # worn joints of 8 recordings, two of them in order
+    assert flawed["coverage off by (of)"].endswith("(8)")
+
+
+def test_evaluate_asks_for_machines_among_others_unless_said() -> None:
+    printed = " ".join(invoke("evaluate", "--help").stdout.split())
+    assert "[default: hard]" in printed
+    for name in ("small", "beyond-range", "cyclic-load", "disturbed", "sensor-flaws", "drop-outs"):
+        assert name in printed
+
+
 def test_evaluate_sweeps_draws(shelf: Path, tmp_path: Path) -> None:
     plot = tmp_path / "sweep.svg"
     arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "matched", "--count", "4"]

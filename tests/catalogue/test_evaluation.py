@@ -15,7 +15,9 @@ import pytest
 
 from catalogue.diagnosing.answer import Diagnosis
 from catalogue.diagnosing.baseline_levels import OrderLevels
-from catalogue.diagnosing.diagnosis import answer
+from catalogue.diagnosing.cause_families import IdealFrame, families_of
+from catalogue.diagnosing.diagnosis import answered
+from catalogue.diagnosing.frame_forces import Revolution
 from catalogue.diagnosing.separation import _more_sensors
 from catalogue.errors import DiagnosisError
 from catalogue.evaluation import sweep
@@ -26,8 +28,11 @@ from catalogue.evaluation.response import Response
 from catalogue.evaluation.study import Setup, evaluate, setups_of
 from catalogue.evaluation.sweep import trade_off
 from catalogue.evaluation.truth import Truth, draw_truth
+from catalogue.matching.matcher import MatchResult
 from catalogue.plans.entry import Hypothesis
+from catalogue.plans.parameters import nominal_drive_speed
 from catalogue.plans.plan import Plan
+from catalogue.plans.variants import output_load
 from catalogue.signals.features import prepare
 from catalogue.signals.suspension import with_filed_suspension
 from catalogue.storage.index import ChunkStatus, Index
@@ -35,7 +40,7 @@ from catalogue.storage.leases import ChunkRow
 from catalogue.storage.store import Catalogue
 from solver.machines.machine import Machine, shipped_machine
 
-SHORT = replace(PROTOCOLS["matched"], seconds=1.0, clearance=(80e-6, 700e-6))
+SHORT = replace(PROTOCOLS["matched"], revolutions=10.0, clearance=(80e-6, 700e-6))
 MACHINE = shipped_machine("slider-crank")
 
 
@@ -94,11 +99,11 @@ def test_negatives_of_unlisted_pairs_are_asked_of_the_same_catalogue(
     monkeypatch.setattr(type(small_catalogue.entries), "hypotheses", property(lambda _: listed))
     asked: list[tuple[str, ...]] = []
 
-    def spied(*arguments: Any, **settings: Any) -> Diagnosis:
+    def spied(*arguments: Any, **settings: Any) -> tuple[Diagnosis, MatchResult]:
         asked.append(settings["without"])
-        return answer(*arguments, **settings)
+        return answered(*arguments, **settings)
 
-    monkeypatch.setattr("catalogue.evaluation.study.answer", spied)
+    monkeypatch.setattr("catalogue.evaluation.study.answered", spied)
     pairs = replace(SHORT, name="unlisted pair", kind="pairs", foreign=True, unlisted=True)
     (row,) = evaluate(small_catalogue, [pairs], 4, seed=3).rows
     assert asked == [("A+B",)] * 8
@@ -117,7 +122,7 @@ def test_truths_follow_from_the_seed_and_stay_within_the_protocol() -> None:
         assert abs(truth.parameters["drive.speed"] / MACHINE.drive.speed - 1.0) <= protocol.speed  # type: ignore[union-attr, operator]
         friction = [truth.parameters[f"joints.{joint}.contact.friction"] for joint in "ABO"]
         assert protocol.friction[0] <= min(friction) < max(friction) <= protocol.friction[1]
-        assert truth.seconds >= 2.5
+        assert truth.seconds * truth.parameters["drive.speed"] == pytest.approx(40.0 * 2.0 * math.pi)
     new = truth_of(protocol=protocol)
     assert list(new.clearances) == ["A", "B", "O"]
     assert protocol.fits[0] <= min(new.clearances.values()) <= max(new.clearances.values()) <= protocol.fits[1]
@@ -153,6 +158,12 @@ def test_every_difference_changes_the_machine_and_nothing_else(name: str, machin
         "gain": {"gains"},
         "load": {"machine", "parameters"},
         "half-mount": {"parameters"},
+        "loose-mount": {"parameters"},
+        "soft-mounts": {"parameters"},
+        "frame-mass": {"parameters"},
+        "ripple": {"machine", "parameters"},
+        "cyclic-load": {"machine", "parameters"},
+        "motor-ripple": {"machine", "parameters"},
         "bent-rail": {"machine"},
         "unbalance": {"machine"},
     }
@@ -173,6 +184,76 @@ def test_sizes_of_differences() -> None:
     force = math.hypot(*(load.parameters[f"loads.0.force.{axis}"] for axis in range(2)))
     assert 20.0 <= force <= 100.0
     assert load.machine.loads[0].force == (0.0, 0.0)
+
+
+def test_other_causes_carry_the_names_that_answers_have_for_them() -> None:
+    plain = truth_of("A")
+    families = {family.name for family in families_of(MACHINE, IdealFrame.of(MACHINE, nominal_drive_speed(MACHINE)))}
+    named = {name: with_differences(plain, (name,), 1, 0).causes for name in DIFFERENCES}
+    assert {name for name, causes in named.items() if not causes} == {
+        *("law", "resonance", "mode", "frame", "gain", "bent-rail")
+    }
+    for causes in named.values():
+        assert families.issuperset(causes)
+    both = with_differences(plain, ("load", "unbalance"), 1, 0)
+    assert both.causes == ("load", "unbalance")
+
+
+def test_sizes_of_what_answers_have_a_name_for() -> None:
+    plain = truth_of("A")
+    body = MACHINE.links["frame"]
+    for number in range(8):
+        loose = with_differences(plain, ("loose-mount",), 1, number)
+        place = int(loose.causes[0].removeprefix("mount "))
+        own = MACHINE.supports[place].stiffness  # type: ignore[union-attr]
+        changed = [loose.parameters[f"supports.{place}.stiffness.{axis}"] for axis in range(2)]
+        assert changed == pytest.approx([0.1 * each for each in own])  # type: ignore[union-attr]
+        soft = with_differences(plain, ("soft-mounts",), 1, number).parameters
+        factors = {
+            soft[f"supports.{index}.stiffness.{axis}"] / support.stiffness[axis]  # type: ignore[union-attr, index]
+            for index, support in enumerate(MACHINE.supports)
+            for axis in range(2)
+        }
+        assert 0.4 <= min(factors)
+        assert max(factors) == pytest.approx(min(factors))
+        assert max(factors) <= 0.75
+        frame = with_differences(plain, ("frame-mass",), 1, number).parameters
+        factor = frame["links.frame.mass"] / body.mass  # type: ignore[operator]
+        assert 0.2 <= abs(factor - 1.0) <= 0.4
+        assert frame["links.frame.inertia"] / body.inertia == pytest.approx(factor)  # type: ignore[operator]
+        rippled = with_differences(plain, ("ripple",), 1, number)
+        order = int(rippled.causes[0].rpartition(" ")[2])
+        sizes = [v for path, v in rippled.parameters.items() if path.startswith("drive.ripple")]
+        assert 0.005 <= order * math.hypot(*sizes) <= 0.015
+
+
+@pytest.mark.parametrize("machine", ["slider-crank", "four-bar"])
+def test_a_cyclic_load_works_against_one_stroke_and_shares_its_model(machine: str) -> None:
+    drawn = shipped_machine(machine)
+    place = output_load(drawn)
+    assert place is not None
+    revolution = Revolution.of(drawn, nominal_drive_speed(drawn))
+    velocity = revolution.velocity(place.link, place.direction)
+    angle = 2.0 * math.pi * np.arange(len(velocity)) / len(velocity)
+    weight = 9.81 * sum(link.mass or 0.0 for name, link in drawn.links.items() if name != drawn.frame)
+    truths = [
+        with_differences(draw_truth(drawn, Hypothesis.of(()), SHORT, 1, 0), ("cyclic-load",), 1, n) for n in range(6)
+    ]
+    assert len({truth.machine for truth in truths}) == 1
+    for truth in truths:
+        force = np.zeros(len(angle))
+        for index, load in enumerate(truth.machine.loads):
+            numbers = (truth.parameters.get(f"loads.{index}.force.{axis}", 0.0) for axis in range(2))
+            size = float(np.dot(list(numbers), place.direction)) + truth.parameters.get(f"loads.{index}.torque", 0.0)
+            force += size * (1.0 if load.order is None else np.sin(load.order * angle + load.phase))
+        force /= place.arm or 1.0
+        power = force * velocity
+        working = np.abs(force) > 0.5 * np.abs(force).max()
+        assert (power[working] < 0.0).mean() > 0.95
+        assert 0.9 * weight < np.abs(force).max() < 3.3 * weight
+        # On the other stroke there is next to none.
+        idle = np.sign(velocity) != np.sign(np.median(velocity[working]))
+        assert np.abs(np.median(force[idle])) < 0.05 * np.abs(force).max()
 
 
 def test_recordings_carry_noise_gains_and_structure_of_the_protocol() -> None:
@@ -262,11 +343,39 @@ def test_protocols_by_name_and_by_group(small_catalogue: Catalogue) -> None:
     assert [each.name for each in protocols_of(["hard", "model-error", "hard"])] == ["hard", *GROUPS["model-error"]]
     assert len(GROUPS["model-error"]) == 7
     assert all(PROTOCOLS[name].foreign for name in GROUPS["other-cause"])
+    assert {name: len(GROUPS[name]) for name in ("disturbed", "sensor-flaws", "drop-outs")} == {
+        **{"disturbed": 5, "sensor-flaws": 3, "drop-outs": 2}
+    }
+    assert all(len(each.hypotheses(small_catalogue)) == 4 for each in protocols_of(["disturbed", "sensor-flaws"]))
     labels = [each.label for each in PROTOCOLS["pairs"].hypotheses(small_catalogue)]
     assert labels == ["A+B", "A+O", "B+O"]
     assert [each.label for each in PROTOCOLS["triples"].hypotheses(small_catalogue)] == ["A+B+O"]
     assert [each.label for each in PROTOCOLS["healthy"].hypotheses(small_catalogue)] == ["healthy"]
     assert [each.label for each in PROTOCOLS["hard"].hypotheses(small_catalogue)] == ["healthy", "A", "B", "O"]
+
+
+def test_small_wear_is_of_any_set_of_joints_in_an_order_of_the_seed(small_catalogue: Catalogue) -> None:
+    small = PROTOCOLS["small"]
+    labels = [each.label for each in small.hypotheses(small_catalogue, seed=1)]
+    assert sorted(labels) == ["A", "A+B", "A+B+O", "A+O", "B", "B+O", "O"]
+    assert labels == [each.label for each in small.hypotheses(small_catalogue, seed=1)]
+    assert labels != [each.label for each in small.hypotheses(small_catalogue, seed=2)]
+    (row,) = evaluate(small_catalogue, [replace(small, revolutions=10.0)], 2, seed=3).rows  # fewer than sets
+    assert row.figures.count + row.refused == 2
+    assert set(row.figures.labels) <= {each.label for each in small.hypotheses(small_catalogue, seed=3)[:2]}
+
+
+def test_wear_beyond_the_range_is_larger_than_what_the_catalogue_tells(small_catalogue: Catalogue) -> None:
+    beyond = replace(PROTOCOLS["beyond-range"], revolutions=10.0)
+    resolved = beyond.of(small_catalogue)
+    assert resolved.clearance == pytest.approx((1.05 * 0.8e-3, 1.5 * 0.8e-3))
+    assert SHORT.of(small_catalogue) is SHORT
+    (row,) = evaluate(small_catalogue, [beyond], 8, seed=3).rows
+    assert row.protocol == resolved
+    assert row.figures.at_least is not None
+    assert row.figures.at_least > 0.5
+    (plain,) = evaluate(small_catalogue, [SHORT], 4, seed=3).rows
+    assert plain.figures.at_least is None
 
 
 def test_a_sweep_takes_the_first_draws_of_each_hypothesis(small_catalogue: Catalogue) -> None:
@@ -311,6 +420,8 @@ def test_refuses_what_it_cannot_do(small_catalogue: Catalogue) -> None:
         evaluate(small_catalogue, ["matched"], 3)
     with pytest.raises(DiagnosisError, match="protocol mine: difference colour: must be one of law"):
         evaluate(small_catalogue, [Protocol("mine", differences=("colour",))])
+    with pytest.raises(DiagnosisError, match="protocol mine: spoiling rust: must be one of shocks"):
+        evaluate(small_catalogue, [Protocol("mine", spoiling="rust")])
     with pytest.raises(DiagnosisError, match="method: best: must be one of gaussian"):
         setups_of(["best"], ["standard"], ["auto"])
     with pytest.raises(DiagnosisError, match="protocol: model-error: stands for 7 protocols, must be one"):

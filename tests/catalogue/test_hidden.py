@@ -17,7 +17,7 @@ from catalogue.plans.entry import Hypothesis
 from solver.machines.machine import shipped_machine
 
 MACHINE = shipped_machine("quick-return")
-LOADED = replace(PROTOCOLS["model-error-e"], seconds=2.5)
+LOADED = replace(PROTOCOLS["model-error-e"], revolutions=5.0)
 
 
 def truth_of(force: float, clearance: float) -> Truth:

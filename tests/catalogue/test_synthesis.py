@@ -23,7 +23,7 @@ from catalogue.plans.plan import parse_plan
 from catalogue.signals.features import PreparedMeasurement, prepare
 from catalogue.storage.store import Catalogue
 
-SHORT = replace(PROTOCOLS["matched"], seconds=1.0)
+SHORT = replace(PROTOCOLS["matched"], revolutions=10.0)
 
 
 def prepared_of(catalogue: Catalogue, truth: Truth) -> PreparedMeasurement:
