@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from catalogue.signals.prepared import PreparedMeasurement
+from catalogue.storage.cross_power import unpack
 from catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
 from catalogue.storage.store import Catalogue
 
@@ -113,11 +114,14 @@ class LevelStatistics:
         dB.
     deviations : (n, m) array
         Of entries from the mean at their own speed, dB.
+    power : (K, 3, 3) array
+        Cross-powers of the frame in orders 1 to K, averaged over entries.
     """
 
     levels: OrderLevels
     mean: FloatArray
     deviations: FloatArray
+    power: npt.NDArray[np.complex128]
 
     @property
     def error_variance(self) -> FloatArray:
@@ -188,10 +192,10 @@ def class_statistics(
     rows = matrix.rows(label, "trusted") if rows is None else rows
     if len(rows) < LEAST_ENTRIES:
         return None
-    power = matrix.cross_power(rows)  # in feature bands, the first of which are the orders
+    power = unpack(matrix.packed(rows)[:, :FEATURE_ORDERS])  # feature bands, the first of which are the orders
     seen = levels.of_motion(power)
     # Levels change smoothly with the speed, which the recording tells: what is left is scatter.
     off = np.log(np.abs(matrix.table(rows).drive_speed) / prepared.drive_speed)
     smooth = np.column_stack([np.ones(len(rows)), off, off**2])
     weights = np.linalg.lstsq(smooth, seen, rcond=None)[0]
-    return LevelStatistics(levels, weights[0], seen - smooth @ weights)
+    return LevelStatistics(levels, weights[0], seen - smooth @ weights, power.mean(axis=0, dtype=np.complex128))

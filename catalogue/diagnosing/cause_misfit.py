@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -39,12 +38,10 @@ class Misfit:
     ----------
     known : LevelStatistics
         Of the machines.
-    power : (K, 3, 3) array
-        Their cross-powers, averaged.
     used : (m,) bool array
         Levels that say something of the change.
     before : (m,) array
-        Levels of `power`, dB.
+        Levels of their cross-powers, averaged, dB.
     away : (u,) array
         What the recording's used levels are above those of the machines, dB.
     gains : (u, u) array
@@ -56,7 +53,6 @@ class Misfit:
     """
 
     known: LevelStatistics
-    power: ComplexArray
     used: BoolArray
     before: FloatArray
     away: FloatArray
@@ -65,9 +61,9 @@ class Misfit:
     strange: FloatArray
 
     @classmethod
-    def of(cls, known: LevelStatistics, power: ComplexArray, model: IdealFrame) -> Self:
-        """Compare a recording with machines of some statistics and cross-powers (K, 3, 3)."""
-        levels = known.levels
+    def of(cls, known: LevelStatistics, model: IdealFrame) -> Self:
+        """Compare a recording with machines of some statistics."""
+        levels, power = known.levels, known.power
         # With no change, and with changes that move single levels far: levels that noise hides say nothing of either.
         used = np.asarray(known.deviations.std(axis=0) < MOST_SCATTER_DB) & (
             10.0 ** (0.1 * levels.measured) > LEAST_SIGNAL * levels.noise
@@ -77,7 +73,7 @@ class Misfit:
         away = (levels.measured - known.mean)[used]
         strange = _seen(levels, power - power_of(model.motion))
         before = levels.of_motion(power)
-        return cls(known, power, used, before, away, gains, known.covariance(used) + gains, strange)
+        return cls(known, used, before, away, gains, known.covariance(used) + gains, strange)
 
     @property
     def none(self) -> float:
@@ -102,7 +98,7 @@ class Misfit:
         list of (n,) array
             Squared, and by how much larger (ln) the determinant of the covariance is than without a change.
         """
-        changed = np.concatenate([family.changed(self.power, numbers) for family, numbers in members])
+        changed = np.concatenate([family.changed(self.known.power, numbers) for family, numbers in members])
         added = np.concatenate([family.added(numbers) for family, numbers in members])
         found = np.split(self._distance(changed, added), np.cumsum([len(numbers) for _, numbers in members])[:-1])
         if not odd:

@@ -14,8 +14,10 @@ __all__ = ["least_of"]
 FloatArray = npt.NDArray[np.float64]
 
 #: First step, as a part of the largest number of the start.
-FIRST_STEP = 0.2
-#: A search ends where the step is this part of the first, or a parabola promises less than so much;
+FIRST_STEP = 0.1
+#: Points each way of the first look, which finds the deepest of several valleys: in steps, by count of numbers.
+FIRST_LOOK = {1: np.arange(-8.0, 10.5, 0.5), 2: 2.0 * np.arange(-2.0, 3.0)}
+#: A search ends where the step is this part of the first, or a parabola promises this much or less;
 LEAST_STEP = 0.01
 LEAST_GAIN = 0.02
 #: it moves by so many steps at once, at most,
@@ -56,7 +58,7 @@ class _Search:
         far = float(np.abs(off).max())
         self.middle = self.middle + self.step * off * min(1.0, FARTHEST / max(far, 1e-300))
         if far < 1.0:
-            self.done = self.least - (own + 0.5 * float(slope @ off)) < LEAST_GAIN
+            self.done = abs(self.least - own - 0.5 * float(slope @ off)) < LEAST_GAIN
             self.step *= max(far, 0.2)
 
 
@@ -70,29 +72,38 @@ def least_of(
     function : callable
         From numbers (n, p) of every search, to values (n,) of every one.
     starts : sequence of (p,) array
-        Not zero.
+        Of one or two numbers, not all zero.
 
     Returns
     -------
     list of ((p,) array, float)
         Numbers and value.
     """
-    first = [FIRST_STEP * float(np.abs(start).max()) for start in starts]
-    searches = [_Search(start, step, start) for start, step in zip(starts, first, strict=True)]
+    steps = [FIRST_STEP * float(np.abs(start).max()) for start in starts]
+    looks = [
+        start + step * _points(FIRST_LOOK[len(start)], len(start)) for start, step in zip(starts, steps, strict=True)
+    ]
+    lowest = [look[np.argmin(value)] for look, value in zip(looks, function(looks), strict=True)]
+    searches = [_Search(middle, step, middle) for middle, step in zip(lowest, steps, strict=True)]
     for _ in range(MOST_STEPS):
-        values = function([each.around()[: None if not each.done else 0] for each in searches])
-        for search, value, step in zip(searches, values, first, strict=True):
+        values = function([search.around()[: 0 if search.done else None] for search in searches])
+        for search, value, first in zip(searches, values, steps, strict=True):
             if not search.done:
                 search.go(value)
-                search.done |= search.step < LEAST_STEP * step
+                search.done |= search.step < LEAST_STEP * first
         if all(search.done for search in searches):
             break
     return [(search.best, search.least) for search in searches]
 
 
+def _points(places: FloatArray, count: int) -> FloatArray:
+    """All points (n, p) that have every coordinate among some places."""
+    return np.array(list(itertools.product(places, repeat=count)))
+
+
 def _neighbours(count: int) -> FloatArray:
     """All points (3^p, p) whose coordinates are -1, 0 or 1."""
-    return np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=count)))
+    return _points(np.arange(-1.0, 2.0), count)
 
 
 def _parabola(offsets: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, float]:

@@ -21,14 +21,12 @@ from catalogue.diagnosing.cause_misfit import Misfit
 from catalogue.diagnosing.cause_search import least_of
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.suspension import on_mounts
-from catalogue.storage.feature_bands import FEATURE_ORDERS
 from catalogue.storage.store import Catalogue
 
 __all__ = ["NamedCause", "name_causes"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
 #: and levels that err together are not as many as they look.
@@ -114,9 +112,7 @@ def name_causes(
     for label, rows in (("healthy", None), *worn):
         known = class_statistics(catalogue, levels, label, rows)
         if known is not None:
-            chosen = catalogue.matrix.rows(label, "trusted") if rows is None else rows
-            power = catalogue.matrix.cross_power(chosen)[:, :FEATURE_ORDERS].mean(axis=0)
-            scored += _scored(known, power, model, families, least_gain)
+            scored += _scored(known, model, families, least_gain)
     best = max(scored, key=lambda each: each.evidence, default=None)
     return () if best is not None and best.is_small and not small else _ranked(scored)
 
@@ -139,10 +135,10 @@ class _Scored:
 
 
 def _scored(
-    known: LevelStatistics, power: ComplexArray, model: IdealFrame, families: Sequence[Family], least_gain: float
+    known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float
 ) -> Iterator[_Scored]:
-    """Score every family, and no change at all, for machines of some cross-powers (K, 3, 3)."""
-    misfit = Misfit.of(known, power, model)
+    """Score every family, and no change at all, for some machines of the catalogue."""
+    misfit = Misfit.of(known, model)
     if len(misfit.away) < LEAST_LEVELS:
         return
     none = misfit.none
@@ -150,9 +146,9 @@ def _scored(
     yield _Scored(None, -0.5 * none / TEMPERATURE, np.zeros(0))
     starts = []
     every = misfit.of_members([(family, family.starts) for family in families], odd=False)
-    for family, found in zip(families, every, strict=True):
-        best = int(np.argmin(found))
-        starts.append((float(found[best]), family, family.starts[best]))
+    for family, values in zip(families, every, strict=True):
+        best = int(np.argmin(values))
+        starts.append((float(values[best]), family, family.starts[best]))
     starts.sort(key=lambda start: start[0])
     if starts[0][0] > none + 2.0 * TEMPERATURE * HOPELESS:
         return
