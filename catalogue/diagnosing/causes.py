@@ -41,6 +41,9 @@ SEARCHED = 5
 #: where one of the starts is no more than so much less likely (ln) than no change: half of the time of a recording of a
 #: machine as filed, and the answers to eighteen of machines that had changed were the same without it.
 HOPELESS = 5.0
+#: Evidence (ln) that is the same but for rounding: on a guide, a force on one stroke cannot be told from the opposite one
+#: on the other, and the first of the two is told.
+SAME = 1e-6
 #: Entries of a worn hypothesis that stand for the recording's machine: those nearest in clearance.
 NEAREST = 80
 #: Fewest levels that a change is told from others by.
@@ -149,7 +152,7 @@ def _scored(
     for family, values in zip(families, every, strict=True):
         best = int(np.argmin(values))
         starts.append((float(values[best]), family, family.starts[best]))
-    starts.sort(key=lambda start: start[0])
+    starts.sort(key=lambda start: round(start[0] / SAME))
     if starts[0][0] > none + 2.0 * TEMPERATURE * HOPELESS:
         return
     chosen = [family for _, family, _ in starts[:SEARCHED]]
@@ -175,7 +178,7 @@ def _ranked(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
     best: dict[str, _Scored] = {}
     for each in scored:
         name = each.family.name if each.family else ""
-        if name not in best or each.evidence > best[name].evidence:
+        if name not in best or each.evidence > best[name].evidence + SAME:
             best[name] = each
     evidences = np.array([each.evidence for each in best.values()])
     share = np.exp(evidences - logsumexp(evidences)) if len(evidences) else evidences
