@@ -41,9 +41,9 @@ SEARCHED = 5
 #: where one of the starts is no more than so much less likely (ln) than no change: half of the time of a recording of a
 #: machine as filed, and the answers to eighteen of machines that had changed were the same without it.
 HOPELESS = 5.0
-#: Evidence (ln) that is the same but for rounding: on a guide, a force on one stroke cannot be told from the opposite one
-#: on the other, and the first of the two is told.
-SAME = 1e-6
+#: Evidence (ln) that is the same, as near as searches end: on a guide, a force on one stroke cannot be told from the
+#: opposite one on the other, and the first of the two is told.
+SAME = 0.01
 #: Entries of a worn hypothesis that stand for the recording's machine: those nearest in clearance.
 NEAREST = 80
 #: Fewest levels that a change is told from others by.
