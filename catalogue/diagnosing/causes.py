@@ -8,34 +8,26 @@ what they scatter by, gains of sensors included.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels, class_statistics
-from catalogue.diagnosing.cause_families import Family, IdealFrame, families_of, power_of
+from catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics, share_beyond
+from catalogue.diagnosing.cause_families import Family, IdealFrame, families_of
+from catalogue.diagnosing.cause_misfit import Misfit
+from catalogue.diagnosing.cause_search import least_of
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.suspension import on_mounts
-from catalogue.storage.feature_bands import FEATURE_ORDERS
 from catalogue.storage.store import Catalogue
 
 __all__ = ["NamedCause", "name_causes"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-ComplexArray = npt.NDArray[np.complex128]
 
-#: Standard deviation, relative, of a sensor's gain.
-GAIN_SCATTER = 0.03
-#: What a change that shifts a level is not better known to than, as a part of the shift.
-SHIFT_ERROR = 0.1
-#: What a level is not better known to after a change, dB, as far as the ideal machine does not explain it before: links
-#: that move with a frame that moves, and play, do not go with its motion as forces on a rigid body do.
-STRANGE_DB = 3.0
 #: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
 #: and levels that err together are not as many as they look.
 TEMPERATURE = 2.0
@@ -49,11 +41,11 @@ SEARCHED = 5
 #: where one of the starts is no more than so much less likely (ln) than no change: half of the time of a recording of a
 #: machine as filed, and the answers to eighteen of machines that had changed were the same without it.
 HOPELESS = 5.0
+#: Evidence (ln) that is the same, as near as searches end: on a guide, a force on one stroke cannot be told from the
+#: opposite one on the other, and the first of the two is told.
+SAME = 0.01
 #: Entries of a worn hypothesis that stand for the recording's machine: those nearest in clearance.
 NEAREST = 80
-#: A level counts where entries scatter by no more than this [dB], and it has this many times the power of the noise.
-MOST_SCATTER_DB = 4.0
-LEAST_SIGNAL = 2.0
 #: Fewest levels that a change is told from others by.
 LEAST_LEVELS = 12
 
@@ -118,14 +110,12 @@ def name_causes(
         return ()
     levels = OrderLevels.of(prepared)
     model = IdealFrame.of(machine, math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed))
-    families = tuple(families_of(machine, model))
+    families = tuple(families_of(model))
     scored: list[_Scored] = []
     for label, rows in (("healthy", None), *worn):
         known = class_statistics(catalogue, levels, label, rows)
         if known is not None:
-            chosen = catalogue.matrix.rows(label, "trusted") if rows is None else rows
-            power = catalogue.matrix.cross_power(chosen)[:, :FEATURE_ORDERS].mean(axis=0)
-            scored += _scored(known, power, model, families, least_gain)
+            scored += _scored(known, model, families, least_gain)
     best = max(scored, key=lambda each: each.evidence, default=None)
     return () if best is not None and best.is_small and not small else _ranked(scored)
 
@@ -148,89 +138,39 @@ class _Scored:
 
 
 def _scored(
-    known: LevelStatistics, power: ComplexArray, model: IdealFrame, families: Sequence[Family], least_gain: float
+    known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float
 ) -> Iterator[_Scored]:
-    """Score every family, and no change at all, for machines of some cross-powers (K, 3, 3)."""
-    levels = known.levels
-    # With no change, and with changes that move single levels far: levels that noise hides say nothing of either.
-    used = np.asarray(known.deviations.std(axis=0) < MOST_SCATTER_DB) & (
-        10.0 ** (0.1 * levels.measured) > LEAST_SIGNAL * levels.noise
-    )
-    if used.sum() < LEAST_LEVELS:
+    """Score every family, and no change at all, for some machines of the catalogue."""
+    misfit = Misfit.of(known, model)
+    if len(misfit.away) < LEAST_LEVELS:
         return
-    by_gain = _by_gain(levels, power)[used]
-    more = by_gain @ by_gain.T * GAIN_SCATTER**2
-    covariance = known.covariance(used) + more
-    own_size = float(np.linalg.slogdet(covariance)[1])
-    before = levels.of_motion(power)
-    away = (levels.measured - known.mean)[used]
-    strange = _seen(levels, power - power_of(model.motion))
-    unsure = (STRANGE_DB * np.minimum(1.0, strange * 10.0 ** (-0.1 * before))) ** 2
-
-    def distance(changed: ComplexArray, added: ComplexArray, less_sure: FloatArray = unsure) -> FloatArray:
-        after = levels.of_motion(changed)
-        shift = (after - before)[..., used]
-        left = away - shift
-        # What the ideal machine does not explain of the motion meets what is added at a phase that nobody knows.
-        meeting = 2.0 * DECIBELS**2 * strange * _seen(levels, added) * 10.0 ** (-0.2 * after)
-        spread = covariance + ((SHIFT_ERROR * shift) ** 2 + (meeting + less_sure)[..., used])[..., None] * np.eye(
-            len(away)
-        )
-        size = np.linalg.slogdet(spread)[1] - own_size
-        return np.asarray(np.sum(left * np.linalg.solve(spread, left[..., None])[..., 0], axis=-1) + size)
-
-    none = float(distance(power, np.zeros_like(power), np.zeros_like(unsure)))
-    penalty = 0.5 * math.log(float(used.sum()))
+    none = misfit.none
+    penalty = 0.5 * math.log(len(misfit.away))
     yield _Scored(None, -0.5 * none / TEMPERATURE, np.zeros(0))
     starts = []
-    for family in families:
-        every = distance(
-            np.array([family.changed(power, model.motion, numbers) for numbers in family.starts]),
-            np.array([family.added(numbers) for numbers in family.starts]),
-        )
-        best = int(np.argmin(every))
-        starts.append((float(every[best]), family, family.starts[best]))
-    starts.sort(key=lambda start: start[0])
+    every = misfit.of_members([(family, family.starts) for family in families], odd=False)
+    for family, values in zip(families, every, strict=True):
+        best = int(np.argmin(values))
+        starts.append((float(values[best]), family, family.starts[best]))
+    starts.sort(key=lambda start: round(start[0] / SAME))
     if starts[0][0] > none + 2.0 * TEMPERATURE * HOPELESS:
         return
+    chosen = [family for _, family, _ in starts[:SEARCHED]]
+
+    def off(numbers: Sequence[FloatArray]) -> list[FloatArray]:
+        return misfit.of_members(list(zip(chosen, numbers, strict=True)))
+
+    better = least_of(off, [numbers for _, _, numbers in starts[:SEARCHED]])
+    in_order: FloatArray | None = None
     for rank, (found, family, numbers) in enumerate(starts):
         if rank < SEARCHED:
-            off = _Misfit(family, power, model.motion, distance)
-            least = 1e-3 * float(np.abs(numbers).max())
-            searched = minimize(
-                off, numbers, method="Nelder-Mead", options={"xatol": least, "fatol": 0.1, "maxfev": 120}
-            )
-            found, numbers = float(searched.fun), np.asarray(searched.x, np.float64)
+            numbers, found = better[rank]
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
-        named = gain >= least_gain and (found <= MOST_LEFT * none or known.p_value(found, used, more) >= EXPLAINED)
+        named = gain >= least_gain and found <= MOST_LEFT * none
+        if gain >= least_gain and not named:
+            in_order = misfit.in_order() if in_order is None else in_order
+            named = share_beyond(found, in_order) >= EXPLAINED
         yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named)
-
-
-@dataclass(frozen=True, eq=False)
-class _Misfit:
-    """How far off the members of a family are, as a function of their numbers."""
-
-    family: Family
-    power: ComplexArray
-    motion: ComplexArray
-    distance: Callable[[ComplexArray, ComplexArray], FloatArray]
-
-    def __call__(self, numbers: FloatArray) -> float:
-        changed = self.family.changed(self.power, self.motion, numbers)
-        return float(self.distance(changed, self.family.added(numbers))) + self.family.oddity(numbers)
-
-
-def _seen(levels: OrderLevels, power: ComplexArray) -> FloatArray:
-    """What the sensors see (..., m) of a motion's cross-powers (..., K, 3, 3), without noise, at least nothing."""
-    return np.asarray(np.maximum(10.0 ** (0.1 * levels.of_motion(power)) - levels.noise, 0.0))
-
-
-def _by_gain(levels: OrderLevels, power: ComplexArray) -> FloatArray:
-    """Derivatives (m, s) of levels by the gains of the sensors, dB for a unit of their logarithm."""
-    small = 1e-4
-    here = levels.of_motion(power)
-    gains = np.exp(small * np.eye(levels.sensors))
-    return np.array([(levels.of_motion(power, row) - here) / small for row in gains]).T
 
 
 def _ranked(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
@@ -238,7 +178,7 @@ def _ranked(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
     best: dict[str, _Scored] = {}
     for each in scored:
         name = each.family.name if each.family else ""
-        if name not in best or each.evidence > best[name].evidence:
+        if name not in best or each.evidence > best[name].evidence + SAME:
             best[name] = each
     evidences = np.array([each.evidence for each in best.values()])
     share = np.exp(evidences - logsumexp(evidences)) if len(evidences) else evidences

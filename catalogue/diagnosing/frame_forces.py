@@ -16,16 +16,20 @@ import numpy.typing as npt
 from catalogue.errors import DiagnosisError
 from catalogue.plans.parameters import DRIVE_SPEED
 from solver.cases.history import Case, Settings, Status
+from solver.machines.kept import kept
 from solver.machines.machine import Machine
 from solver.simulation.simulate import simulate_batch
 
-__all__ = ["Revolution", "wrench_orders"]
+__all__ = ["MACHINES_KEPT", "Revolution", "pose_speed", "wrench_orders"]
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 SAMPLES = 256
 """Points of a revolution: orders up to 20 need a fraction of them, rough loads more."""
+
+MACHINES_KEPT = 8
+"""Machines whose poses are kept, and what follows from them: 50 kB each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,28 +60,14 @@ class Revolution:
 
     @classmethod
     def of(cls, machine: Machine, speed: float) -> Revolution:
-        """Simulate it.
+        """Simulate it, or what has been simulated of it at another speed.
 
         Raises
         ------
         DiagnosisError
             The ideal machine does not come round.
         """
-        frame = machine.links[machine.frame].model_copy(update={"fixed": True})
-        held = machine.model_copy(update={"links": {**machine.links, machine.frame: frame}})
-        rate = SAMPLES * abs(speed) / (2.0 * math.pi)
-        settings = Settings(sample_rate=rate, revolutions=1.0 + 2.0 / SAMPLES, links=True)
-        history = next(iter(simulate_batch(held, [Case(parameters={DRIVE_SPEED: speed})], settings)))
-        if history.status is not Status.OK or history.links is None:
-            raise DiagnosisError(f"{machine.name} with its frame held: {history.status.value} {history.message}")
-        moving = [index for index, name in enumerate(history.links.links) if name != machine.frame]
-        last = history.links.displacement[-SAMPLES - 1 :, moving]
-        names = tuple(history.links.links[index] for index in moving)
-        drawn = np.array([machine.links[name].cg for name in names])
-        whole = (last[-1, :, 2] - last[0, :, 2]) / (2.0 * math.pi)
-        turns = np.rint(whole)
-        even = 2.0 * math.pi * turns * np.arange(SAMPLES)[:, None] / SAMPLES
-        return cls(machine, speed, names, last[:-1, :, :2] + drawn, last[:-1, :, 2] - even, turns)
+        return cls(machine, speed, *_poses(machine, pose_speed(machine, speed)))
 
     def inertial(self, factors: dict[str, float] | None = None) -> FloatArray:
         """Wrench (n, 3) of inertia and weight on the frame, masses of some links times a factor."""
@@ -144,6 +134,39 @@ class Revolution:
         arm = at - np.array(self.machine.links[self.machine.frame].cg)
         moment = arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0] + torque
         return np.column_stack([force, moment])
+
+
+def pose_speed(machine: Machine, speed: float) -> float:
+    """Speed [rad/s] at which a machine has the poses that it has at another one: its own, turning the same way.
+
+    The drive alone says where the links are, unless they have further freedoms than that, whose poses are its own.
+    """
+    moving = sum(name != machine.frame and not link.fixed for name, link in machine.links.items())
+    freedoms = 3 * moving - 2 * len(machine.joints) - 1
+    own = abs(float(getattr(machine.drive, "speed", 0.0)))
+    return math.copysign(own, speed) if own and freedoms <= 0 else speed
+
+
+@kept(MACHINES_KEPT)
+def _poses(machine: Machine, speed: float) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
+    """Moving links, with place (n, k, 2), angle (n, k) and turns (k,) as :class:`Revolution` has them."""
+    frame = machine.links[machine.frame].model_copy(update={"fixed": True})
+    held = machine.model_copy(update={"links": {**machine.links, machine.frame: frame}})
+    rate = SAMPLES * abs(speed) / (2.0 * math.pi)
+    settings = Settings(sample_rate=rate, revolutions=1.0 + 2.0 / SAMPLES, links=True)
+    history = next(iter(simulate_batch(held, [Case(parameters={DRIVE_SPEED: speed})], settings)))
+    if history.status is not Status.OK or history.links is None:
+        raise DiagnosisError(f"{machine.name} with its frame held: {history.status.value} {history.message}")
+    moving = [index for index, name in enumerate(history.links.links) if name != machine.frame]
+    last = history.links.displacement[-SAMPLES - 1 :, moving]
+    names = tuple(history.links.links[index] for index in moving)
+    drawn = np.array([machine.links[name].cg for name in names])
+    turns = np.rint((last[-1, :, 2] - last[0, :, 2]) / (2.0 * math.pi))
+    even = 2.0 * math.pi * turns * np.arange(SAMPLES)[:, None] / SAMPLES
+    found = (last[:-1, :, :2] + drawn, last[:-1, :, 2] - even, turns)
+    for each in found:
+        each.flags.writeable = False
+    return names, *found
 
 
 def wrench_orders(wrench: FloatArray, orders: int) -> ComplexArray:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from catalogue.diagnosing.cause_wrenches import family_wrenches
 from catalogue.diagnosing.frame_forces import SAMPLES, Revolution, wrench_orders
 from catalogue.errors import DiagnosisError
 from solver.machines.machine import Machine, shipped_machine
@@ -225,6 +226,25 @@ def test_turns_the_other_way_round() -> None:
     change = -0.04 * SPEED**2 * np.sin(2.0 * EVEN)
     expected = wrench(bodies(angle + 0.01 * np.sin(2.0 * EVEN), rate, change))
     assert np.allclose(back.rippled(2, 0.01, 0.0), expected, atol=1e-5 * np.abs(expected).max(axis=0))
+
+
+def test_wrenches_at_any_speed_follow_from_those_at_one() -> None:
+    machine = shipped_machine("slider-crank")
+    for speed in (0.6 * SPEED, -1.3 * SPEED):
+        own, families = family_wrenches(machine, speed)
+        simulated = Revolution.of(machine, speed)
+        assert own.at(speed)[0] == pytest.approx(wrench_orders(simulated.inertial(), 20), abs=1e-9)
+        (unbalance,) = (family.wrench for family in families if family.name == "unbalance")
+        expected = wrench_orders(simulated.rotating((0.0, HEIGHT), 1.0, 0.0), 20)
+        assert unbalance.at(speed)[0] == pytest.approx(expected, abs=1e-6)
+
+
+def test_poses_are_simulated_once_for_each_way_round() -> None:
+    machine = shipped_machine("slider-crank")
+    slow, fast, back = (Revolution.of(machine, speed) for speed in (20.0, 70.0, -70.0))
+    assert slow.place is fast.place
+    assert back.place is not fast.place
+    assert (slow.speed, fast.speed) == (20.0, 70.0)
 
 
 def stuck(machine: Machine) -> Machine:
