@@ -44,7 +44,7 @@ class Harmonics:
 
 
 def _exact(phase: float) -> tuple[float, float]:
-    """Sine and cosine of a phase; of quarter turns without rounding, so that no product is left of the one that is 0."""
+    """Sine and cosine of a phase; of quarter turns without rounding, so that one of the products vanishes."""
     quarters = phase / (0.5 * math.pi)
     if quarters == round(quarters):
         return ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))[round(quarters) % 4]

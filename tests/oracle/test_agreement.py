@@ -115,7 +115,8 @@ EXPECTED = {
     "law gonthier": 2, "law lankarani-nikravesh": 2, "spring to ground": 10, "spring to link": 10,
     "damper to ground": 5, "damper to link": 5, "mount to ground": 5, "mount to link": 5, "load constant": 10,
     "load over time": 10,
-    "load over angle": 3, "load of an order": 2, "rotation": 10, "rotation ripple": 5, "rotation ramp": 3, "translation": 5,
+    "load over angle": 3, "load of an order": 2, "rotation": 10, "rotation ripple": 5, "rotation ramp": 3,
+    "translation": 5,
     "translation harmonics": 2, "translation ramp": 2, "torque": 5, "torque curve": 2, "force": 5, "force curve": 2,
     "rotation of a worn joint": 2,
 }  # fmt: skip
