@@ -12,7 +12,8 @@ from solver.machines.machine import shipped_machine
 
 PLAN = {
     "name": "tests",
-    "clearance": {"low": "40 um", "high": "0.8 mm"},
+    "clearance": {"low": "40 um", "high": "0.8 mm", "beyond": 1},
+    "fits": {"silent": 0.1},
     "draws": {"healthy": 36, "single": 72},
     "seconds": 1.0,
 }

@@ -88,6 +88,18 @@ def test_foreign_force_is_neither_wear_nor_in_order(small_catalogue: Catalogue) 
     assert worst.order == 3.0
 
 
+def test_what_is_larger_than_a_catalogue_tells_is_at_least_so_large(
+    small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = small_catalogue.plan.clearance.model_copy(update={"high": 2e-4, "beyond": 4.0})
+    plan = small_catalogue.plan.model_copy(update={"clearance": told})
+    monkeypatch.setattr(Catalogue, "plan", property(lambda _: plan))
+    answer = diagnose(recording(3), small_catalogue)  # A, 310 um
+    assert answer.hypotheses[0].label == "A"
+    assert answer.joints["A"].bound == "at_least"
+    assert any(line.startswith("clearance of A reaches the catalogue's largest, 200 um") for line in answer.warnings)
+
+
 def test_every_band_says_what_it_decides(worn: Diagnosis) -> None:
     found = [*worn.evidence.orders, *worn.evidence.bands]
     best = worn.hypotheses[0]
