@@ -121,7 +121,7 @@ def test_an_example_that_is_wrong_would_be_seen(service: ExampleService) -> None
         ({"a": 1}, {"a": 1, "b": 2}, False),
         ([1, 2], [1], False),
         ([1.0], [1.1], True),
-        ([100.0], [150.0], False),
+        ([100.0], [250.0], False),
         (3, 4, False),
         (None, 1.0, False),
         (True, 1, False),
