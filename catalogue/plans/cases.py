@@ -136,7 +136,7 @@ class _Drawing:
         for draw, point in enumerate(points.tolist()):
             is_silent = point[len(opened) + 1] < plan.fits.silent
             sizes = {
-                joint: self._clearance(joint, u, is_worn=joint in hypothesis.joints, is_silent=is_silent)
+                joint: self._clearance(joint, u, hypothesis.joints, is_silent=is_silent)
                 for joint, u in zip(opened, point, strict=False)
             }
             variant = self._variant(spread, _choice(laws, point[len(opened)]))
@@ -155,14 +155,16 @@ class _Drawing:
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _clearance(self, joint: str, u: float, *, is_worn: bool, is_silent: bool) -> float:
+    def _clearance(self, joint: str, u: float, worn: tuple[str, ...], *, is_silent: bool) -> float:
         part = self.machine.joints[joint]
         assert isinstance(part, TurningJoint)
-        if not is_worn:
+        if joint not in worn:
             return self.plan.fits.quantile(u, part, is_silent=is_silent)
         bounds = self.plan.clearance
         low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(part)[1])
-        return log_uniform(low, max(min(bounds.beyond * bounds.high, travel(self.machine, joint)), 2.0 * low), u)
+        # Draws of several worn joints have too much to fill as it is.
+        high = bounds.high * (bounds.beyond if len(worn) == 1 else 1.0)
+        return log_uniform(low, max(min(high, travel(self.machine, joint)), 2.0 * low), u)
 
     def _variant(self, spread: Mapping[str, Distribution], law: LawChoice) -> Variant:
         orders = {order for order in map(ripple_order, spread) if order is not None}

@@ -26,7 +26,7 @@ NEXT_TO_NONE = 30.0
 
 
 class ClearanceRange(Part):
-    """Radial clearance of worn joints: log-uniform from ``low`` to ``beyond`` times ``high`` [m].
+    """Radial clearance of worn joints: log-uniform from ``low`` to ``high`` [m], of one alone to ``beyond`` times that.
 
     It begins later where a joint's fit is wider: wear is what goes beyond it, by a quarter at least. Answers tell
     clearances up to ``high``, and "at least" from there on: what is larger has to be known to be told from two joints.

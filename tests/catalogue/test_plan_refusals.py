@@ -17,7 +17,7 @@ from solver.machines.machine import parse_machine
     [
         ("draw: {}", 'my.yaml: draw: {}: unknown key; did you mean "draws"?'),
         ("draws: {single: 0}", "my.yaml: draws.single: 0: must be greater than or equal to 1"),
-        ("draws: {single: 2.5}", "my.yaml: draws.single: 2.5: must be a valid integer"),
+        ("draws: {single: 2.5}", "my.yaml: draws.single: 2.5: must be a whole number"),
         ("clearance: {low: 2 mm}", "my.yaml: clearance.high: 0.002: must be greater than low"),
         ("sets: [[A, A]]", "my.yaml: sets.0: [A, A]: must name each joint once"),
         ("laws: {}", "my.yaml: laws: {}: must name at least one"),
