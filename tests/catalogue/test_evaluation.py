@@ -188,7 +188,7 @@ def test_sizes_of_differences() -> None:
 
 def test_other_causes_carry_the_names_that_answers_have_for_them() -> None:
     plain = truth_of("A")
-    families = {family.name for family in families_of(MACHINE, IdealFrame.of(MACHINE, nominal_drive_speed(MACHINE)))}
+    families = {family.name for family in families_of(IdealFrame.of(MACHINE, nominal_drive_speed(MACHINE)))}
     named = {name: with_differences(plain, (name,), 1, 0).causes for name in DIFFERENCES}
     assert {name for name, causes in named.items() if not causes} == {
         *("law", "resonance", "mode", "frame", "gain", "bent-rail")
