@@ -34,10 +34,10 @@ BELIEVED_ABOVE = 0.1
 """P-value of the trusted mode above which nothing but the low orders speaks for a change."""
 
 GAIN_DOUBTED, GAIN_POSSIBLE, GAIN_BELIEVED = 8.0, 25.0, 50.0
-"""How much likelier (ln) than no change a cause is that is named: of a machine that is not as its file says, of one that
-may be, and of one that is for all the rest shows. Of 93 machines as filed, sound and worn, two reached 25: one with a
-ripple of 0.2 mrad (61), too small to count, one with 28 mrad at order 1 (33, p-value 0.75). Changes that were named of
-machines above that p-value had 440 to 700, of those below it 34 and more."""
+"""How much likelier (ln) than no change a cause is that is named: of a machine that is not as its file says, of one
+that may be, and of one that is for all the rest shows. Of 93 machines as filed, sound and worn, two reached 25: one
+with a ripple of 0.2 mrad (61), too small to count, one with 28 mrad at order 1 (33, p-value 0.75). Changes that were
+named of machines above that p-value had 440 to 700, of those below it 34 and more."""
 
 
 def needs_cause(result: MatchResult) -> bool:
