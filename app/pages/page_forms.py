@@ -15,7 +15,8 @@ from app.schemas.resources import DiagnosisRequest
 from app.service import speed_of
 from app.storage.told import TOLD
 from app.storage.uploads import media_type
-from catalogue.matching.prior import LARGEST
+from catalogue.errors import DiagnosisError
+from catalogue.matching.prior import Prior
 from catalogue.signals.sensors import matched_by_name
 from solver.machines.machine import Machine
 
@@ -107,21 +108,19 @@ def weights_of(text: str, machine: Machine) -> dict[str, float]:
     Raises
     ------
     BadFieldError
-        For what is no joint of the machine, no number, or said twice.
+        For what is no joint of the machine, no weight, or said twice.
     """
     found: dict[str, float] = {}
     for part in filter(None, (each.strip() for each in text.split(","))):
         joint, _, weight = (each.strip() for each in part.partition("="))
-        if joint not in machine.turning_joints:
-            known = ", ".join(sorted(machine.turning_joints))
-            raise BadFieldError(f"prior: {part[:80]}: must be joint=number, the joint one of {known}", field="prior")
         if joint in found or not plain_number(weight):
             rule = "is said twice" if joint in found else "must be joint=number, such as A=3"
             raise BadFieldError(f"prior: {part[:80]}: {rule}", field="prior")
         found[joint] = float(weight)
-        if not 1.0 / LARGEST <= found[joint] <= LARGEST:
-            rule = f"must be from {1.0 / LARGEST:g} to {LARGEST:g}"
-            raise BadFieldError(f"prior: {part[:80]}: {rule}", field="prior")
+    try:
+        Prior(joints=found).check(machine.turning_joints)
+    except DiagnosisError as error:
+        raise BadFieldError(str(error)[:240], field="prior") from None
     return found
 
 

@@ -9,13 +9,15 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from solver.equations.harmonics import WHOLE, Harmonics
+from solver.equations.harmonics import Harmonics
 from solver.equations.numbers import Number, Numbers
 from solver.equations.tables import linear, linear_integral
 from solver.errors import SettingsError
 from solver.machines.drives import ForceDrive, Ripple, RotationDrive, TorqueDrive, TranslationDrive
 from solver.machines.machine import Machine
 
+#: Orders that are this far from a whole number count as one.
+_WHOLE = 1e-6
 #: Samples of a travel in one period of its fastest harmonic, 0.05 % of an amplitude; and of all periods of a long run.
 _TRAVEL_SAMPLES = 100
 _MOST_TRAVEL_SAMPLES = 1_000_000
@@ -94,13 +96,13 @@ def repeating_frequency(machine: Machine, drive_speed: float) -> float:
         raise SettingsError(f"{machine.name}: drive: {kind}: must turn at a constant speed for spectra in orders")
     frequency = abs(drive_speed) / (2 * math.pi)
     if isinstance(drive, TranslationDrive):
-        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - WHOLE]
+        odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - _WHOLE]
         if odd or drive.speed:
             rule = "must repeat with the lowest of its frequencies for spectra in orders"
             raise SettingsError(f"{machine.name}: drive: {rule}")
     if isinstance(drive, RotationDrive):
         for i, ripple in enumerate(drive.ripple):
-            if ripple.amplitude and abs(ripple.order - round(ripple.order)) > WHOLE:
+            if ripple.amplitude and abs(ripple.order - round(ripple.order)) > _WHOLE:
                 rule = "must be a whole number for spectra in orders: the drive does not repeat with its revolution"
                 raise SettingsError(f"{machine.name}: drive.ripple.{i}.order: {ripple.order:g}: {rule}")
     for i, load in enumerate(machine.loads):

@@ -6,9 +6,6 @@ import math
 
 import casadi as ca
 
-#: Orders that are this far from a whole number count as one.
-WHOLE = 1e-6
-
 
 class Harmonics:
     """Sines and cosines of multiples of an angle.
@@ -26,7 +23,7 @@ class Harmonics:
     def wave(self, order: float, phase: float) -> tuple[ca.SX, ca.SX]:
         """Return sin(order angle + phase) and cos(order angle + phase)."""
         whole = round(order)
-        if abs(order - whole) > WHOLE or whole < 1:
+        if order != whole or whole < 1:
             turned = order * self._angle + phase
             return ca.sin(turned), ca.cos(turned)
         sine, cosine = self._multiple(whole)

@@ -225,10 +225,10 @@ def test_a_wrong_field_of_the_upload_is_told_beside_it(
         ({f"sensor-{index}": "-" for index in range(4)}, "mapping", "which sensor"),
         ({"effort": "much"}, "effort", "fast"),
         ({"mode": "much"}, "mode", "robust"),
-        ({"prior": "Z=3"}, "prior", "prior: Z=3: must be joint=number, the joint one of A, B, O"),
+        ({"prior": "Z=3"}, "prior", "prior.joints.Z: must be one of the joints A, B, O"),
         ({"prior": "A=much"}, "prior", "prior: A=much: must be joint=number"),
         ({"prior": "A=2, A=3"}, "prior", "prior: A=3: is said twice"),
-        ({"prior": "A=0"}, "prior", "prior: A=0: must be from 0.001 to 1000"),
+        ({"prior": "A=0"}, "prior", "prior.joints.A: 0.0: must be from 0.001 to 1000"),
     ],
 )
 @pytest.mark.parametrize("htmx", [True, False])
