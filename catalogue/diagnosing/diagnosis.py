@@ -54,7 +54,7 @@ from catalogue.signals.features import PreparedMeasurement, prepare
 from catalogue.signals.suspension import with_filed_suspension
 from catalogue.storage.store import Catalogue
 
-__all__ = ["Question", "answer", "answered", "diagnose"]
+__all__ = ["Question", "answer", "diagnose"]
 
 
 MOST_CASES = 100_000
@@ -160,7 +160,7 @@ def diagnose(
     if baseline is not None:
         in_order = prepare(baseline, catalogue.machine, mapping, None, catalogue.scheme)
         known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
-    return answer(
+    shown, _ = answer(
         prepared,
         measurement.sha256,
         catalogue,
@@ -171,39 +171,10 @@ def diagnose(
         matcher=matcher,
         library=library,
     )
+    return shown
 
 
 def answer(
-    prepared: PreparedMeasurement,
-    sha256: str,
-    catalogue: Catalogue,
-    question: Question,
-    *,
-    mapping: Mapping[str, str] | None = None,
-    known: KnownMachine | None = None,
-    suggesting: bool = False,
-    matcher: Matcher | None = None,
-    library: ModelLibrary | None = None,
-    without: tuple[str, ...] = (),
-    most: int | None = None,
-) -> Diagnosis:
-    """Diagnose a recording that has been prepared: the first of :func:`answered`, with its parameters and errors."""
-    return answered(
-        prepared,
-        sha256,
-        catalogue,
-        question,
-        mapping=mapping,
-        known=known,
-        suggesting=suggesting,
-        matcher=matcher,
-        library=library,
-        without=without,
-        most=most,
-    )[0]
-
-
-def answered(
     prepared: PreparedMeasurement,
     sha256: str,
     catalogue: Catalogue,

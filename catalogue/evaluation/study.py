@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.diagnosing.answer import Effort, ModeAsked
-from catalogue.diagnosing.diagnosis import Question, answered
+from catalogue.diagnosing.diagnosis import Question, answer
 from catalogue.diagnosing.joint_states import plays_of_fits
 from catalogue.errors import DiagnosisError, MeasurementError
 from catalogue.evaluation.differences import with_differences
@@ -299,7 +299,7 @@ class _Run:
                 method = METHODS[setup.method]
                 question = Question(setup.effort, setup.mode)
                 begin = time.perf_counter()
-                got, result = answered(
+                got, result = answer(
                     prepared,
                     recording.sha256,
                     self.catalogue,

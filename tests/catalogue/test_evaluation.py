@@ -16,7 +16,7 @@ import pytest
 from catalogue.diagnosing.answer import Diagnosis
 from catalogue.diagnosing.baseline_levels import OrderLevels
 from catalogue.diagnosing.cause_families import IdealFrame, families_of
-from catalogue.diagnosing.diagnosis import answered
+from catalogue.diagnosing.diagnosis import answer
 from catalogue.diagnosing.frame_forces import Revolution
 from catalogue.diagnosing.separation import _more_sensors
 from catalogue.errors import DiagnosisError
@@ -101,9 +101,9 @@ def test_negatives_of_unlisted_pairs_are_asked_of_the_same_catalogue(
 
     def spied(*arguments: Any, **settings: Any) -> tuple[Diagnosis, MatchResult]:
         asked.append(settings["without"])
-        return answered(*arguments, **settings)
+        return answer(*arguments, **settings)
 
-    monkeypatch.setattr("catalogue.evaluation.study.answered", spied)
+    monkeypatch.setattr("catalogue.evaluation.study.answer", spied)
     pairs = replace(SHORT, name="unlisted pair", kind="pairs", foreign=True, unlisted=True)
     (row,) = evaluate(small_catalogue, [pairs], 4, seed=3).rows
     assert asked == [("A+B",)] * 8

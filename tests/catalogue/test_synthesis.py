@@ -120,7 +120,7 @@ def test_nothing_is_simulated_where_it_cannot_change_the_answer(
     assert "certain already" in found.reason
     truth = draw_truth(small_catalogue.machine, Hypothesis.of(["A"]), SHORT, 5, 1)
     prepared = prepared_of(small_catalogue, truth)
-    thorough = answer(prepared, "0" * 64, small_catalogue, Question(effort="thorough"))
+    thorough, _ = answer(prepared, "0" * 64, small_catalogue, Question(effort="thorough"))
     assert thorough.effort == "thorough"
     assert thorough.effort_spent.simulations == 0
     assert thorough.effort_spent.note
