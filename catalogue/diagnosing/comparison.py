@@ -21,12 +21,12 @@ WATCHED_ORDERS = 10
 
 def exact_sensing(prepared: PreparedMeasurement) -> Sensing:
     """Return how the sensors of a recording see entries, with the recording's own noise and length: what a library of
-    models is asked with, which rounds them itself where it needs to.
+    models is asked with, which rounds them itself where it needs to. What may be hum in an order counts as noise.
     """
     sensors = prepared.sensing
     width = np.diff(prepared.scheme.edges_hz(prepared.drive_speed)[list(prepared.cuts)])
     least = LEAST_NOISE_DENSITY * width[:, None] * np.sum(sensors.channels**2, axis=1)
-    noise = np.maximum(prepared.group_noise, least)
+    noise = np.maximum(prepared.group_noise, least) + prepared.group_hum
     return Sensing(
         sensors.transform, sensors.channels, prepared.cuts, noise, prepared.group_degrees_of_freedom, sensors.phases
     )

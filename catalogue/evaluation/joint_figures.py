@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 from scipy.stats import kstest
 
 from catalogue.diagnosing.answer import Bound, Condition, Diagnosis
 from catalogue.evaluation.truth import Truth
 from catalogue.matching.calibration import log_loss
 from catalogue.matching.matcher import ClearanceEstimate, MatchResult
-from catalogue.matching.sightings import SEEN_ABOVE, crossing
+from catalogue.matching.sightings import SEEN_ABOVE, SEEN_SHARE
 from catalogue.plans.keys import seed_from
 
 __all__ = [
@@ -242,16 +243,16 @@ def joint_figures(answers: Sequence[Sequence[JointAnswer]], credibilities: Seque
 def limit_ratio(joints: Sequence[JointAnswer]) -> float | None:
     """Return from which multiple of the limit of detection that answers say on worn joints are seen, 95 % of them.
 
-    A joint is seen where it is more likely worn than not, as for the limits themselves. None where the multiple is not
-    among those of the joints.
+    A joint is seen where it is more likely worn than not, as for the limits themselves. The share that is seen rises
+    with the multiple, in whatever way (isotonic regression): limits of many joints together follow no one curve. None
+    where it does not pass 95 % among the multiples that there are.
     """
-    limited = _limited(joints)
+    limited = sorted((joint.clearance_um / limit, joint.p_worn >= SEEN_ABOVE) for joint, limit in _limited(joints))
     if not limited:
         return None
-    x = np.log([joint.clearance_um / limit for joint, limit in limited])
-    seen = np.array([joint.p_worn >= SEEN_ABOVE for joint, _ in limited], dtype=np.float64)
-    found = crossing(x, seen, np.ones(len(x)), -np.inf, float(x.max()))
-    return None if found is None or found < np.exp(x.min()) else found
+    share = isotonic_regression([float(seen) for _, seen in limited]).x
+    first = int(np.searchsorted(share, SEEN_SHARE))
+    return limited[first][0] if 0 < first < len(limited) else None
 
 
 def _limited(joints: Sequence[JointAnswer]) -> list[tuple[JointAnswer, float]]:

@@ -12,7 +12,7 @@ from scipy.special import expit
 
 from catalogue.matching.conformal import Conformal
 
-__all__ = ["SEEN_ABOVE", "Sightings", "crossing"]
+__all__ = ["SEEN_ABOVE", "SEEN_SHARE", "Sightings"]
 
 FloatArray = NDArray[np.float64]
 
@@ -29,9 +29,10 @@ BELOW = 0.3
 """By how much, in ln(clearance), below the least worn clearance one unseen draw is supposed: play of that size is a
 fit's."""
 
-STEEPNESS = (4.0, 2.0)
+STEEPNESS = (12.0, 4.0)
 """Slope of the logistic curve over ln(clearance), mean and standard deviation before any draw is looked at: from 5 to
-95 % within a factor of four."""
+95 % within a factor of 1.6. Held-out draws of three catalogues show 95 % of wear from 0.88 to 1.02 of the limits on so;
+from 0.66 to 0.94 with a slope of 4 +- 2, from 0.74 to 0.92 with 8 +- 4."""
 
 
 @dataclass(frozen=True)
@@ -121,16 +122,16 @@ class Sightings:
         x = self.log_clearance[rows, place]
         low, high = float(x.min()), float(x.max())
         seen = self.p_worn[rows, place] >= SEEN_ABOVE
-        return crossing(np.r_[x, low - BELOW], np.r_[seen, False], np.r_[weight, weight.max()], low, high)
+        return _crossing(np.r_[x, low - BELOW], np.r_[seen, False], np.r_[weight, weight.max()], low, high)
 
 
-def crossing(x: FloatArray, seen: FloatArray, weight: FloatArray, low: float, high: float) -> float | None:
+def _crossing(x: FloatArray, seen: FloatArray, weight: FloatArray, low: float, high: float) -> float | None:
     """Return where the logistic curve through what was seen over x reaches :data:`SEEN_SHARE`, as exp(x).
 
     Parameters
     ----------
     x : ndarray, shape (m,)
-        ln(clearance), or ln of its ratio to something.
+        ln(clearance).
     seen : ndarray, shape (m,)
         1 where the wear was seen, else 0.
     weight : ndarray, shape (m,)

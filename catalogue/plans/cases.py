@@ -132,13 +132,11 @@ class _Drawing:
         # joint.
         columns = sum(len(opened) if path in SHARED else 1 for path in spread)
         points = unit_draws(seed, len(opened) + 2 + columns, sequence.count)
-        joints = tuple(sorted(opened))
         for draw, point in enumerate(points.tolist()):
             is_silent = point[len(opened) + 1] < plan.fits.silent
-            sizes = {
-                joint: self._clearance(joint, u, hypothesis.joints, is_silent=is_silent)
-                for joint, u in zip(opened, point, strict=False)
-            }
+            ideal = others if is_silent else []
+            joints = tuple(sorted(set(opened).difference(ideal)))
+            sizes = {joint: self._clearance(joint, point[opened.index(joint)], hypothesis.joints) for joint in joints}
             variant = self._variant(spread, _choice(laws, point[len(opened)]))
             scatter = self._scatter(variant, spread, laws)
             yield Entry.of(
@@ -147,7 +145,7 @@ class _Drawing:
                 hypothesis=hypothesis,
                 joints=joints,
                 clearances=tuple(sizes[joint] for joint in joints),
-                parameters=scatter.parameters(point[len(opened) + 2 :], sequence.speed),
+                parameters=_without(ideal, scatter.parameters(point[len(opened) + 2 :], sequence.speed)),
                 draw=draw,
                 stratum=stratum,
                 speed=sequence.speed,
@@ -155,11 +153,11 @@ class _Drawing:
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _clearance(self, joint: str, u: float, worn: tuple[str, ...], *, is_silent: bool) -> float:
+    def _clearance(self, joint: str, u: float, worn: tuple[str, ...]) -> float:
         part = self.machine.joints[joint]
         assert isinstance(part, TurningJoint)
         if joint not in worn:
-            return self.plan.fits.quantile(u, part, is_silent=is_silent)
+            return self.plan.fits.quantile(u, part)
         bounds = self.plan.clearance
         low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(part)[1])
         # Draws of several worn joints have too much to fill as it is.
@@ -182,6 +180,12 @@ class _Drawing:
             left_out = [path for path in missing if any(_has(other, path) for other in others)]
             self.scatters[key] = Scatter(numbers, spread, left_out)
         return self.scatters[key]
+
+
+def _without(joints: Iterable[str], parameters: Mapping[str, float]) -> dict[str, float]:
+    """The parameters that are of no contact of these joints."""
+    contacts = tuple(f"joints.{joint}." for joint in joints)
+    return {path: value for path, value in parameters.items() if not path.startswith(contacts)}
 
 
 def _has(numbers: MachineNumbers, path: str) -> bool:

@@ -49,8 +49,8 @@ class Fits(Part):
     """Play of the fits of joints that are not worn: log-uniform from ``low`` to ``high`` [m].
 
     Without them every joint has the range that the machine file says, its ``fit``. In ``tight`` of all joints there is
-    next to none (log-uniform down to a thirtieth of the least play), as in a joint that is preloaded or greased, and so
-    there is in every joint that is not worn of the ``silent`` among all machines.
+    next to none (log-uniform down to a thirtieth of the least play), as in a joint that is preloaded or greased. Of all
+    machines the ``silent`` have none where they are not worn: ideal joints, as preloaded rolling bearings nearly are.
     """
 
     low: Clearance | None = None
@@ -62,13 +62,12 @@ class Fits(Part):
         """Least and greatest play of a joint [m], tight ones aside."""
         return joint.play_as_new if self.low is None or self.high is None else (self.low, self.high)
 
-    def quantile(self, u: float, joint: TurningJoint, *, is_silent: bool = False) -> float:
-        """Play [m] below which the fraction `u` of all fits of a joint lies, in a silent machine or in any other."""
+    def quantile(self, u: float, joint: TurningJoint) -> float:
+        """Play [m] below which the fraction `u` of all fits of a joint lies, in a machine that is not silent."""
         low, high = self.bounds(joint)
-        tight = 1.0 if is_silent else self.tight
-        if u < tight:
-            return log_uniform(low / NEXT_TO_NONE, low, u / tight)
-        return log_uniform(low, high, (u - tight) / max(1.0 - tight, 1e-12))
+        if u < self.tight:
+            return log_uniform(low / NEXT_TO_NONE, low, u / self.tight)
+        return log_uniform(low, high, (u - self.tight) / max(1.0 - self.tight, 1e-12))
 
     @model_validator(mode="after")
     def _rising(self) -> Self:

@@ -15,7 +15,7 @@ from catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from catalogue.measurements.measurement import Measurement
 from catalogue.measurements.tacho import track_of, usual_speed
 from catalogue.plans.parameters import nominal_drive_speed
-from catalogue.signals.hum import SteadyLine
+from catalogue.signals.hum import SteadyLine, hum_in_orders
 from catalogue.signals.noise import NoiseFloor, noise_floor
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.recipe_steps import RecipeStep
@@ -186,6 +186,13 @@ def prepare(
         f"steady line at {line.frequency:.2f} Hz taken out, amplitude up to {line.amplitude.max():.2g}"
         for line in cleaned.lines
     ]
+    hum = hum_in_orders(turn, len(signal) / rate, cleaned.lines)
+    notes += [
+        f"mains hum at {order * turn:.4g} Hz cannot be told from order {order}: up to {amplitude:.2g} m/s2 of it are"
+        " taken to be hum"
+        for order, amplitude in hum.items()
+        if order <= FEATURE_ORDERS
+    ]
     noise = floor.band_power(edges, sensing.derivatives) @ (sensing.channels**2).T
     if len(set(sensing.derivatives)) == 1:
         # Vibration from elsewhere moves the whole frame: it is alike in all sensors, and does not average out.
@@ -208,7 +215,18 @@ def prepare(
         flaws=flaws,
         disturbances=(*rest.disturbances, *lines_of(cleaned, first / rate, last / rate)),
         left_out=rest.left_out,
+        hum_power=_hum_power(hum, edges / turn, sensing),
     )
+
+
+def _hum_power(hum: Mapping[int, float], edges: FloatArray, sensing: SensorMap) -> FloatArray:
+    """Power of the compared channels (B, c) that hum of some amplitudes [m/s2], by order, has in bands (orders)."""
+    power = np.zeros(len(edges) - 1)
+    for order, amplitude in hum.items():
+        band = int(np.searchsorted(edges, order)) - 1
+        if 0 <= band < len(power):
+            power[band] += 0.5 * amplitude**2
+    return np.outer(power, np.sum(sensing.channels**2, axis=1))
 
 
 def _sensors(

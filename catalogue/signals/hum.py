@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,6 +35,8 @@ LEAST_SEPARATION = 0.2
 SEPARATION_PER_ORDER = 0.002
 #: A line less than a cycle from an order must have at least this share of its amplitude: orders are not that steady.
 LEAST_SHARE = 0.1
+#: Amplitude [m/s2] of hum that cables pick up without being called faulty: half a millivolt at 100 mV/g.
+PICKED_UP = 0.05
 #: A line goes when the sum over channels of (its power / what chance would give) exceeds this much a channel, plus
 #: this much.
 GAIN_A_CHANNEL = 6.0
@@ -87,6 +89,38 @@ class Cleaned:
 
     signal: FloatArray
     lines: tuple[SteadyLine, ...]
+
+
+def hum_in_orders(turn: float, duration: float, lines: Sequence[SteadyLine]) -> dict[int, float]:
+    """Find the orders that hum may hide in: those that a multiple of the mains frequency cannot be told from.
+
+    Parameters
+    ----------
+    turn : float
+        Mean drive speed [Hz].
+    duration : float
+        Of the recording [s].
+    lines : sequence of SteadyLine
+        What was taken out of it.
+
+    Returns
+    -------
+    dict of int to float
+        By order, the peak amplitude [m/s2] that hum may have in it: what is picked up commonly, or as much as the
+        loudest mains line that was found.
+    """
+    known = [line for line in lines if line.mains is not None]
+    families = {line.mains for line in known if line.mains is not None} or set(MAINS)
+    amplitude = max([PICKED_UP, *(float(line.amplitude.max()) for line in known)])
+    found = {}
+    for mains in families:
+        for multiple in range(1, MULTIPLES + 1):
+            order = round(multiple * mains / turn)
+            unlike = abs(order * turn - multiple * mains)
+            separation = (LEAST_SEPARATION + SEPARATION_PER_ORDER * order) / min(duration, STRETCH)
+            if order and unlike < separation + 2.0 * STRAY_USUAL * MAINS_STRAY * multiple:
+                found[order] = amplitude
+    return dict(sorted(found.items()))
 
 
 def remove_hum(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) -> Cleaned:

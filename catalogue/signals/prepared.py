@@ -64,6 +64,8 @@ class PreparedMeasurement:
         What is not of the machine, and was left out.
     left_out : float
         Share of the time that shocks, drop-outs and clipping cost.
+    hum_power : (B, c) array, optional
+        Power of the compared channels that may be hum in orders which it cannot be told from; none unless given.
     """
 
     name: str
@@ -81,6 +83,7 @@ class PreparedMeasurement:
     flaws: tuple[SensorFlaw, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
     left_out: float = 0.0
+    hum_power: FloatArray | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -112,6 +115,11 @@ class PreparedMeasurement:
     def group_noise(self) -> FloatArray:
         """Noise power in each feature band, (G, c)."""
         return np.maximum(joined(self.noise_power, self.cuts), LEAST_POWER)
+
+    @property
+    def group_hum(self) -> FloatArray:
+        """Power that may be hum in each feature band, (G, c)."""
+        return joined(np.zeros_like(self.noise_power) if self.hum_power is None else self.hum_power, self.cuts)
 
     @property
     def group_degrees_of_freedom(self) -> FloatArray:

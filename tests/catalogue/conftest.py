@@ -13,8 +13,8 @@ from solver.machines.machine import shipped_machine
 PLAN = {
     "name": "tests",
     "clearance": {"low": "40 um", "high": "0.8 mm", "beyond": 1},
-    "fits": {"silent": 0.1},
-    "draws": {"healthy": 36, "single": 72},
+    "fits": {"silent": 0.25},
+    "draws": {"healthy": 64, "single": 96},
     "seconds": 1.0,
 }
 

@@ -20,7 +20,11 @@ MOUNTS = {
 }
 
 
-TREE: dict[str, Any] = {"laws": {"own": 1}, "draws": {"healthy": 3, "single": 6, "pair": 4, "larger": 5}}
+TREE: dict[str, Any] = {
+    "laws": {"own": 1},
+    "fits": {"silent": 0},
+    "draws": {"healthy": 3, "single": 6, "pair": 4, "larger": 5},
+}
 
 
 def keys(plan: Plan, machine: Machine = QUICK_RETURN) -> list[str]:

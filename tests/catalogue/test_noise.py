@@ -11,7 +11,7 @@ from recordings import RECORDINGS, TRUTH
 from catalogue.errors import MeasurementError
 from catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
 from catalogue.measurements.measurement import read_measurement
-from catalogue.signals.hum import remove_hum
+from catalogue.signals.hum import PICKED_UP, SteadyLine, hum_in_orders, remove_hum
 from catalogue.signals.noise import NoiseFloor, noise_floor
 
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
@@ -225,3 +225,15 @@ def test_power_of_coloured_noise_in_bands() -> None:
     differentiated = floor.band_power([100.0, 200.0, 300.0], [1])[:, 0]
     assert differentiated == pytest.approx([3 * (cubes[1] - cubes[0]), cubes[2] - cubes[1]])
     assert floor.rms == pytest.approx([math.sqrt(2 * (200 * 3 + 300))])
+
+
+def test_hum_may_hide_in_orders_at_multiples_of_the_mains_frequency() -> None:
+    assert list(hum_in_orders(10.0, 4.0, [])) == [5, 6, 10, 12, 15, 18, 20, 24, 25, 30, 36]
+    assert set(hum_in_orders(10.0, 4.0, []).values()) == {PICKED_UP}
+    # Which of the two frequencies it is, other multiples say, and how loud it is.
+    third = SteadyLine(150.3, np.array([0.01, 0.2]), 50.0)
+    assert hum_in_orders(10.0, 4.0, [third]) == dict.fromkeys([5, 10, 15, 20, 25, 30], 0.2)
+    assert hum_in_orders(10.0, 4.0, [SteadyLine(37.0, np.array([0.3]), None)]) == hum_in_orders(10.0, 4.0, [])
+    # Apart by more than the mains strays and the recording resolves.
+    assert list(hum_in_orders(9.9, 4.0, [third])) == []
+    assert list(hum_in_orders(9.99, 30.0, [third])) == [5, 10, 15, 20, 25, 30]

@@ -13,7 +13,7 @@ from catalogue.matching.sightings import ALIKE, SEEN_SHARE, Sightings
 FloatArray = NDArray[np.float64]
 
 LOW, HIGH = float(np.log(30e-6)), float(np.log(1e-3))
-STEEP = 4.0  # of the true curve, over ln(clearance)
+STEEP = 9.0  # of the true curve, over ln(clearance): three quarters of what is expected of it
 SURE = float(np.log(SEEN_SHARE / (1.0 - SEEN_SHARE)))
 
 
@@ -63,7 +63,7 @@ def test_limit_of_detection_is_found_within_what_its_draws_allow(count: int) -> 
     # What is known of slopes beforehand makes the estimate a little better than its draws alone.
     assert 0.6 < np.std(off) < 1.2
     assert abs(np.mean(off)) < 0.4
-    assert np.abs(off).max() < 3.5
+    assert np.abs(off).max() < 4.0  # 3.7: steep curves have few draws on them, and the estimate a long tail
 
 
 def test_nothing_seen_has_no_limit_and_all_seen_the_least_clearance() -> None:
@@ -73,7 +73,7 @@ def test_nothing_seen_has_no_limit_and_all_seen_the_least_clearance() -> None:
     # One draw is supposed unseen below all of them, so that a single seen one is not taken for a law.
     assert found == pytest.approx(np.exp(x.min()), rel=0.05)
     few = of_one_joint(x[:3], np.ones(3, dtype=bool)).detectable_from("A", {})
-    assert few is None or few > 1.2 * np.exp(x[:3].min())
+    assert few is None or few > 1.05 * np.exp(x[:3].min()) > 1.04 * found
 
 
 def test_what_is_seen_too_seldom_at_the_largest_clearance_has_no_limit() -> None:

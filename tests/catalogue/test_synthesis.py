@@ -201,7 +201,9 @@ def test_distance_is_that_of_the_levels_shown(
 
 
 def entries_of(catalogue: Catalogue, joint: str) -> list[Entry]:
-    return [entry for entry in catalogue.plan.entries(catalogue.machine) if entry.hypothesis.joints == (joint,)]
+    """Cases of one worn joint in machines that are not silent: those are of a kind of their own."""
+    entries = catalogue.plan.entries(catalogue.machine)
+    return [entry for entry in entries if entry.hypothesis.joints == (joint,) and len(entry.joints) == 3]
 
 
 def test_cases_are_drawn_where_the_best_ones_lie(small_catalogue: Catalogue) -> None:
