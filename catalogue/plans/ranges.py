@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 
 from catalogue.plans.draws import Distribution
-from catalogue.plans.parameters import MachineNumbers
 from catalogue.plans.variants import LawChoice, output_load
 from solver.machines.drives import RotationDrive
 from solver.machines.joints import TurningJoint
@@ -19,6 +18,10 @@ __all__ = ["default_laws", "default_uncertain", "default_wide"]
 #: stand for it; see "What is uncertain" in docs/catalogue.md for what was compared.
 STIFFNESS_SCATTER = 0.4
 DAMPING_SCATTER = 0.4
+
+#: Standard deviations of the logarithm of what every file says a little wrong: mass and inertia of a frame with all that
+#: is bolted to it, and each mount. Rubber of the same name differs by 10 to 20 % of stiffness from piece to piece.
+TOLERANCE = {"mass": 0.025, "inertia": 0.03, "stiffness": 0.05, "damping": 0.15}
 
 #: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
 HYSTERESIS = (0.3, 30.0)
@@ -42,7 +45,7 @@ def default_laws(machine: Machine) -> dict[LawChoice, float]:
 
 
 def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict[str, Distribution]:
-    """What is not known even of a machine whose data can be trusted: speed, and everything about contacts.
+    """What is not known even of a machine whose data can be trusted: speed, tolerances, and everything about contacts.
 
     Parameters
     ----------
@@ -73,7 +76,9 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     if asked:
         low, high = max(0.05, min(asked) - 0.25), min(1.0, max(asked) + 0.25)
         found["contact.restitution"] = Distribution(uniform=(low, high))
-    return found
+    return found | {
+        path: Distribution(lognormal=TOLERANCE[path.rpartition(".")[2]]) for path in _frame_and_mounts(machine)
+    }
 
 
 def default_wide(machine: Machine) -> dict[str, Distribution]:
@@ -93,21 +98,10 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         "supports.stiffness": Distribution(factor_uniform=(0.7, 1.3)),
         "supports.damping": Distribution(factor_loguniform=(0.5, 2.0)),
     }
-    numbers = MachineNumbers(machine).by_path
     own = {"stiffness": Distribution(factor_uniform=(0.85, 1.15)), "damping": Distribution(factor_uniform=(0.8, 1.25))}
-    kinds = {type(support) for support in machine.supports}
-    mounts = [place for place, support in enumerate(machine.supports) if isinstance(support, Mount)]
-    found = {
-        f"frame.{name}": factors[f"frame.{name}"]
-        for name in ("mass", "inertia")
-        if numbers.get(f"links.{machine.frame}.{name}")
-    }
-    for name, single in (("stiffness", Spring), ("damping", Damper)):
-        if Mount in kinds:
-            found |= {f"supports.{name}.{axis}": factors[f"supports.{name}"] for axis in "xy"}
-            found |= {f"supports.{place}.{name}": own[name] for place in mounts}
-        if single in kinds:
-            found[f"supports.{name}"] = factors[f"supports.{name}"]
+    found = {path: factors.get(path) or own[path.rpartition(".")[2]] for path in _frame_and_mounts(machine)}
+    if any(isinstance(support, Mount) for support in machine.supports):
+        found |= {f"supports.{name}.{axis}": factors[f"supports.{name}"] for name in own for axis in "xy"}
     load = output_load(machine)
     if load is not None:
         scale = _weight_and_inertia(machine) * (load.arm or 1.0)
@@ -119,6 +113,22 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         spread = _either(RIPPLE, 1.0 / order)
         found |= {f"ripple.{order}.sin": spread, f"ripple.{order}.cos": spread}
     return found
+
+
+def _frame_and_mounts(machine: Machine) -> list[str]:
+    """Short paths of the frame's numbers, as far as it moves, of mounts, and of springs and dampers by themselves."""
+    frame = machine.links[machine.frame]
+    if frame.fixed:
+        return []
+    free = {"x", "y", "theta"}.difference(frame.locked)
+    moved = {"frame.mass": frame.mass and free & {"x", "y"}, "frame.inertia": frame.inertia and free & {"theta"}}
+    paths = [path for path, is_held in moved.items() if is_held]
+    mounts = [place for place, support in enumerate(machine.supports) if isinstance(support, Mount)]
+    for name, single in (("stiffness", Spring), ("damping", Damper)):
+        paths += [f"supports.{place}.{name}" for place in mounts]
+        if any(isinstance(support, single) for support in machine.supports):
+            paths.append(f"supports.{name}")
+    return paths
 
 
 def _either(bounds: tuple[float, float], scale: float) -> Distribution:
