@@ -19,8 +19,8 @@ __all__ = ["default_laws", "default_uncertain", "default_wide"]
 STIFFNESS_SCATTER = 0.4
 DAMPING_SCATTER = 0.4
 
-#: Standard deviations of the logarithm of what every file says a little wrong: mass and inertia of a frame with all that
-#: is bolted to it, and each mount. Rubber of the same name differs by 10 to 20 % of stiffness from piece to piece.
+#: Standard deviations of the logarithm of what every file says a little wrong: mass and inertia of a frame with all
+#: that is bolted to it, and each mount. Rubber of the same name differs by 10 to 20 % of stiffness from piece to piece.
 TOLERANCE = {"mass": 0.025, "inertia": 0.03, "stiffness": 0.05, "damping": 0.15}
 
 #: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
