@@ -182,7 +182,7 @@ def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: 
     if steps < 1:
         raise DiagnosisError(f"baseline steps: {steps}: must be at least 1")
     levels = OrderLevels.of(prepared)
-    known = class_statistics(catalogue, levels, HEALTHY)
+    known = class_statistics(catalogue, levels, HEALTHY, as_filed=True)
     if known is None:
         raise DiagnosisError(f"catalogue {catalogue.path}: holds too few machines that are healthy")
     model = HealthyMachine(catalogue, quantities(catalogue.machine), prepared.drive_speed)

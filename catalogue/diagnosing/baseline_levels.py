@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from catalogue.plans.parameters import MachineNumbers
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.storage.cross_power import unpack
 from catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
@@ -65,6 +66,12 @@ class OrderLevels:
         own = prepared.floor.band_power(edges, sensing.derivatives)
         noise = np.hstack([own, prepared.noise_power[:FEATURE_ORDERS]]) if sensing.rigid_body else own
         power = bands.power[:FEATURE_ORDERS]
+        if prepared.hum_power is not None:
+            # What may be hum counts as noise, as if there were so much in any case.
+            hum, own_view = prepared.hum_power[:FEATURE_ORDERS], np.eye(power.shape[-1])
+            views = np.vstack([own_view, sensing.channels]) if sensing.rigid_body else own_view
+            power = power + hum[:, None, None] * own_view
+            noise = noise + np.outer(hum, np.sum(views**2, axis=1))
         seen = [np.diagonal(power, axis1=-2, axis2=-1).real]
         if sensing.rigid_body:
             seen.append(np.einsum("ci,bij,cj->bc", sensing.channels, power.real, sensing.channels))
@@ -185,9 +192,12 @@ def share_beyond(distance: float, others: FloatArray) -> float:
 
 
 def class_statistics(
-    catalogue: Catalogue, levels: OrderLevels, label: str, rows: IntArray | None = None
+    catalogue: Catalogue, levels: OrderLevels, label: str, rows: IntArray | None = None, *, as_filed: bool = False
 ) -> LevelStatistics | None:
-    """Statistics of the trusted entries of a hypothesis, or of some of its rows; None where there are too few."""
+    """Statistics of the trusted entries of a hypothesis, or of some of its rows; None where there are too few.
+
+    Of machines whose frame and supports have the tolerances that entries draw, or are exactly `as_filed`.
+    """
     matrix, prepared = catalogue.matrix, levels.prepared
     rows = matrix.rows(label, "trusted") if rows is None else rows
     if len(rows) < LEAST_ENTRIES:
@@ -197,5 +207,12 @@ def class_statistics(
     # Levels change smoothly with the speed, which the recording tells: what is left is scatter.
     off = np.log(np.abs(matrix.table(rows).drive_speed) / prepared.drive_speed)
     smooth = np.column_stack([np.ones(len(rows)), off, off**2])
+    if as_filed:
+        # Tolerances are small: what they change is linear in them.
+        drawn = matrix.table(rows).parameters
+        frame = f"links.{catalogue.machine.frame}."
+        filed = MachineNumbers(catalogue.machine).by_path
+        off_file = [np.log(drawn[name] / filed[name]) for name in drawn if name.startswith((frame, "supports."))]
+        smooth = np.column_stack([smooth, *off_file])
     weights = np.linalg.lstsq(smooth, seen, rcond=None)[0]
     return LevelStatistics(levels, weights[0], seen - smooth @ weights, power.mean(axis=0, dtype=np.complex128))

@@ -31,7 +31,10 @@ IntArray = npt.NDArray[np.int64]
 #: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
 #: and levels that err together are not as many as they look.
 TEMPERATURE = 2.0
-#: A cause is named where it has this probability,
+#: A cause is named where it is so much likelier (ln) than no change: of forty machines in order, with the tolerances of
+#: machines, none had more than -3; of changes that low orders can show at all, none less than 34;
+LEAST_GAIN = 10.0
+#: where it has this probability,
 LEAST_PROBABILITY = 0.05
 #: and where it leaves no more than this part of what the machine as filed leaves unexplained, or fits as well as this.
 MOST_LEFT = 0.35
@@ -79,7 +82,6 @@ def name_causes(
     catalogue: Catalogue,
     worn: Sequence[tuple[str, IntArray]] = (),
     *,
-    least_gain: float,
     small: bool,
 ) -> tuple[NamedCause, ...]:
     """Say which change other than play explains the low orders of a recording.
@@ -90,8 +92,6 @@ def name_causes(
     catalogue : Catalogue
     worn : sequence of (label, rows)
         Worn machines that the recording's may be, besides those in order: hypothesis and nearest entries.
-    least_gain : float
-        How much likelier than none (ln) a cause must be.
     small : bool
         Whether anything is named where what explains best is a change smaller than any that a search starts from.
 
@@ -115,7 +115,7 @@ def name_causes(
     for label, rows in (("healthy", None), *worn):
         known = class_statistics(catalogue, levels, label, rows)
         if known is not None:
-            scored += _scored(known, model, families, least_gain)
+            scored += _scored(known, model, families)
     best = max(scored, key=lambda each: each.evidence, default=None)
     return () if best is not None and best.is_small and not small else _ranked(scored)
 
@@ -137,9 +137,7 @@ class _Scored:
         return bool(np.linalg.norm(self.numbers) < np.linalg.norm(self.family.starts, axis=1).min())
 
 
-def _scored(
-    known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float
-) -> Iterator[_Scored]:
+def _scored(known: LevelStatistics, model: IdealFrame, families: Sequence[Family]) -> Iterator[_Scored]:
     """Score every family, and no change at all, for some machines of the catalogue."""
     misfit = Misfit.of(known, model)
     if len(misfit.away) < LEAST_LEVELS:
@@ -166,8 +164,8 @@ def _scored(
         if rank < SEARCHED:
             numbers, found = better[rank]
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
-        named = gain >= least_gain and found <= MOST_LEFT * none
-        if gain >= least_gain and not named:
+        named = gain >= LEAST_GAIN and found <= MOST_LEFT * none
+        if gain >= LEAST_GAIN and not named:
             in_order = misfit.in_order() if in_order is None else in_order
             named = share_beyond(found, in_order) >= EXPLAINED
         yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named)

@@ -30,15 +30,6 @@ if the robust mode has this p-value."""
 NAMED_ABOVE = 0.8
 """Probability from which on a cause is what has changed."""
 
-BELIEVED_ABOVE = 0.1
-"""P-value of the trusted mode above which nothing but the low orders speaks for a change."""
-
-GAIN_DOUBTED, GAIN_POSSIBLE, GAIN_BELIEVED = 8.0, 25.0, 50.0
-"""How much likelier (ln) than no change a cause is that is named: of a machine that is not as its file says, of one
-that may be, and of one that is for all the rest shows. Of 93 machines as filed, sound and worn, two reached 25: one
-with a ripple of 0.2 mrad (61), too small to count, one with 28 mrad at order 1 (33, p-value 0.75). Changes that were
-named of machines above that p-value had 440 to 700, of those below it 34 and more."""
-
 
 def needs_cause(result: MatchResult) -> bool:
     """Whether the machine is not as its file says, so that something other than play is to be looked for."""
@@ -82,10 +73,7 @@ def judged(
 def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult) -> tuple[NamedCause, ...]:
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any."""
     worn = [(match.label, _nearest(catalogue, match)) for match in result.hypotheses[:1] if match.joints]
-    doubted = needs_cause(result)
-    possible = (result.trusted_p_value or 0.0) < BELIEVED_ABOVE
-    gain = GAIN_DOUBTED if doubted else GAIN_POSSIBLE if possible else GAIN_BELIEVED
-    return name_causes(prepared, catalogue, worn, least_gain=gain, small=doubted)
+    return name_causes(prepared, catalogue, worn, small=needs_cause(result))
 
 
 def _nearest(catalogue: Catalogue, match: HypothesisMatch) -> IntArray:

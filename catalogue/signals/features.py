@@ -215,18 +215,18 @@ def prepare(
         flaws=flaws,
         disturbances=(*rest.disturbances, *lines_of(cleaned, first / rate, last / rate)),
         left_out=rest.left_out,
-        hum_power=_hum_power(hum, edges / turn, sensing),
+        hum_power=_hum_power(hum, edges / turn),
     )
 
 
-def _hum_power(hum: Mapping[int, float], edges: FloatArray, sensing: SensorMap) -> FloatArray:
-    """Power of the compared channels (B, c) that hum of some amplitudes [m/s2], by order, has in bands (orders)."""
+def _hum_power(hum: Mapping[int, float], edges: FloatArray) -> FloatArray:
+    """Power (B,) that hum of some amplitudes [m/s2], by order, has in bands between edges [orders]."""
     power = np.zeros(len(edges) - 1)
     for order, amplitude in hum.items():
         band = int(np.searchsorted(edges, order)) - 1
         if 0 <= band < len(power):
             power[band] += 0.5 * amplitude**2
-    return np.outer(power, np.sum(sensing.channels**2, axis=1))
+    return power
 
 
 def _sensors(

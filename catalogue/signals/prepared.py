@@ -64,8 +64,8 @@ class PreparedMeasurement:
         What is not of the machine, and was left out.
     left_out : float
         Share of the time that shocks, drop-outs and clipping cost.
-    hum_power : (B, c) array, optional
-        Power of the compared channels that may be hum in orders which it cannot be told from; none unless given.
+    hum_power : (B,) array, optional
+        Power [(m/s2)^2] of every sensor that may be hum, in orders which it cannot be told from; none unless given.
     """
 
     name: str
@@ -119,7 +119,8 @@ class PreparedMeasurement:
     @property
     def group_hum(self) -> FloatArray:
         """Power that may be hum in each feature band, (G, c)."""
-        return joined(np.zeros_like(self.noise_power) if self.hum_power is None else self.hum_power, self.cuts)
+        power = np.zeros(len(self.noise_power)) if self.hum_power is None else self.hum_power
+        return joined(np.outer(power, np.sum(self.sensing.channels**2, axis=1)), self.cuts)
 
     @property
     def group_degrees_of_freedom(self) -> FloatArray:

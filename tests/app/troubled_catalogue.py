@@ -12,7 +12,7 @@ from catalogue.plans.plan import parse_plan
 from catalogue.storage.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
 
-PLAN = parse_plan({"name": "made up", "draws": {"healthy": 6, "single": 12}, "laws": {"own": 1}})
+PLAN = parse_plan({"name": "made up", "draws": {"healthy": 6, "single": 12}, "fits": {"silent": 0}, "laws": {"own": 1}})
 MESSAGE = "left <the range> at t = 0.1 s"
 
 

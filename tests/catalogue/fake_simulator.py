@@ -32,6 +32,7 @@ PLAN: Plan = parse_plan(
         "name": "small",
         "clearance": {"low": "50 um", "high": "0.5 mm"},
         "draws": {"healthy": 6, "single": 12},
+        "fits": {"silent": 0},
         "laws": {"own": 1},
         "bands": {"orders": 5, "per_octave": 3, "f_max": "500 Hz"},
     }

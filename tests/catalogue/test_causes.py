@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from catalogue.diagnosing.causes import NamedCause, name_causes
-from catalogue.diagnosing.verdict import GAIN_BELIEVED, GAIN_DOUBTED
 from catalogue.matching.threads import one_thread
 from catalogue.measurements.measurement import Channel, Measurement
 from catalogue.signals.features import prepare
@@ -106,7 +105,7 @@ def recording(change: Change, clearances: Mapping[str, float] | None = None, sec
 def named(change: Change, catalogue: Catalogue, **more: Any) -> tuple[NamedCause, ...]:
     prepared = prepare(recording(change, **more), catalogue.machine, None, SPEED, catalogue.scheme)
     with one_thread():
-        return name_causes(prepared, catalogue, least_gain=GAIN_DOUBTED, small=True)
+        return name_causes(prepared, catalogue, small=True)
 
 
 @pytest.mark.parametrize(
@@ -136,11 +135,11 @@ def test_what_is_clear_is_named_where_nothing_is_doubted_too(small_catalogue: Ca
     for change, first in ((loaded(150.0), "load on one stroke"), (framed(1.4), "mass of frame")):
         prepared = prepare(recording(change), small_catalogue.machine, None, SPEED, small_catalogue.scheme)
         with one_thread():
-            found = name_causes(prepared, small_catalogue, least_gain=GAIN_BELIEVED, small=False)
+            found = name_causes(prepared, small_catalogue, small=False)
         assert found[0].name == first
     prepared = prepare(recording(rippled(4, 3e-4)), small_catalogue.machine, None, SPEED, small_catalogue.scheme)
     with one_thread():
-        every, large = (name_causes(prepared, small_catalogue, least_gain=8.0, small=small) for small in (True, False))
+        every, large = (name_causes(prepared, small_catalogue, small=small) for small in (True, False))
     assert every[0].name == "ripple of the drive, order 4"
     assert large == ()
 
@@ -164,7 +163,7 @@ def test_a_cause_is_named_beside_wear(small_catalogue: Catalogue) -> None:
     away = np.abs(np.log(matrix.clearance(rows)[:, matrix.joints.index("B")] / 300e-6))
     near = np.sort(rows[np.argsort(away)[:30]])
     with one_thread():
-        found = name_causes(prepared, small_catalogue, [("B", near)], least_gain=GAIN_DOUBTED, small=True)
+        found = name_causes(prepared, small_catalogue, [("B", near)], small=True)
     assert found[0].name == "mount 0"
     assert found[0].size == pytest.approx(0.5, rel=0.2)
 
@@ -173,7 +172,7 @@ def test_nothing_is_named_where_the_frame_stands_on_more_than_mounts(small_catal
     spring = Spring(link="frame", at=(0.0, -0.1), anchor=(0.0, -0.3), stiffness=1e4)
     machine = FILED.model_copy(update={"supports": (*FILED.supports, spring)})
     prepared = prepare(recording(factors(mount0=0.5)), FILED, None, SPEED, small_catalogue.scheme)
-    assert name_causes(prepared, _Other(small_catalogue, machine), least_gain=0.0, small=True) == ()  # type: ignore[arg-type]
+    assert name_causes(prepared, _Other(small_catalogue, machine), small=True) == ()  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

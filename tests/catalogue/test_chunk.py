@@ -23,6 +23,7 @@ PLAN = parse_plan(
     {
         "clearance": {"low": "0.1 mm", "high": "0.4 mm"},
         "draws": {"healthy": 2, "single": 4},
+        "fits": {"silent": 0},
         "laws": {"own": 1},
         "guard": 3,
         "seconds": 0,
