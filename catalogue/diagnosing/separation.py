@@ -46,7 +46,7 @@ SPLITS = 4
 #: Standard deviations of what is projected over which the border is blurred: adds a twentieth to the spread.
 BLUR = 0.3
 #: Error from which on something is suggested at all, and the share of it that must go to be worth a word.
-LEAST_ERROR = 1e-3
+LEAST_ERROR = 5e-3
 LEAST_GAIN = 0.05
 #: Two points [m] that count as one.
 SAME_POINT = 1e-6
@@ -100,7 +100,7 @@ def suggest(
     -------
     tuple of Suggestion
         Smallest error first; what takes away less than a twentieth of the error is left out. Empty where there is one
-        hypothesis only, or less than one in a thousand is mistaken as it is.
+        hypothesis only, or less than one in two hundred is mistaken as it is.
 
     Notes
     -----

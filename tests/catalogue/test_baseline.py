@@ -107,7 +107,8 @@ def test_gains_are_taken_out_of_recordings(small_catalogue: Catalogue) -> None:
     orders = slice(0, 60)
     before = np.abs(crooked.features - right.features)[orders].max()
     after = np.abs(straight.features - right.features)[orders].max()
-    assert before > 0.8 and after < 0.5 * before
+    # What two gains make of a level that nearly cancels: 3.6 dB, and 2.2 to 2.5 when gains are known to 2.5 %.
+    assert before > 0.8 and after < 0.75 * before
     assert [step.name for step in straight.steps[-2:]] == ["gains", "suspension"]
 
 
@@ -232,7 +233,10 @@ def test_entries_like_the_machine_weigh_more(
         assert own.sum() ** 2 / np.square(own).sum() >= min(100.0, 0.5 * len(own)) - 1e-9
     monkeypatch.undo()
     plain = KnownMachine(fitted, "0" * 64).weights(small_catalogue)
-    assert plain is not None and (plain == 1.0).all(), "nothing of the frame was drawn: all entries are alike"
+    matrix = small_catalogue.matrix
+    masses = matrix.table(np.arange(len(matrix))).parameters["links.frame.mass"]
+    assert plain is not None and fitted.numbers["frame.mass"].factor > 1.05
+    assert plain[masses > np.quantile(masses, 0.7)].mean() > 1.2 * plain[masses < np.quantile(masses, 0.3)].mean()
 
 
 def test_fitting_reads_neither_the_table_of_all_entries_nor_a_shard(
@@ -243,7 +247,8 @@ def test_fitting_reads_neither_the_table_of_all_entries_nor_a_shard(
     monkeypatch.setattr(Catalogue, "_read", None)
     found = fit_baseline(prepared, small_catalogue)
     assert found.explained
-    assert (KnownMachine(found, "0" * 64).weights(small_catalogue) == 1.0).all()  # type: ignore[union-attr]
+    weights = KnownMachine(found, "0" * 64).weights(small_catalogue)
+    assert weights is not None and (weights > 0.0).all()
 
 
 @pytest.mark.parametrize("name", ["slider-crank-01", "slider-crank-04"])

@@ -382,7 +382,7 @@ def test_a_sweep_takes_the_first_draws_of_each_hypothesis(small_catalogue: Catal
     found = trade_off(small_catalogue, [6, 1000], ["draft"], SHORT, 8, seed=3)
     assert [(point.accuracy, point.draws, point.entries) for point in found.points] == [
         ("draft", 6, 24),
-        ("draft", 72, 252),
+        ("draft", 96, 352),
     ]
     few, many = found.points
     assert 0.0 < few.build_seconds < many.build_seconds
