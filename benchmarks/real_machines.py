@@ -9,6 +9,7 @@ Recordings are named MACHINE-PROTOCOL-NUMBER. Every figure is a count with its 9
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import sys
@@ -188,6 +189,30 @@ def intervals_held(found: Sequence[Judged]) -> tuple[int, int]:
     return held, count
 
 
+def first_seen(found: Sequence[Judged]) -> dict[str, float]:
+    """Clearance [um] from which on growing wear is told exactly, by machine and series; infinite where it never is."""
+    series: dict[str, list[tuple[float, bool]]] = defaultdict(list)
+    for item in found:
+        if item.protocol == "growing":
+            name = f"{item.truth['machine']} {item.truth['series']['number']}"
+            series[name].append((sum(item.truth["worn_um"].values()), item.exact))
+    return {
+        name: min(
+            (um for um, _ in itertools.takewhile(lambda each: each[1], sorted(each, reverse=True))), default=math.inf
+        )
+        for name, each in series.items()
+    }
+
+
+def sets_held(found: Sequence[Judged]) -> tuple[int, int]:
+    """How many candidate sets hold what is worn, of all answers that have a set and are of nothing but wear."""
+    told = [item for item in found if item.answer and item.answer["candidate_set"] and not item.truth["causes"]]
+    held = sum(
+        ("+".join(sorted(item.worn)) or "healthy") in item.answer["candidate_set"] for item in told if item.answer
+    )
+    return held, len(told)
+
+
 def log_loss(found: Sequence[Judged]) -> tuple[float, int]:
     """Mean of -ln P of what is true of each joint, worn or not; and how many joints."""
     losses = []
@@ -230,6 +255,9 @@ def main() -> int:
     held, count = intervals_held(found)
     loss, joints = log_loss(found)
     print(f"90 % intervals hold {held} of {count}; log-loss of P(worn) {loss:.3f} over {joints} joints")
+    print("candidate sets hold {} of {}".format(*sets_held(found)))
+    for series, size in first_seen(found).items():
+        print(f"growing wear, {series}: told exactly from {size:.0f} um on")
     if given.keep:
         given.keep.write_text(json.dumps([vars(item) for item in found], indent=1))
     return 0 if found else 1
