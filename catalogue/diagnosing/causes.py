@@ -31,7 +31,7 @@ IntArray = npt.NDArray[np.int64]
 #: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
 #: and levels that err together are not as many as they look.
 TEMPERATURE = 2.0
-#: A cause is named where it is so much likelier (ln) than no change: of forty machines in order, with the tolerances of
+#: A cause is named where it is so much likelier (ln) than no change: of sixty machines in order, with the tolerances of
 #: machines, none had more than -3; of changes that low orders can show at all, none less than 34;
 LEAST_GAIN = 10.0
 #: where it has this probability,
