@@ -190,12 +190,13 @@ def intervals_held(found: Sequence[Judged]) -> tuple[int, int]:
 
 
 def first_seen(found: Sequence[Judged]) -> dict[str, float]:
-    """Clearance [um] from which on growing wear is told exactly, by machine and series; infinite where it never is."""
+    """Clearance [um] from which on growing wear is always seen, by machine and series; infinite where it never is."""
     series: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     for item in found:
         if item.protocol == "growing":
             name = f"{item.truth['machine']} {item.truth['series']['number']}"
-            series[name].append((sum(item.truth["worn_um"].values()), item.exact))
+            is_seen = item.verdict == "worn" and item.worn <= item.named(0)
+            series[name].append((sum(item.truth["worn_um"].values()), is_seen))
     return {
         name: min(
             (um for um, _ in itertools.takewhile(lambda each: each[1], sorted(each, reverse=True))), default=math.inf
@@ -257,7 +258,7 @@ def main() -> int:
     print(f"90 % intervals hold {held} of {count}; log-loss of P(worn) {loss:.3f} over {joints} joints")
     print("candidate sets hold {} of {}".format(*sets_held(found)))
     for series, size in first_seen(found).items():
-        print(f"growing wear, {series}: told exactly from {size:.0f} um on")
+        print(f"growing wear, {series}: seen from {size:.0f} um on")
     if given.keep:
         given.keep.write_text(json.dumps([vars(item) for item in found], indent=1))
     return 0 if found else 1
