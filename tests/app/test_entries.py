@@ -65,7 +65,9 @@ def test_filters(client: httpx.Client, stored: Catalogue) -> None:
     assert {item["hypothesis"] for item in walked(client, limit=200, min_clearance_um=21)} == {"A", "B", "O"}
     in_order = walked(client, limit=200, max_clearance_um=20)
     assert {item["hypothesis"] for item in in_order} == {"healthy"}
-    assert all(set(item["clearances_um"]) == {"A", "B", "O"} and item["worn"] == [] for item in in_order)
+    # Those of silent machines are ideal where they are not worn.
+    assert {"".join(sorted(item["clearances_um"])) for item in in_order} == {"ABO", ""}
+    assert all(item["worn"] == [] for item in in_order)
     assert walked(client, limit=10, hypothesis="A", joint="B") == []
     assert walked(client, limit=10, status="jammed") == []
     assert len(walked(client, limit=200, status="ok", law="own", stratum="trusted")) == len(table)
