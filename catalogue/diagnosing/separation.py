@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 import scipy.spatial
 import scipy.stats
 
@@ -42,7 +43,7 @@ LEAST_ENTRIES = 40
 MOST_ENTRIES = 120
 COPIES = 3
 #: Splits into entries that a direction is learned from and entries it is judged by.
-SPLITS = 4
+SPLITS = 2
 #: Standard deviations of what is projected over which the border is blurred: adds a twentieth to the spread.
 BLUR = 0.3
 #: Error from which on something is suggested at all, and the share of it that must go to be worth a word.
@@ -230,7 +231,9 @@ def _fisher(first: FloatArray, second: FloatArray) -> FloatArray:
     own = count / (count + 3.0 * size)
     diagonal = np.diag(covariance)
     covariance = own * covariance + (1.0 - own) * np.diag(diagonal) + 1e-6 * diagonal.mean() * np.eye(size)
-    return np.asarray(np.linalg.solve(covariance, second.mean(axis=0) - first.mean(axis=0)), dtype=np.float64)
+    return np.asarray(
+        scipy.linalg.solve(covariance, second.mean(axis=0) - first.mean(axis=0), assume_a="pos"), dtype=np.float64
+    )
 
 
 def _sensing(prepared: PreparedMeasurement, machine: Machine, more: FloatArray) -> Sensing:
