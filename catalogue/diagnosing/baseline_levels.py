@@ -209,10 +209,12 @@ def class_statistics(
     smooth = np.column_stack([np.ones(len(rows)), off, off**2])
     if as_filed:
         # Tolerances are small: what they change is linear in them.
-        drawn = matrix.table(rows).parameters
-        frame = f"links.{catalogue.machine.frame}."
-        filed = MachineNumbers(catalogue.machine).by_path
-        off_file = [np.log(drawn[name] / filed[name]) for name in drawn if name.startswith((frame, "supports."))]
+        filed, own = MachineNumbers(catalogue.machine).by_path, (f"links.{catalogue.machine.frame}.", "supports.")
+        off_file = [
+            np.log(values / filed[name])
+            for name, values in matrix.table(rows).parameters.items()
+            if name.startswith(own) and filed.get(name, 0.0) > 0.0
+        ]
         smooth = np.column_stack([smooth, *off_file])
     weights = np.linalg.lstsq(smooth, seen, rcond=None)[0]
     return LevelStatistics(levels, weights[0], seen - smooth @ weights, power.mean(axis=0, dtype=np.complex128))
