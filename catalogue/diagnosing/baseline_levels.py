@@ -123,12 +123,15 @@ class LevelStatistics:
         Of entries from the mean at their own speed, dB.
     power : (K, 3, 3) array
         Cross-powers of the frame in orders 1 to K, averaged over entries.
+    fitted : int
+        Numbers that the mean has of every level.
     """
 
     levels: OrderLevels
     mean: FloatArray
     deviations: FloatArray
     power: npt.NDArray[np.complex128]
+    fitted: int = 3
 
     @property
     def error_variance(self) -> FloatArray:
@@ -156,7 +159,7 @@ class LevelStatistics:
     def covariance(self, used: BoolArray, rows: BoolArray | None = None) -> FloatArray:
         """Covariance of used levels: what machines in order scatter by, the noise, and what no model is free of."""
         found = self.deviations[:, used] if rows is None else self.deviations[rows][:, used]
-        scatter = found.T @ found / max(1, len(found) - 3)
+        scatter = found.T @ found / max(1, len(found) - self.fitted)
         own = len(found) / (len(found) + scatter.shape[0])
         shrunk = own * scatter + (1.0 - own) * np.diag(np.diag(scatter))
         return np.asarray(shrunk + np.diag(self.error_variance[used]))
@@ -213,8 +216,9 @@ def class_statistics(
         off_file = [
             np.log(values / filed[name])
             for name, values in matrix.table(rows).parameters.items()
-            if name.startswith(own) and filed.get(name, 0.0) > 0.0
+            if name.startswith(own) and filed.get(name, 0.0) > 0.0 and (values > 0.0).all()
         ]
         smooth = np.column_stack([smooth, *off_file])
-    weights = np.linalg.lstsq(smooth, seen, rcond=None)[0]
-    return LevelStatistics(levels, weights[0], seen - smooth @ weights, power.mean(axis=0, dtype=np.complex128))
+    weights, _, rank, _ = np.linalg.lstsq(smooth, seen, rcond=None)
+    mean = power.mean(axis=0, dtype=np.complex128)
+    return LevelStatistics(levels, weights[0], seen - smooth @ weights, mean, int(rank))

@@ -32,8 +32,9 @@ IntArray = npt.NDArray[np.int64]
 #: and levels that err together are not as many as they look.
 TEMPERATURE = 2.0
 #: A cause is named where it is so much likelier (ln) than no change: of sixty machines in order, with the tolerances of
-#: machines, none had more than -3; of changes that low orders can show at all, none less than 34;
-LEAST_GAIN = 10.0
+#: machines, none had more than -3; of changes that low orders can show at all, none less than 34. A catalogue whose
+#: frames are all exactly that of the file takes such tolerances for changes, with up to 44.
+LEAST_GAIN, LEAST_GAIN_EXACT = 10.0, 50.0
 #: where it has this probability,
 LEAST_PROBABILITY = 0.05
 #: and where it leaves no more than this part of what the machine as filed leaves unexplained, or fits as well as this.
@@ -111,11 +112,14 @@ def name_causes(
     levels = OrderLevels.of(prepared)
     model = IdealFrame.of(machine, math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed))
     families = tuple(families_of(model))
+    drawn = catalogue.plan.spread(machine, "trusted")
+    has_tolerances = any(path.startswith(("frame.", "supports.", f"links.{machine.frame}.")) for path in drawn)
+    least = LEAST_GAIN if has_tolerances else LEAST_GAIN_EXACT
     scored: list[_Scored] = []
     for label, rows in (("healthy", None), *worn):
         known = class_statistics(catalogue, levels, label, rows)
         if known is not None:
-            scored += _scored(known, model, families)
+            scored += _scored(known, model, families, least)
     best = max(scored, key=lambda each: each.evidence, default=None)
     return () if best is not None and best.is_small and not small else _ranked(scored)
 
@@ -137,7 +141,9 @@ class _Scored:
         return bool(np.linalg.norm(self.numbers) < np.linalg.norm(self.family.starts, axis=1).min())
 
 
-def _scored(known: LevelStatistics, model: IdealFrame, families: Sequence[Family]) -> Iterator[_Scored]:
+def _scored(
+    known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float
+) -> Iterator[_Scored]:
     """Score every family, and no change at all, for some machines of the catalogue."""
     misfit = Misfit.of(known, model)
     if len(misfit.away) < LEAST_LEVELS:
@@ -164,8 +170,8 @@ def _scored(known: LevelStatistics, model: IdealFrame, families: Sequence[Family
         if rank < SEARCHED:
             numbers, found = better[rank]
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
-        named = gain >= LEAST_GAIN and found <= MOST_LEFT * none
-        if gain >= LEAST_GAIN and not named:
+        named = gain >= least_gain and found <= MOST_LEFT * none
+        if gain >= least_gain and not named:
             in_order = misfit.in_order() if in_order is None else in_order
             named = share_beyond(found, in_order) >= EXPLAINED
         yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named)

@@ -33,6 +33,10 @@ FloatArray = NDArray[np.float64]
 HYPOTHESES = 1000
 """Machines drawn from a posterior, of which a share is nearer to a point than the true one."""
 
+LEAST_BEYOND = 20
+"""Joints beyond a multiple of the limit of detection that are needed to say that 95 % of them are seen: a few are by
+chance."""
+
 POINTS = 400
 """Points of ln(clearance) through which clearances are drawn."""
 
@@ -245,14 +249,14 @@ def limit_ratio(joints: Sequence[JointAnswer]) -> float | None:
 
     A joint is seen where it is more likely worn than not, as for the limits themselves. The share that is seen rises
     with the multiple, in whatever way (isotonic regression): limits of many joints together follow no one curve. None
-    where it does not pass 95 % among the multiples that there are.
+    where it does not pass 95 % among the multiples that there are, or only among the last few.
     """
     limited = sorted((joint.clearance_um / limit, joint.p_worn >= SEEN_ABOVE) for joint, limit in _limited(joints))
     if not limited:
         return None
     share = isotonic_regression([float(seen) for _, seen in limited]).x
     first = int(np.searchsorted(share, SEEN_SHARE))
-    return limited[first][0] if 0 < first < len(limited) else None
+    return limited[first][0] if 0 < first <= len(limited) - LEAST_BEYOND else None
 
 
 def _limited(joints: Sequence[JointAnswer]) -> list[tuple[JointAnswer, float]]:

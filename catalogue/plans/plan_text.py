@@ -50,7 +50,7 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
         f"draws: {draws}",
         f"clearance: worn {_um(plan.clearance.low, plan.clearance.high)} "
         f"(one alone to {plan.clearance.beyond:g} times that), fits {_fits(plan, machine)}, next to none in "
-        f"{100 * plan.fits.tight:g} % of them and in all of {100 * plan.fits.silent:g} % of the machines",
+        f"{100 * plan.fits.tight:g} % of them, none at all in {100 * plan.fits.silent:g} % of the machines",
         f"contact laws: {laws}",
         f"uncertain: {_listed(plan, machine, wide=False)}",
     ]

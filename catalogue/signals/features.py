@@ -164,7 +164,7 @@ def prepare(
             parameters={"search_range": SEARCH_RANGE},
             found=_speed_note(estimate, wander),
         ),
-        RecipeStep(name="hum", version="1", parameters={}, found=_lines_note(cleaned.lines)),
+        RecipeStep(name="hum", version="2", parameters={}, found=_lines_note(cleaned.lines)),
         RecipeStep(name="noise floor", version="2", parameters={}, found=_floor_note(floor, sensing)),
         RecipeStep(
             name="angular resampling",
@@ -186,7 +186,15 @@ def prepare(
         f"steady line at {line.frequency:.2f} Hz taken out, amplitude up to {line.amplitude.max():.2g}"
         for line in cleaned.lines
     ]
-    hum = hum_in_orders(turn, len(signal) / rate, cleaned.lines)
+    derivatives = np.array(sensing.derivatives)
+    hum = hum_in_orders(
+        turn,
+        len(signal) / rate,
+        [
+            dataclasses.replace(line, amplitude=line.amplitude * (2.0 * math.pi * line.frequency) ** derivatives)
+            for line in cleaned.lines
+        ],
+    )
     notes += [
         f"mains hum at {order * turn:.4g} Hz cannot be told from order {order}: up to {amplitude:.2g} m/s2 of it are"
         " taken to be hum"

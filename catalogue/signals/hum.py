@@ -101,7 +101,7 @@ def hum_in_orders(turn: float, duration: float, lines: Sequence[SteadyLine]) -> 
     duration : float
         Of the recording [s].
     lines : sequence of SteadyLine
-        What was taken out of it.
+        What was taken out of it, as accelerations.
 
     Returns
     -------
@@ -110,15 +110,19 @@ def hum_in_orders(turn: float, duration: float, lines: Sequence[SteadyLine]) -> 
         loudest mains line that was found.
     """
     known = [line for line in lines if line.mains is not None]
-    families = {line.mains for line in known if line.mains is not None} or set(MAINS)
+    # A line that was found says which frequency it is, and exactly; without any it may be either, and stray.
+    families = {line.mains: line.frequency / round(line.frequency / line.mains) for line in known if line.mains}
+    stray = 0.0 if families else 2.0 * STRAY_USUAL * MAINS_STRAY
     amplitude = max([PICKED_UP, *(float(line.amplitude.max()) for line in known)])
+    stretch = duration / max(1, math.ceil(duration / STRETCH))
+    taken_out = {(line.mains, round(line.frequency / line.mains)) for line in known if line.mains}
     found = {}
-    for mains in families:
+    for mains, frequency in (families or {each: each for each in MAINS}).items():
         for multiple in range(1, MULTIPLES + 1):
-            order = round(multiple * mains / turn)
-            unlike = abs(order * turn - multiple * mains)
-            separation = (LEAST_SEPARATION + SEPARATION_PER_ORDER * order) / min(duration, STRETCH)
-            if order and unlike < separation + 2.0 * STRAY_USUAL * MAINS_STRAY * multiple:
+            order = round(multiple * frequency / turn)
+            unlike = abs(order * turn - multiple * frequency)
+            separation = (LEAST_SEPARATION + SEPARATION_PER_ORDER * order) / stretch
+            if order and (mains, multiple) not in taken_out and unlike < separation + stray * multiple:
                 found[order] = amplitude
     return dict(sorted(found.items()))
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, fit_baseline
+from catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
+from catalogue.diagnosing.comparison import exact_sensing, measured_features
 from catalogue.diagnosing.known_machine import KnownMachine
 from catalogue.diagnosing.tuning import quantities
 from catalogue.errors import DiagnosisError
@@ -73,11 +75,11 @@ def test_what_a_baseline_can_correct(small_catalogue: Catalogue) -> None:
 
 
 def test_numbers_and_gains_come_back(fitted: Baseline) -> None:
-    """Measured on eleven such recordings, other fits each: mass, stiffness 2 to 4 %, inertia 2 to 14, damping 4 to 18.
+    """Measured on eleven such recordings, other fits each: mass, stiffness 2 to 4 %, inertia 2 to 14, damping 4 to 20.
 
     Damping falls short of what it is: it shows in few levels, which the play of fits scatters.
     """
-    for name, factor, within in zip(NAMES, (1.12, 0.92, 0.85, 1.2, 1.3), (0.05, 0.15, 0.05, 0.05, 0.2), strict=True):
+    for name, factor, within in zip(NAMES, (1.12, 0.92, 0.85, 1.2, 1.3), (0.05, 0.15, 0.05, 0.05, 0.25), strict=True):
         error = math.log(fitted.numbers[name].factor / factor)
         assert abs(error) < within and abs(error) < 3.0 * fitted.numbers[name].scatter
     names = ("s1-x", "s1-y", "s2-x", "s2-y")
@@ -110,6 +112,41 @@ def test_gains_are_taken_out_of_recordings(small_catalogue: Catalogue) -> None:
     # What two gains make of a level that nearly cancels: 3.6 dB, and 2.2 to 2.5 when gains are known to 2.5 %.
     assert before > 0.8 and after < 0.75 * before
     assert [step.name for step in straight.steps[-2:]] == ["gains", "suspension"]
+
+
+def test_levels_of_machines_exactly_as_filed_scatter_less(small_catalogue: Catalogue) -> None:
+    """Tolerances of frame and mounts are most of what the low orders of machines in order scatter by."""
+    (prepared,) = recordings(small_catalogue, [off_by(small_catalogue, (1.0,) * 5)])
+    levels = OrderLevels.of(prepared)
+    drawn, exact = (class_statistics(small_catalogue, levels, "healthy", as_filed=each) for each in (False, True))
+    assert drawn is not None and exact is not None
+    first = slice(0, 2 * (len(levels.measured) // 20))  # orders 1 and 2; measured 0.4 to 0.9 and 0.1 to 0.2 dB
+    assert np.median(exact.deviations[:, first].std(axis=0)) < 0.5 * np.median(drawn.deviations[:, first].std(axis=0))
+    assert exact.fitted > drawn.fitted == 3
+
+
+def test_what_may_be_hum_counts_as_noise_in_its_order(small_catalogue: Catalogue) -> None:
+    (plain,) = recordings(small_catalogue, [off_by(small_catalogue, (1.0,) * 5)])
+    assert plain.hum_power is not None and not plain.hum_power.any()  # 606 rpm
+    power = np.zeros(len(plain.noise_power))
+    power[4] = 0.5 * 0.05**2
+    humming = dataclasses.replace(plain, hum_power=power)
+    sensing, without = exact_sensing(humming), exact_sensing(plain)
+    expected = power[4] * np.sum(plain.sensing.channels**2, axis=1)
+    assert sensing.noise[4] - without.noise[4] == pytest.approx(expected)
+    assert np.delete(sensing.noise, 4, axis=0) == pytest.approx(np.delete(without.noise, 4, axis=0))
+    bands = sensing.noise.shape[0]
+    raised = (measured_features(humming, sensing) - measured_features(plain, without))[: sensing.noise.size]
+    raised = raised.reshape(bands, -1)
+    assert raised[4] == pytest.approx(10.0 * np.log10(1.0 + expected / plain.group_power[4]))
+    assert not np.delete(raised, 4, axis=0).any()
+    more, before = OrderLevels.of(humming), OrderLevels.of(plain)
+    shape = (20, -1)
+    assert (more.noise.reshape(shape)[4] > before.noise.reshape(shape)[4]).all()
+    assert (more.measured.reshape(shape)[4] > before.measured.reshape(shape)[4]).all()
+    assert np.delete(more.measured.reshape(shape), 4, axis=0) == pytest.approx(
+        np.delete(before.measured.reshape(shape), 4, axis=0)
+    )
 
 
 def test_recordings_are_converted_to_the_machine_of_the_file(small_catalogue: Catalogue) -> None:
@@ -248,7 +285,8 @@ def test_fitting_reads_neither_the_table_of_all_entries_nor_a_shard(
     found = fit_baseline(prepared, small_catalogue)
     assert found.explained
     weights = KnownMachine(found, "0" * 64).weights(small_catalogue)
-    assert weights is not None and (weights > 0.0).all()
+    assert weights is not None and weights.shape == (len(small_catalogue.matrix),)
+    assert weights.max() > 2.0 * weights.min()
 
 
 @pytest.mark.parametrize("name", ["slider-crank-01", "slider-crank-04"])

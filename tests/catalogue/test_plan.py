@@ -271,7 +271,7 @@ def test_a_plan_is_shown_in_words() -> None:
     assert lines[2] == "draws: healthy 512, single 512, pair 448, larger 448"
     assert lines[3] == (
         "clearance: worn 25-2000 um (one alone to 2 times that), fits 3-20 um, next to none in 10 % of "
-        "them and in all of 25 % of the machines"
+        "them, none at all in 25 % of the machines"
     )
     assert lines[4] == "contact laws: own 1, hertz 1"
     assert "drive.speed x 0.97 to 1.03" in lines[5]
