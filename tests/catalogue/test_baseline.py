@@ -120,7 +120,7 @@ def test_levels_of_machines_exactly_as_filed_scatter_less(small_catalogue: Catal
     levels = OrderLevels.of(prepared)
     drawn, exact = (class_statistics(small_catalogue, levels, "healthy", as_filed=each) for each in (False, True))
     assert drawn is not None and exact is not None
-    first = slice(0, 2 * (len(levels.measured) // 20))  # orders 1 and 2; measured 0.4 to 0.9 and 0.1 to 0.2 dB
+    first = slice(0, 2 * (len(levels.measured) // 20))  # orders 1 and 2: 0.9 and 0.25 dB in plan standard
     assert np.median(exact.deviations[:, first].std(axis=0)) < 0.5 * np.median(drawn.deviations[:, first].std(axis=0))
     assert exact.fitted > drawn.fitted == 3
 
