@@ -355,7 +355,8 @@ def prior_sentence(result: Mapping[str, Any]) -> str:
     """Return what was held likely before the recording."""
     prior = result["prior"]
     own = "".join(f"; {joint} {weight:g} times as likely" for joint, weight in prior["joints"].items())
-    return f"Before the recording, every worn joint beyond the first counts {prior['another']:g}{own}."
+    shares = [f"{worn} with {100.0 * share:.0f} %" for worn, share in enumerate(prior["numbers"], 1)]
+    return f"Before the recording: of joints that wear at once, {enumerate_words(shares)}{own}."
 
 
 def enumerate_words(words: Sequence[str]) -> str:

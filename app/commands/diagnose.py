@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     type=click.FloatRange(1.0 / LARGEST, LARGEST),
     default=Prior().another,
     show_default=True,
-    help="What every worn joint beyond the first multiplies a probability by beforehand.",
+    help="How much likelier beforehand it is that one joint more is worn, whichever they are.",
 )
 @click.option(
     "--baseline",

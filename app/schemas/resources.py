@@ -157,7 +157,7 @@ class PriorAsked(Shape):
             default=Prior().another,
             ge=1.0 / LARGEST,
             le=LARGEST,
-            description="What every worn joint beyond the first multiplies the weight of a hypothesis by.",
+            description="How much likelier it is that one joint more is worn, whichever they are.",
         ),
     ]
     joints: Annotated[

@@ -1,4 +1,4 @@
-"""Answers stored by versions before 2.1 of the interface, in the form that answers have now."""
+"""Answers stored by versions before 2.2 of the interface, in the form that answers have now."""
 
 from __future__ import annotations
 
@@ -35,12 +35,21 @@ def in_present_form(result: Mapping[str, Any], machine: Mapping[str, Any]) -> di
     """
     if "joint_probabilities" not in result:
         return dict(result)
-    result = {"prior": PRIOR, **result}
+    prior: Mapping[str, Any] = result.get("prior", PRIOR)
+    result = {**result, "prior": {"numbers": _numbers(result, prior["another"]), **prior}}
     if "joints" in result:
         return result
     verdict = VERDICTS.get(result["verdict"], result["verdict"])
     joints = worn_joints(result, machine) if verdict == "worn" else {}
     return {**result, "verdict": verdict, "joints": joints, "causes": [], "sensors": []}
+
+
+def _numbers(result: Mapping[str, Any], another: float) -> list[float]:
+    """Return the probabilities of one, two ... worn joints when every set of them had a weight of its own."""
+    count = len(result["joint_probabilities"])
+    most = max((len(entry["joints"]) for entry in result["hypotheses"]), default=0)
+    weights = [math.comb(count, worn) * another ** (worn - 1) for worn in range(1, most + 1)]
+    return [weight / sum(weights) for weight in weights]
 
 
 def worn_joints(result: Mapping[str, Any], machine: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

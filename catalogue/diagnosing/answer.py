@@ -192,13 +192,16 @@ class PriorUsed(_Frozen):
     Attributes
     ----------
     another : float
-        What every worn joint beyond the first multiplies the weight of a hypothesis by.
+        How much likelier one worn joint more is, whichever they are.
     joints : mapping of str to float
-        What a worn joint multiplies it by; 1 for those that are not named.
+        What a worn joint multiplies the weight of a hypothesis by; 1 for those that are not named.
+    numbers : tuple of float
+        Probabilities of one, two ... worn joints where any is, joints alike, as far as the catalogue holds them.
     """
 
     another: float
     joints: Mapping[str, float]
+    numbers: tuple[float, ...]
 
 
 class EffortSpent(_Frozen):

@@ -289,7 +289,13 @@ def answer(
         matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,
     )
-    prior = PriorUsed(another=question.prior.another, joints=dict(sorted(question.prior.joints.items())))
+    prior = PriorUsed(
+        another=question.prior.another,
+        joints=dict(sorted(question.prior.joints.items())),
+        numbers=question.prior.numbers(
+            len(catalogue.matrix.joints), max(len(match.joints) for match in result.hypotheses)
+        ),
+    )
     asked = [question.effort, question.mode, question.coverage, *([question.cases] * (question.effort == "thorough"))]
     content = {
         "id": _digest(
@@ -360,7 +366,7 @@ def _match(
         without=without,
         most=most,
     )
-    return sensing, feature, question.prior.applied(result)
+    return sensing, feature, question.prior.applied(result, len(catalogue.matrix.joints))
 
 
 def _digest(content: object) -> str:

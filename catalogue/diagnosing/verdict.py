@@ -8,6 +8,7 @@ import numpy as np
 
 from catalogue.diagnosing.answer import Verdict
 from catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
+from catalogue.diagnosing.frame_modes import find_mode
 from catalogue.matching.matcher import HypothesisMatch, IntArray, MatchResult
 from catalogue.matching.model_library import DOUBTED_BELOW
 from catalogue.signals.prepared import PreparedMeasurement
@@ -73,7 +74,10 @@ def judged(
 def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult) -> tuple[NamedCause, ...]:
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any."""
     worn = [(match.label, _nearest(catalogue, match)) for match in result.hypotheses[:1] if match.joints]
-    return name_causes(prepared, catalogue, worn, small=needs_cause(result))
+    found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
+    # The impacts of worn joints scatter more in the bands where a mode shows than the mode does.
+    mode = None if found or worn else find_mode(prepared, catalogue)
+    return (mode,) if mode else found
 
 
 def _nearest(catalogue: Catalogue, match: HypothesisMatch) -> IntArray:

@@ -41,7 +41,7 @@ class CosineEntry:
 
     fold_count: int = 4
     name: str = field(default="cosine", init=False)
-    version: str = field(default="1", init=False)
+    version: str = field(default="2", init=False)
 
     def fit(self, training: TrainingSet) -> FittedEntries:
         """Learn a training set and calibrate on folds of it.

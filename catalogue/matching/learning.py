@@ -130,7 +130,7 @@ def training_set(
         features, entry = observe(matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz)
         weight = None if weights is None else weights[known.label][entry]
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
-        prior = Prior().weight(known.joints)
+        prior = Prior().weight(known.joints, len(matrix.joints))
         sets.append(Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))
     return TrainingSet(tuple(sets), watched)
 

@@ -39,7 +39,7 @@ class NearestEntry:
 
     fold_count: int = 4
     name: str = field(default="nearest-entry", init=False)
-    version: str = field(default="2", init=False)
+    version: str = field(default="3", init=False)
 
     def fit(self, training: TrainingSet) -> FittedEntries:
         """Learn a training set and calibrate on folds of it.

@@ -20,14 +20,15 @@ LARGEST = 1000.0
 
 @dataclass(frozen=True)
 class Prior:
-    """Weights of hypotheses before a recording; that of a machine in order is 1.
+    """Weights of hypotheses before a recording; that of a machine in order is 1, that of a single worn joint as well.
 
     Parameters
     ----------
     another : float
-        What every worn joint beyond the first multiplies a weight by. Joints of one machine have run the same hours, so
-        that wear in one is no reason to expect none in another; draws held out of catalogues are told apart best with
-        0.3 to 0.5 (docs/decisions.md).
+        How much likelier it is that one joint more is worn, whichever they are: sets of as many joints share that
+        equally, so that two worn joints are not likelier on a machine that has more pairs. Joints of one machine have
+        run the same hours in the same dirt, so that wear in one is no reason to expect none in another
+        (docs/decisions.md).
     joints : mapping of str to float
         What a joint multiplies by where it is worn; 1 for those that are not named.
 
@@ -37,7 +38,7 @@ class Prior:
         A weight is not between 0.001 and 1000.
     """
 
-    another: float = 0.4
+    another: float = 0.6
     joints: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -57,16 +58,27 @@ class Prior:
             if joint not in known:
                 raise DiagnosisError(f"prior.joints.{joint}: must be one of the joints {', '.join(sorted(known))}")
 
-    def weight(self, joints: Collection[str]) -> float:
-        """Return the weight of a hypothesis, given by its worn joints."""
-        return self.another ** max(0, len(joints) - 1) * math.prod(self.joints.get(joint, 1.0) for joint in joints)
+    def weight(self, worn: Collection[str], count: int) -> float:
+        """Return the weight of a hypothesis, given by its worn joints, on a machine of so many that may wear."""
+        if not worn:
+            return 1.0
+        share = count / math.comb(count, len(worn))
+        return share * self.another ** (len(worn) - 1) * math.prod(self.joints.get(joint, 1.0) for joint in worn)
 
-    def applied(self, result: MatchResult) -> MatchResult:
-        """Return an answer that was found with the usual prior as it is with this one."""
+    def numbers(self, count: int, most: int) -> tuple[float, ...]:
+        """Return the probabilities of one to `most` worn joints, of so many that may wear, where any is.
+
+        What is held of single joints is left out.
+        """
+        weights = [self.another**more for more in range(min(most, count))]
+        return tuple(weight / sum(weights) for weight in weights)
+
+    def applied(self, result: MatchResult, count: int) -> MatchResult:
+        """Return an answer that was found with the usual prior as it is with this one; `count` joints may wear."""
         usual = Prior()
         if self == usual:
             return result
-        factors = [self.weight(match.joints) / usual.weight(match.joints) for match in result.hypotheses]
+        factors = [self.weight(match.joints, count) / usual.weight(match.joints, count) for match in result.hypotheses]
         total = sum(match.probability * factor for match, factor in zip(result.hypotheses, factors, strict=True))
         again = (
             replace(match, probability=match.probability * factor / total)

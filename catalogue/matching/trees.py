@@ -42,7 +42,7 @@ class ExtraTrees:
     fold_count: int = 4
     seed: int = 0
     name: str = field(default="extra-trees", init=False)
-    version: str = field(default="1", init=False)
+    version: str = field(default="2", init=False)
 
     def fit(self, training: TrainingSet) -> FittedTrees:
         """Learn three quarters of a training set and calibrate on the rest.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -24,18 +25,31 @@ def match(label: str, probability: float) -> HypothesisMatch:
 def test_weights_by_hand() -> None:
     prior = Prior(0.5, {"A": 3.0, "B": 0.1})
     sets = [(), ("A",), ("B",), ("O",), ("A", "B"), ("A", "B", "O")]
-    assert [prior.weight(joints) for joints in sets] == pytest.approx([1.0, 3.0, 0.1, 1.0, 0.15, 0.075])
+    # Of four joints there are six pairs and four triples.
+    by_hand = [1.0, 3.0, 0.1, 1.0, 0.15 * 4 / 6, 0.075]
+    assert [prior.weight(worn, 4) for worn in sets] == pytest.approx(by_hand)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
+def test_sets_of_as_many_joints_share_what_their_number_has(count: int) -> None:
+    joints = "ABCDEFGH"[:count]
+    together = [
+        sum(Prior(0.6).weight(worn, count) for worn in itertools.combinations(joints, number)) for number in (1, 2, 3)
+    ]
+    there = together[: min(3, count)]
+    assert there == pytest.approx([count * 0.6**more for more in range(len(there))])
+    assert Prior(0.6).numbers(count, 3) == pytest.approx([each / sum(there) for each in there])
 
 
 def test_an_answer_is_weighed_again_and_ranked_anew() -> None:
     found = ranked([match("healthy", 0.2), match("A", 0.5), match("O", 0.1), match("A+O", 0.2)])
-    again = Prior(0.8, {"A": 0.1}).applied(found)
-    # 0.2, 0.5 x 0.1, 0.1, and 0.2 x 0.1 x 0.8 / 0.4; together 0.39.
+    again = Prior(1.2, {"A": 0.1}).applied(found, 3)
+    # 0.2, 0.5 x 0.1, 0.1, and 0.2 x 0.1 x 1.2 / 0.6; together 0.39.
     assert {each.label: each.probability for each in again.hypotheses} == pytest.approx(
         {"healthy": 0.2 / 0.39, "A": 0.05 / 0.39, "O": 0.1 / 0.39, "A+O": 0.04 / 0.39}
     )
     assert [each.label for each in again.hypotheses] == ["healthy", "O", "A", "A+O"]
-    assert Prior().applied(found) is found
+    assert Prior().applied(found, 3) is found
 
 
 def test_weighing_an_answer_again_is_what_learning_with_that_prior_gives() -> None:
@@ -44,12 +58,12 @@ def test_weighing_an_answer_again_is_what_learning_with_that_prior_gives() -> No
     asked = Prior(joints={"A": 0.05, "B": 20.0})
 
     def answer(prior: Prior) -> MatchResult:
-        sets = (replace(draws, prior=prior.weight(draws.joints)) for draws in drawn.hypotheses)
+        sets = (replace(draws, prior=prior.weight(draws.joints, 3)) for draws in drawn.hypotheses)
         return GaussianAlongClearance().fit(TrainingSet(tuple(sets), drawn.watched)).match(feature)
 
     usual, direct = answer(Prior()), answer(asked)
     assert usual.probability("B") < 0.5 * direct.probability("B")
-    weighed = asked.applied(usual)
+    weighed = asked.applied(usual, 3)
     for each in direct.hypotheses:
         assert weighed.probability(each.label) == pytest.approx(each.probability, abs=1e-12)
 
