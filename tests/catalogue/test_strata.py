@@ -39,7 +39,7 @@ class Differing(SpectraModel):
 
 MODEL = Differing(300)
 #: Of four times as many recordings as levels alone take: coherences say nothing here, which must be learned, too.
-SMALL = NetworkTraining(rows=96_000, blocks=10, layers=(64, 32), epochs=(8, 4))
+SMALL = NetworkTraining(rows=96_000, blocks=10, layers=(64, 32), strata_epochs=(8, 4))
 TRUSTED = Learning.of("trusted")
 STRATA = Learning(discrepancy=TRUSTED.discrepancy, subject="strata")
 
