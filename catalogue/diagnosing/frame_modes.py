@@ -4,7 +4,8 @@ What a frame that is not rigid does to a recording is local: within a few neighb
 all other bands say that those of a machine in order lie. So does a tone from outside, or one that was taken out with
 something else; but these only raise levels, or only lower them, while a mode does both: the part swings with the rest
 below its resonance and against it above, and in between they cancel (antiresonance; D. J. Ewins, Modal Testing, 2nd ed.
-(2000), chapter 2).
+(2000), chapter 2). And below a mode the frame is as rigid as before: where its low orders are not those of a machine in
+order either, loads, ripple or mounts are what has changed.
 """
 
 from __future__ import annotations
@@ -45,6 +46,9 @@ LOWEST = RandomTransfer().frequency[0]
 OPEN = 1.5
 #: What the levels that are raised, and those that are lowered, have to say of it each (ln): 1.7 standard deviations.
 LEAST_EACH = 1.5
+#: Levels below are no further off than so many times what those of machines in order are on average: with a mode they
+#: are 0.1 to 0.7 of it, with other changes 1.6 to 80.
+MOST_BELOW = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +66,17 @@ class KnownLevels:
         covariance = np.cov(drawn.T)
         spread = own * covariance + np.diag((1.0 - own) * np.diag(covariance) + MODEL_DB**2)
         return cls(drawn.mean(axis=0), np.linalg.inv(spread), float(np.linalg.slogdet(spread)[1]))
+
+    def misfit(self, measured: FloatArray, first: int) -> float:
+        """Squared distance of the first so many levels, whatever the others are, by what it is on average."""
+        if not first:
+            return 0.0
+        away = (measured - self.mean)[:first]
+        own = self.precision[:first, :first]
+        across = self.precision[:first, first:]
+        # Of some levels by themselves, the inverse covariance is a Schur complement.
+        marginal = own - across @ np.linalg.solve(self.precision[first:, first:], across.T)
+        return float(away @ marginal @ away) / first
 
     def likelihood(self, measured: FloatArray) -> float:
         """Logarithm of the density of levels (d,), but for a constant."""
@@ -114,6 +129,11 @@ def mode_of(known: KnownLevels, measured: FloatArray, edges: FloatArray) -> tupl
     (float, float) or None
         Frequency [Hz] of the middle of the bands that differ, and how much likelier (ln) that is than no difference.
     """
+    # The first band that a mode may show in, and the one before it, which its dip may reach.
+    channels = len(measured) // (len(edges) - 1)
+    low = channels * max(0, int(np.searchsorted(edges, LOWEST)) - 1)
+    if known.misfit(measured, low) > MOST_BELOW:
+        return None
     found = max(_open(known, measured, edges), default=None)
     if found is None or found[0] < LEAST_GAIN or min(found[1:3]) < LEAST_EACH:
         return None

@@ -56,8 +56,8 @@ def swinging(frequency: float) -> FloatArray:
 def test_a_mode_is_found_where_it_is(frequency: float) -> None:
     found = [mode_of(KNOWN, levels, EDGES) for levels in machines(20, 2) + swinging(frequency)]
     told = [each[0] / frequency for each in found if each is not None]
-    # Measured: 19 or 20 of 20, from the dip along y (0.7) to the peak of turning (1.6, and a sixth above).
-    assert len(told) >= 17
+    # Measured: 15 to 19 of 20, from the dip along y (0.7) to the peak of turning (1.6, and a sixth above).
+    assert len(told) >= 13
     assert 0.6 < min(told) < max(told) < 1.9
     assert 0.75 < float(np.median(told)) < 1.3
 
@@ -75,6 +75,14 @@ def test_a_tone_is_none_nor_is_what_was_taken_out_with_one(shift: float) -> None
 
 def test_below_what_frames_swing_at_there_is_none() -> None:
     assert mode_of(KNOWN, machines(1, 5)[0] + np.repeat(response_db(25.0, 0.1), CHANNELS), EDGES) is None
+
+
+def test_where_the_low_orders_have_changed_too_something_else_has() -> None:
+    levels = (machines(1, 6) + swinging(180.0)).reshape(BANDS, CHANNELS)
+    assert mode_of(KNOWN, levels.ravel(), EDGES) is not None
+    levels[2] += 12.0  # of order 3, at 15 Hz
+    levels[4] -= 12.0
+    assert mode_of(KNOWN, levels.ravel(), EDGES) is None
 
 
 @pytest.fixture(scope="module")
