@@ -75,7 +75,7 @@ def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: Mat
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any."""
     worn = [(match.label, _nearest(catalogue, match)) for match in result.hypotheses[:1] if match.joints]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
-    # The impacts of worn joints scatter more in the bands where a mode shows than the mode does.
+    # Beside wear it has not been measured.
     mode = None if found or worn else find_mode(prepared, catalogue)
     return (mode,) if mode else found
 

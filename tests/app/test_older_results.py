@@ -85,6 +85,13 @@ def test_other_verdicts_name_no_joint(older: dict[str, Any], verdict: str, now: 
     assert (found["verdict"], found["joints"]) == (now, {})
 
 
+def test_a_prior_of_every_set_is_said_by_how_many_joints_wear(older: dict[str, Any]) -> None:
+    three = {"label": "A+B+O", "joints": {"A": {}, "B": {}, "O": {}}, "probability": 0.0}
+    answered = {**older, "prior": {"another": 0.4, "joints": {}}, "hypotheses": [*older["hypotheses"], three]}
+    # Three single joints, three pairs at 0.4 and a triple at 0.16.
+    assert in_present_form(answered, MACHINE)["prior"]["numbers"] == pytest.approx([3 / 4.36, 1.2 / 4.36, 0.16 / 4.36])
+
+
 def test_an_answer_of_now_stays(older: dict[str, Any]) -> None:
     found = in_present_form(older, MACHINE)
     assert in_present_form(found, MACHINE) == found
