@@ -34,7 +34,7 @@ IntArray = npt.NDArray[np.int64]
 
 #: Draws of machines in order, at least; and fewest entries that they are made of.
 DRAWS, LEAST_ENTRIES = 500, 60
-#: Entries count as so many times more than there are levels where scatter of levels together is estimated.
+#: What speaks for levels that scatter independently of each other, in entries a level.
 SHRINKAGE = 0.1
 #: What a level is not better known to than [dB], as of the low orders.
 MODEL_DB = 0.4
