@@ -356,7 +356,8 @@ def prior_sentence(result: Mapping[str, Any]) -> str:
     prior = result["prior"]
     own = "".join(f"; {joint} {weight:g} times as likely" for joint, weight in prior["joints"].items())
     shares = [f"{worn} with {100.0 * share:.0f} %" for worn, share in enumerate(prior["numbers"], 1)]
-    return f"Before the recording: of joints that wear at once, {enumerate_words(shares)}{own}."
+    any_worn = f"wear with {100.0 * prior['worn']:.0f} %"
+    return f"Before the recording: {any_worn}, and then of joints at once {enumerate_words(shares)}{own}."
 
 
 def enumerate_words(words: Sequence[str]) -> str:

@@ -32,6 +32,7 @@ from catalogue.storage.directory import CatalogueDirectory
 from catalogue.storage.location import IndexLocation
 from catalogue.storage.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
+from solver.spectra.bands import BandScheme
 
 
 def plan_of(entries: int) -> Plan:
@@ -43,17 +44,19 @@ def plan_of(entries: int) -> Plan:
 
 
 @lru_cache
-def _spectrum(bands: int) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
-    generator = np.random.default_rng(1)
+def _spectrum(scheme: BandScheme) -> tuple[NDArray[np.complex64], NDArray[np.float32], NDArray[np.complex64]]:
+    generator, bands = np.random.default_rng(1), scheme.count
     root = generator.normal(size=(bands, 3, 3)) + 1j * generator.normal(size=(bands, 3, 3))
-    return (root @ root.conj().swapaxes(1, 2)).astype(np.complex64), generator.random((bands, 3)).astype(np.float32)
+    power = (root @ root.conj().swapaxes(1, 2)).astype(np.complex64)
+    cyclic = np.zeros((len(scheme.third_octave_groups()) - 1, 2, 3, 3), np.complex64)
+    return power, generator.random((bands, 3)).astype(np.float32), cyclic
 
 
 def made_up(chunk: Chunk) -> tuple[Outcome, ...]:
     """Spectra of the right size, different from case to case, at once."""
-    power, spread = _spectrum(chunk.recipe.scheme.count)
+    power, spread, cyclic = _spectrum(chunk.recipe.scheme)
     return tuple(
-        Outcome(OK, "", 60.0, 0.25, 4, 0.0, power * np.float32(1 + int(entry.key[:4], 16)), spread)
+        Outcome(OK, "", 60.0, 0.25, 4, 0.0, power * np.float32(1 + int(entry.key[:4], 16)), spread, cyclic)
         for entry in chunk.entries
     )
 

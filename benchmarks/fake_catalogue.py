@@ -80,8 +80,9 @@ def shards(machine: Machine, manifest: Manifest, plan: Plan, entries: int, seed:
                 for i, draw in enumerate(draws)
             ]
             spread = np.full((bands, 3), 1.0, np.float32)
+            cyclic = np.zeros((len(header.recipe.scheme.third_octave_groups()) - 1, 2, 3, 3), np.complex64)
             outcomes = [
-                Outcome(OK, "", case.parameters["drive.speed"], 1.0, 3, 0.0, power[i], spread)
+                Outcome(OK, "", case.parameters["drive.speed"], 1.0, 3, 0.0, power[i], spread, cyclic)
                 for i, case in enumerate(cases)
             ]
             for law in dict.fromkeys(case.variant.law for case in cases):

@@ -63,6 +63,13 @@ if TYPE_CHECKING:
     help='How much likelier than the others a joint is to wear: "A=3"; may be repeated.',
 )
 @click.option(
+    "--worn",
+    type=click.FloatRange(1.0 / LARGEST, 1.0 - 1.0 / LARGEST),
+    default=Prior().worn,
+    show_default=True,
+    help="Probability beforehand that any joint is worn.",
+)
+@click.option(
     "--another",
     type=click.FloatRange(1.0 / LARGEST, LARGEST),
     default=Prior().another,
@@ -110,6 +117,7 @@ def command(
     mode: ModeAsked,
     cases: int,
     priors: Sequence[tuple[str, str]],
+    worn: float,
     another: float,
     baseline: Path | None,
     sample_rate: float | None,
@@ -154,7 +162,9 @@ def command(
         mode=mode,
         mapping=sensors or None,
         cases=cases,
-        prior=Prior(another, {joint: weight_of(joint, said) for joint, said in each_once(priors, "--prior").items()}),
+        prior=Prior(
+            worn, another, {joint: weight_of(joint, said) for joint, said in each_once(priors, "--prior").items()}
+        ),
         baseline=in_order,
     )
     result = diagnosis.model_dump(mode="json")

@@ -16,7 +16,7 @@ from app.problems import MEDIA_TYPE
 from app.schemas.resources import ProblemDocument
 from app.scopes import scope_of
 
-API_VERSION = "2.2.0"
+API_VERSION = "2.3.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {

@@ -149,8 +149,17 @@ class MeasurementPage(Page):
 
 
 class PriorAsked(Shape):
-    """What is held likely before a measurement; of a machine in order the weight is 1."""
+    """What is held likely before a measurement."""
 
+    worn: Annotated[
+        StrictFloat,
+        Field(
+            default=Prior().worn,
+            ge=1.0 / LARGEST,
+            le=1.0 - 1.0 / LARGEST,
+            description="Probability that any joint is worn, joints alike.",
+        ),
+    ]
     another: Annotated[
         StrictFloat,
         Field(

@@ -1,4 +1,4 @@
-"""Answers stored by versions before 2.2 of the interface, in the form that answers have now."""
+"""Answers stored by versions before 2.3 of the interface, in the form that answers have now."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def in_present_form(result: Mapping[str, Any], machine: Mapping[str, Any]) -> di
     if "joint_probabilities" not in result:
         return dict(result)
     prior: Mapping[str, Any] = result.get("prior", PRIOR)
-    result = {**result, "prior": {"numbers": _numbers(result, prior["another"]), **prior}}
+    result = {**result, "prior": {**_prior(result, prior), **prior}}
     if "joints" in result:
         return result
     verdict = VERDICTS.get(result["verdict"], result["verdict"])
@@ -44,12 +44,18 @@ def in_present_form(result: Mapping[str, Any], machine: Mapping[str, Any]) -> di
     return {**result, "verdict": verdict, "joints": joints, "causes": [], "sensors": []}
 
 
-def _numbers(result: Mapping[str, Any], another: float) -> list[float]:
-    """Return the probabilities of one, two ... worn joints when every set of them had a weight of its own."""
+def _prior(result: Mapping[str, Any], prior: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what weights of then meant, of which a machine in order had 1: probabilities of wear, and of its joints.
+
+    Before 2.2 every set of joints had a weight of its own, then each number of them had as much as there are joints.
+    """
     count = len(result["joint_probabilities"])
     most = max((len(entry["joints"]) for entry in result["hypotheses"]), default=0)
-    weights = [math.comb(count, worn) * another ** (worn - 1) for worn in range(1, most + 1)]
-    return [weight / sum(weights) for weight in weights]
+    weights = [
+        (count if "numbers" in prior else math.comb(count, worn)) * prior["another"] ** (worn - 1)
+        for worn in range(1, most + 1)
+    ]
+    return {"worn": sum(weights) / (1.0 + sum(weights)), "numbers": [weight / sum(weights) for weight in weights]}
 
 
 def worn_joints(result: Mapping[str, Any], machine: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -13,6 +13,7 @@ import numpy as np
 from catalogue.building.guard import mean_difference_db
 from catalogue.plans.entry import Entry, Recipe
 from catalogue.plans.keys import content_digest
+from catalogue.storage.feature_bands import FEATURE_ORDERS
 from catalogue.storage.shard import OK, Outcome
 from solver.cases.steps import Accuracy
 from solver.machines.machine import Machine, parse_machine
@@ -143,7 +144,14 @@ def _outcome(history: History, recipe: Recipe) -> Outcome:
     signal = history.band_limited_acceleration
     if not np.isfinite(signal).all():
         return failed("not_finite", "the acceleration holds a number that is not finite")
-    bands = band_matrix(signal, history.sample_rate, history.drive_speed, recipe.scheme)
+    bands = band_matrix(
+        signal,
+        history.sample_rate,
+        history.drive_speed,
+        recipe.scheme,
+        cuts=recipe.scheme.third_octave_groups(FEATURE_ORDERS),
+        angle=abs(history.drive_speed) * history.transient,
+    )
     power = bands.power.astype(np.complex64)
     if not (np.isfinite(power).all() and np.isfinite(bands.spread_db).all()):
         return failed("not_finite", "a band power is beyond the range of single precision")
@@ -156,4 +164,5 @@ def _outcome(history: History, recipe: Recipe) -> Outcome:
         history.seconds,
         power,
         bands.spread_db.astype(np.float32),
+        bands.cyclic.astype(np.complex64),
     )

@@ -183,5 +183,6 @@ def _compared(entry: Entry, stored: Outcome, now: Outcome, cuts: tuple[int, ...]
         ]
         difference = float(np.mean(np.abs(levels[1] - levels[0])))
         spreads = (np.asarray(stored.spread_db), np.asarray(now.spread_db))
-        same = same and np.array_equal(before, after) and np.array_equal(*spreads)
+        cyclic = (np.asarray(stored.cyclic), np.asarray(now.cyclic))
+        same = same and np.array_equal(before, after) and np.array_equal(*spreads) and np.array_equal(*cyclic)
     return Compared(entry.key, entry.hypothesis.label, stored.status, now.status, difference, same)

@@ -187,10 +187,12 @@ class ModeUsed(_Frozen):
 
 
 class PriorUsed(_Frozen):
-    """What was held likely before the recording; of a machine in order the weight is 1.
+    """What was held likely before the recording.
 
     Attributes
     ----------
+    worn : float
+        Probability that any joint is worn, joints alike.
     another : float
         How much likelier one worn joint more is, whichever they are.
     joints : mapping of str to float
@@ -199,6 +201,7 @@ class PriorUsed(_Frozen):
         Probabilities of one, two ... worn joints where any is, joints alike, as far as the catalogue holds them.
     """
 
+    worn: float
     another: float
     joints: Mapping[str, float]
     numbers: tuple[float, ...]

@@ -36,11 +36,13 @@ def measured_features(prepared: PreparedMeasurement, sensing: Sensing) -> FloatA
     """Return the feature vector (d,) of a recording, its noise filled up to that of `sensing`."""
     missing = np.maximum(sensing.noise - prepared.group_noise, 0.0)
     cross: ComplexArray | None = None
-    if sensing.has_pairs:
-        first, second = (list(side) for side in zip(*pairs_of(len(sensing.channels)), strict=True))
+    cyclic: ComplexArray | None = None
+    if sensing.phases:
+        first, second = np.array(pairs_of(len(sensing.channels)), np.int64).reshape(-1, 2).T
         joint = np.add.reduceat(prepared.power[: prepared.cuts[-1]], prepared.cuts[:-1], axis=0)
         cross = np.asarray(joint[None, :, first, second] + common_noise(missing, sensing.alike), np.complex128)
-    found: FloatArray = sensing.features(prepared.group_power[None] + missing, cross)[0]
+        cyclic = sensing.cyclic.chosen(prepared.group_cyclic[None])
+    found: FloatArray = sensing.features(prepared.group_power[None] + missing, cross, cyclic)[0]
     return found
 
 

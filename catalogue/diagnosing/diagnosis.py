@@ -290,6 +290,7 @@ def answer(
         recipe=prepared.steps,
     )
     prior = PriorUsed(
+        worn=question.prior.worn,
         another=question.prior.another,
         joints=dict(sorted(question.prior.joints.items())),
         numbers=question.prior.numbers(

@@ -227,13 +227,15 @@ def _fisher(first: FloatArray, second: FloatArray) -> FloatArray:
     """Direction of the best separation; the covariance is shrunk to its diagonal as far as rows are few."""
     residual = np.concatenate([first - first.mean(axis=0), second - second.mean(axis=0)])
     count, size = residual.shape
-    covariance = residual.T @ residual / count
     own = count / (count + 3.0 * size)
-    diagonal = np.diag(covariance)
-    covariance = own * covariance + (1.0 - own) * np.diag(diagonal) + 1e-6 * diagonal.mean() * np.eye(size)
-    return np.asarray(
-        scipy.linalg.solve(covariance, second.mean(axis=0) - first.mean(axis=0), assume_a="pos"), dtype=np.float64
-    )
+    diagonal = np.mean(residual**2, axis=0)
+    inverse = 1.0 / ((1.0 - own) * diagonal + 1e-6 * diagonal.mean())
+    # Rows are fewer than features: the covariance is inverted by way of their products (Woodbury 1950).
+    scaled = residual * inverse
+    apart = second.mean(axis=0) - first.mean(axis=0)
+    within = scaled @ residual.T + np.eye(count) * (count / own)
+    found: FloatArray = inverse * apart - scaled.T @ scipy.linalg.solve(within, scaled @ apart, assume_a="pos")
+    return found
 
 
 def _sensing(prepared: PreparedMeasurement, machine: Machine, more: FloatArray) -> Sensing:

@@ -1,7 +1,8 @@
 """Feature vectors: levels of channels, and beside them the coherences of their pairs, with their phases.
 
 A level says how much a channel moves, a coherence whether two channels move together, and which of them leads. Real and
-imaginary part of the complex coherence X_ij / sqrt(P_i P_j) stand behind the levels, times :data:`SCALE`.
+imaginary part of the complex coherence X_ij / sqrt(P_i P_j) stand behind the levels, times :data:`SCALE`, and those of
+the cyclic coherences of every channel (:mod:`catalogue.matching.cyclic`) behind them.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+
+from catalogue.matching.cyclic import cyclic_bands
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -36,7 +39,7 @@ def noise_alike(channels: FloatArray) -> FloatArray:
     return found
 
 
-def compose(power: FloatArray, cross: ComplexArray | None) -> FloatArray:
+def compose(power: FloatArray, cross: ComplexArray | None = None, cyclic: ComplexArray | None = None) -> FloatArray:
     """Return feature vectors of powers, noise included.
 
     Parameters
@@ -45,35 +48,51 @@ def compose(power: FloatArray, cross: ComplexArray | None) -> FloatArray:
         > 0.
     cross : ndarray of complex, shape (n, G, p), optional
         Cross-powers of the pairs.
+    cyclic : ndarray of complex, shape (n, f, c), optional
+        Cyclic powers, see :class:`catalogue.matching.cyclic.CyclicBands`; only with `cross`.
 
     Returns
     -------
-    ndarray, shape (n, G c) or (n, G c + 2 G p)
-        Levels, dB, band by band, the channels of a band side by side; then all real and all imaginary parts.
+    ndarray, shape (n, G c) or (n, G c + 2 G p + 2 f c)
+        Levels, dB, band by band, the channels of a band side by side; then all real and all imaginary parts of
+        coherences, then those of cyclic ones.
     """
-    levels = 10.0 * np.log10(power).reshape(len(power), -1)
-    if cross is None:
-        return levels
-    root = np.sqrt(power)
-    scale = np.stack([root[..., i] * root[..., j] for i, j in pairs_of(power.shape[2])], axis=-1)
-    coherence = cross / scale
+    parts = [10.0 * np.log10(power).reshape(len(power), -1)]
+    if cross is not None:
+        parts += _parts(cross / pair_scale(power))
+    if cyclic is not None:
+        parts += _parts(cyclic / cyclic_bands(power.shape[1]).scale(power))
+    return np.concatenate(parts, axis=1)
+
+
+def _parts(coherence: ComplexArray) -> list[FloatArray]:
     # What two estimates of one recording contradict each other by must not make more than all of it.
     coherence = coherence / np.maximum(1.0, np.abs(coherence))
-    parts = [SCALE * part.reshape(len(power), -1) for part in (coherence.real, coherence.imag)]
-    found: FloatArray = np.concatenate([levels, *parts], axis=1)
-    return found
+    return [SCALE * part.reshape(len(coherence), -1) for part in (coherence.real, coherence.imag)]
 
 
-def decompose(features: FloatArray, bands: int, channels: int) -> tuple[FloatArray, ComplexArray | None]:
-    """Return the powers (n, G, c) and cross-powers (n, G, p) that feature vectors (n, d) were composed of."""
-    size = bands * channels
+def pair_scale(power: FloatArray) -> FloatArray:
+    """Return the largest cross-power (..., p) of the pairs of channels of some power (..., c)."""
+    root = np.sqrt(power)
+    scale = np.empty((*power.shape[:-1], len(pairs_of(power.shape[-1]))))
+    for place, (i, j) in enumerate(pairs_of(power.shape[-1])):
+        scale[..., place] = root[..., i] * root[..., j]
+    return scale
+
+
+def decompose(
+    features: FloatArray, bands: int, channels: int
+) -> tuple[FloatArray, ComplexArray | None, ComplexArray | None]:
+    """Return the powers (n, G, c), cross-powers (n, G, p) and cyclic powers (n, f, c) of feature vectors (n, d)."""
+    size, pairs = bands * channels, len(pairs_of(channels))
     power = 10.0 ** (0.1 * features[:, :size].reshape(len(features), bands, channels))
     if features.shape[1] == size:
-        return power, None
-    parts = features[:, size:].reshape(len(features), 2, bands, -1) / SCALE
-    root = np.sqrt(power)
-    scale = np.stack([root[..., i] * root[..., j] for i, j in pairs_of(channels)], axis=-1)
-    return power, (parts[:, 0] + 1j * parts[:, 1]) * scale
+        return power, None, None
+    end = size + 2 * bands * pairs
+    first = features[:, size:end].reshape(len(features), 2, bands, pairs) / SCALE
+    second = features[:, end:].reshape(len(features), 2, -1, channels) / SCALE
+    cross, cyclic = (np.asarray(each[:, 0] + 1j * each[:, 1], np.complex128) for each in (first, second))
+    return power, cross * pair_scale(power), cyclic * cyclic_bands(bands).scale(power)
 
 
 def with_more_noise(features: FloatArray, missing: FloatArray, alike: FloatArray) -> FloatArray:
@@ -89,15 +108,13 @@ def with_more_noise(features: FloatArray, missing: FloatArray, alike: FloatArray
     """
     if not missing.any():
         return features
-    power, cross = decompose(features, *missing.shape)
+    power, cross, cyclic = decompose(features, *missing.shape)
     if cross is not None:
         cross = cross + common_noise(missing, alike)
-    return compose(power + missing, cross)
+    return compose(power + missing, cross, cyclic)
 
 
 def common_noise(noise: FloatArray, alike: FloatArray) -> FloatArray:
     """Return the cross-power (..., p) of a noise power (..., c) whose pairs of channels are so much alike."""
-    root = np.sqrt(noise)
-    pairs = pairs_of(noise.shape[-1])
-    found: FloatArray = alike * np.stack([root[..., i] * root[..., j] for i, j in pairs], axis=-1)
+    found: FloatArray = alike * pair_scale(noise)
     return found

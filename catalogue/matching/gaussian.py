@@ -90,7 +90,7 @@ class GaussianAlongClearance:
     ridge: float = 0.05
     fold_count: int = 4
     name: str = field(default="gaussian-along-clearance", init=False)
-    version: str = field(default="7", init=False)
+    version: str = field(default="8", init=False)
 
     def fit(
         self,

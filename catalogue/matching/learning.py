@@ -66,7 +66,9 @@ class Learning:
         seen, reach = (cls.most, cls.reach) if most is None else (most, most)
         if mode == "trusted":
             return cls(mode, without=without, most=seen, reach=reach)
-        robust = replace(Discrepancy(), gain=0.06, level_db=2.0, rigid_level_db=1.0, transfer=RandomTransfer())
+        robust = replace(
+            Discrepancy(), gain=0.06, level_db=2.0, rigid_level_db=1.0, cyclic=0.1, transfer=RandomTransfer()
+        )
         return cls(mode, robust, rows=800, without=without, most=seen, reach=reach)
 
 
@@ -119,6 +121,7 @@ def training_set(
     if not hypotheses:
         raise DiagnosisError("catalogue: holds no spectrum yet")
     edges_hz = np.array(matrix.edges) * abs(matrix.nominal_speed) / (2.0 * math.pi)
+    most = max(len(known.joints) for known in matrix.hypotheses)
     sets = []
     for known in hypotheses:
         chosen = rows_of(matrix, known.label, learning, speed) if rows is None else rows[known.label]
@@ -130,7 +133,7 @@ def training_set(
         features, entry = observe(matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz)
         weight = None if weights is None else weights[known.label][entry]
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
-        prior = Prior().weight(known.joints, len(matrix.joints))
+        prior = Prior().weight(known.joints, len(matrix.joints), most)
         sets.append(Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))
     return TrainingSet(tuple(sets), watched)
 

@@ -173,7 +173,7 @@ def arrangement(sensing: Sensing) -> str:
     rows: FloatArray = np.concatenate([sensing.transform, sensing.channels.T], axis=1)
     if not np.array_equal(sensing.channels, np.eye(len(rows))):
         rows = rows[np.lexsort(np.round(rows, 9).T)]
-    return content_digest([sensing.cuts, sensing.has_pairs, (np.round(rows, 9) + 0.0).tolist()])
+    return content_digest([sensing.cuts, sensing.phases, (np.round(rows, 9) + 0.0).tolist()])
 
 
 def _whole(learning: Learning) -> Learning:

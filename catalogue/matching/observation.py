@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.errors import DiagnosisError
-from catalogue.matching.coherence import ComplexArray, common_noise, compose, noise_alike, pairs_of
+from catalogue.matching.coherence import ComplexArray, common_noise, compose, noise_alike, pair_scale, pairs_of
+from catalogue.matching.cyclic import CyclicBands, cyclic_bands
 from catalogue.matching.matcher import FloatArray, IntArray
 from catalogue.matching.transfer import RandomTransfer
+from catalogue.storage.cross_power import PACKED
+from solver.spectra.band_power import CYCLES
 
 PackedArray = NDArray[np.float32] | NDArray[np.float64]
 
@@ -45,6 +48,8 @@ class Discrepancy:
         Standard deviation of the time [s] that a channel lags behind the others: filters and multiplexers of loggers.
     phase : float
         Standard deviation [rad] of a smooth error of a channel's phase, as `level_db` is one of its level.
+    cyclic : float
+        Standard deviation of an error of the cyclic coherences, in either part.
     transfer : RandomTransfer, optional
         Flexible modes that the rigid machine does not have.
     """
@@ -56,6 +61,7 @@ class Discrepancy:
     rigid_level_db: float | None = None
     delay: float = 1e-5
     phase: float = 0.1
+    cyclic: float = 0.05
     transfer: RandomTransfer | None = None
 
     def levels(
@@ -75,15 +81,14 @@ class Discrepancy:
     def turns(
         self, generator: np.random.Generator, shape: tuple[int, int, int], edges_hz: FloatArray | None
     ) -> ComplexArray:
-        """Draw what errors of phase turn the cross-powers of pairs by, (n, bands, p) of magnitude 1."""
+        """Draw what errors of phase turn the channels by, (n, bands, channels) of magnitude 1."""
         n, bands, channels = shape
         drawn = generator.normal(size=(n, channels, bands)) @ self._smooth(bands).T
         angle: FloatArray = self.phase * np.swapaxes(drawn, 1, 2)
         if edges_hz is not None:
             middle = 0.5 * (edges_hz[:bands] + edges_hz[1 : bands + 1])
             angle += 2.0 * np.pi * self.delay * middle[:, None] * generator.normal(size=(n, 1, channels))
-        pairs = pairs_of(channels)
-        found: ComplexArray = np.exp(1j * np.stack([angle[..., i] - angle[..., j] for i, j in pairs], axis=-1))
+        found: ComplexArray = np.exp(1j * angle)
         return found
 
     def _smooth(self, bands: int) -> FloatArray:
@@ -110,7 +115,7 @@ class Sensing:
     degrees_of_freedom : ndarray, shape (G,)
         Of that power's scatter.
     phases : bool
-        Whether phases between the sensors are known, so that coherences are compared, too: not those of spectra.
+        Whether phases are known, so that coherences and what is locked to the crank are compared, too: not of spectra.
     """
 
     transform: FloatArray
@@ -143,9 +148,16 @@ class Sensing:
         return len(self.cuts) - 1
 
     @property
-    def has_pairs(self) -> bool:
-        """Whether there are coherences to be compared."""
-        return self.phases and len(self.channels) > 1
+    def cyclic(self) -> CyclicBands:
+        """Which cyclic coherences are compared, where phases are known."""
+        return cyclic_bands(self.bands)
+
+    @property
+    def features_count(self) -> int:
+        """Length d of feature vectors."""
+        if not self.phases:
+            return self.noise.size
+        return self.noise.size + 2 * (self.bands * len(self.alike) + len(self.cyclic.band) * len(self.channels))
 
     @property
     def alike(self) -> FloatArray:
@@ -157,7 +169,7 @@ class Sensing:
 
         Parameters
         ----------
-        packed : ndarray, shape (n, G or more, 9)
+        packed : ndarray, shape (n, G or more, 9 or more)
             Cross-powers of :func:`catalogue.storage.cross_power.pack`; bands beyond the compared ones are left out.
         gains : ndarray, shape (n, s), optional
 
@@ -167,11 +179,9 @@ class Sensing:
         cross : ndarray of complex, shape (n, G, p), or None
             Of pairs of channels, where phases are known.
         """
-        if gains is None:
-            gains = np.ones((1, len(self.transform)))
-        mix = np.einsum("cs,ns,sj->ncj", self.channels, gains, self.transform)
+        mix = self._mix(gains)
         count = len(self.channels)
-        pairs = pairs_of(count) if self.has_pairs else ()
+        pairs = pairs_of(count) if self.phases else ()
         products = [(i, i) for i in range(count)] + list(pairs)
         # Linear in the nine real numbers: real parts of all products, then imaginary ones of the pairs.
         form = np.zeros((len(mix), 9, len(products) + len(pairs)))
@@ -182,15 +192,43 @@ class Sensing:
         for column, (i, j) in enumerate(pairs, start=len(products)):
             for place, (a, b) in enumerate(_ABOVE):
                 form[:, 4 + 2 * place, column] = mix[:, i, a] * mix[:, j, b] - mix[:, i, b] * mix[:, j, a]
-        seen = packed[:, : self.bands].astype(np.float64) @ form
+        seen = packed[:, : self.bands, :9].astype(np.float64) @ form
         power: FloatArray = np.maximum(seen[..., :count], 0.0)
-        if not pairs:
+        if not self.phases:
             return power, None
         return power, seen[..., count : len(products)] + 1j * seen[..., len(products) :]
 
-    def features(self, power: FloatArray, cross: ComplexArray | None) -> FloatArray:
-        """Return feature vectors (n, d) of powers (n, G, c), noise included, clipped below at the noise."""
-        return compose(np.maximum(power, self.noise), cross if self.has_pairs else None)
+    def cyclic_powers(self, packed: PackedArray, gains: FloatArray | None = None) -> ComplexArray:
+        """Return the compared cyclic powers (n, f, c) of spectra (n, G or more, 33), with sensor gains if given."""
+        mix = self._mix(gains)
+        values = packed[:, : self.bands, len(PACKED) :]
+        # Symmetric in the channels: each motion with itself, then the pairs, which count twice.
+        form = np.stack(
+            [mix[..., i] * mix[..., i] for i in range(3)] + [2.0 * mix[..., a] * mix[..., b] for a, b in _ABOVE]
+        )
+        numbers = np.ascontiguousarray(values, np.float32).view(np.complex64).reshape(*values.shape[:2], len(CYCLES), 6)
+        chosen = self.cyclic.chosen(np.asarray(numbers, np.complex128))
+        return np.asarray(chosen @ np.moveaxis(form, 0, 1), np.complex128)
+
+    def _mix(self, gains: FloatArray | None) -> FloatArray:
+        """Compared channels from the frame's motions, (n, c, 3), with sensor gains (n, s) if given."""
+        if gains is None:
+            gains = np.ones((1, len(self.transform)))
+        mix: FloatArray = np.einsum("cs,ns,sj->ncj", self.channels, gains, self.transform)
+        return mix
+
+    def features(
+        self, power: FloatArray, cross: ComplexArray | None = None, cyclic: ComplexArray | None = None
+    ) -> FloatArray:
+        """Return feature vectors (n, d) of powers (n, G, c), noise included, clipped below at the noise.
+
+        Cross-powers (n, G, p) and cyclic powers (n, f, c), whose phases count from wherever, where phases are known.
+        """
+        power = np.maximum(power, self.noise)
+        if not self.phases or cyclic is None:
+            return compose(power)
+        scale = self.cyclic.scale(power)
+        return compose(power, cross, self.cyclic.from_crank(cyclic / scale) * scale)
 
 
 def grouped(packed: PackedArray, cuts: tuple[int, ...]) -> PackedArray:
@@ -251,8 +289,8 @@ def observe(
 
     Parameters
     ----------
-    packed : ndarray, shape (n, G or more, 9)
-        Cross-powers of the frame's motion in feature bands, see :func:`catalogue.storage.cross_power.pack`.
+    packed : ndarray, shape (n, G or more, 33)
+        Powers of the frame's motion in feature bands, :data:`catalogue.storage.cross_power.COLUMNS` numbers each.
     sensing : Sensing
     discrepancy : Discrepancy
     copies : ndarray of int, shape (n,)
@@ -265,7 +303,7 @@ def observe(
     Returns
     -------
     features : ndarray, shape (sum of copies, d)
-        Levels, and coherences where phases are known: :func:`catalogue.matching.coherence.compose`.
+        Levels, and coherences and cyclic ones where phases are known: :func:`catalogue.matching.coherence.compose`.
     entry : ndarray of int, shape (sum of copies,)
         Row of `packed` each was made from.
 
@@ -273,36 +311,52 @@ def observe(
     -----
     A band with signal power P and noise power N measured over K independent cells has mean P + N and variance
     (N^2 + 2 P N) / K: noise alone, and its product with the signal. A gamma law of these moments is drawn. The
-    cross-power of two channels scatters about its mean by (P_i N_j + P_j N_i + N_i N_j) / K, half of it in each part.
+    cross-power of two channels scatters about its mean by (P_i N_j + P_j N_i + N_i N_j) / K, half of it in each part,
+    and so does a cyclic power, the product of two bands of one channel.
     """
     generator = np.random.default_rng(seed)
     entry = np.repeat(np.arange(len(packed)), copies)
     if len(entry) == 0:
-        pairs = len(sensing.alike) if sensing.has_pairs else 0
-        return np.empty((0, sensing.noise.size + 2 * sensing.bands * pairs)), entry.astype(np.int64)
+        return np.empty((0, sensing.features_count)), entry.astype(np.int64)
     if discrepancy.transfer is not None and edges_hz is None:
         raise DiagnosisError("transfer functions: need the edges of the bands in Hz")
     edges = None if edges_hz is None else np.asarray(edges_hz)[: sensing.bands + 1]
     gains = 1.0 + discrepancy.gain * generator.normal(size=(len(entry), len(sensing.transform)))
-    clean, cross = sensing.powers(packed[entry], gains)
+    chosen = packed[entry]
+    clean, cross = sensing.powers(chosen, gains)
+    cyclic = sensing.cyclic_powers(chosen, gains) if sensing.phases else None
+    bands, pairs = sensing.cyclic, np.array(pairs_of(clean.shape[2]), np.int64).reshape(-1, 2).T
     change = 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape, edges))
     clean *= change
-    if cross is not None:
-        cross *= common_noise(change, np.ones(cross.shape[2])) * discrepancy.turns(generator, clean.shape, edges)
+    if cross is not None and cyclic is not None:
+        turn = discrepancy.turns(generator, clean.shape, edges)
+        cross *= pair_scale(change) * turn[..., pairs[0]] * turn[..., pairs[1]].conj()
+        cyclic *= bands.scale(change) * turn[:, bands.other] * turn[:, bands.band].conj()
     if discrepancy.transfer is not None and edges is not None:
-        squared, product = discrepancy.transfer.draw(generator, len(entry), edges, clean.shape[2])
+        squared, product, mean = discrepancy.transfer.draw(generator, len(entry), edges, clean.shape[2])
         clean *= squared
-        if cross is not None:
+        if cross is not None and cyclic is not None:
             cross *= product
+            apart = mean[:, bands.other] * mean[:, bands.band].conj()
+            cyclic *= np.where((bands.other == bands.band)[:, None], squared[:, bands.band], apart)
     shift = discrepancy.noise_level_db * generator.normal(size=(len(entry), 1, clean.shape[2]))
     noise = sensing.noise * 10.0 ** (0.1 * shift)
     cells = 0.5 * sensing.degrees_of_freedom[None, :, None]
-    mean = clean + noise
-    shape = cells * mean**2 / (noise**2 + 2.0 * clean * noise)
-    measured = generator.gamma(np.minimum(shape, 1e9)) * mean / np.minimum(shape, 1e9)
-    if cross is not None:
-        i, j = (list(side) for side in zip(*pairs_of(clean.shape[2]), strict=True))
+    mean_power = clean + noise
+    shape = cells * mean_power**2 / (noise**2 + 2.0 * clean * noise)
+    measured = generator.gamma(np.minimum(shape, 1e9)) * mean_power / np.minimum(shape, 1e9)
+    if cross is not None and cyclic is not None:
+        i, j = pairs
         variance = clean[..., i] * noise[..., j] + clean[..., j] * noise[..., i] + noise[..., i] * noise[..., j]
-        scatter = generator.normal(size=(2, *cross.shape)) * np.sqrt(0.5 * variance / cells)
-        cross = cross + common_noise(noise, sensing.alike) + scatter[0] + 1j * scatter[1]
-    return sensing.features(measured, cross), entry.astype(np.int64)
+        cross = cross + common_noise(noise, sensing.alike) + _scatter(generator, variance / cells)
+        both = bands.products(mean_power, mean_power)
+        variance = (both - bands.products(clean, clean)) / cells[:, bands.band] + 2.0 * discrepancy.cyclic**2 * both
+        cyclic = cyclic + _scatter(generator, variance)
+    return sensing.features(measured, cross, cyclic), entry.astype(np.int64)
+
+
+def _scatter(generator: np.random.Generator, variance: FloatArray) -> ComplexArray:
+    """Draw complex normal numbers of a variance, half of it in each part."""
+    # Single precision is drawn in half the time.
+    drawn = generator.standard_normal((*variance.shape, 2), np.float32).view(np.complex64)[..., 0]
+    return np.asarray(drawn * np.sqrt(0.5 * variance), np.complex128)

@@ -20,10 +20,12 @@ LARGEST = 1000.0
 
 @dataclass(frozen=True)
 class Prior:
-    """Weights of hypotheses before a recording; that of a machine in order is 1, that of a single worn joint as well.
+    """Weights of hypotheses before a recording.
 
     Parameters
     ----------
+    worn : float
+        Probability that any joint is worn, joints alike.
     another : float
         How much likelier it is that one joint more is worn, whichever they are: sets of as many joints share that
         equally, so that two worn joints are not likelier on a machine that has more pairs. Joints of one machine have
@@ -35,9 +37,10 @@ class Prior:
     Raises
     ------
     DiagnosisError
-        A weight is not between 0.001 and 1000.
+        A weight is not between 0.001 and 1000, or the probability not between 0.001 and 0.999.
     """
 
+    worn: float = 0.5
     another: float = 0.6
     joints: Mapping[str, float] = field(default_factory=dict)
 
@@ -45,6 +48,9 @@ class Prior:
         for name, value in (("another", self.another), *((f"joints.{joint}", w) for joint, w in self.joints.items())):
             if not 1.0 / LARGEST <= value <= LARGEST:
                 raise DiagnosisError(f"prior.{name}: {value}: must be from {1.0 / LARGEST:g} to {LARGEST:g}")
+        if not 1.0 / LARGEST <= self.worn <= 1.0 - 1.0 / LARGEST:
+            rule = f"must be from {1.0 / LARGEST:g} to {1.0 - 1.0 / LARGEST:g}"
+            raise DiagnosisError(f"prior.worn: {self.worn}: {rule}")
 
     def check(self, known: Collection[str]) -> None:
         """Refuse joints that are not among those of the machine that may wear.
@@ -58,12 +64,15 @@ class Prior:
             if joint not in known:
                 raise DiagnosisError(f"prior.joints.{joint}: must be one of the joints {', '.join(sorted(known))}")
 
-    def weight(self, worn: Collection[str], count: int) -> float:
-        """Return the weight of a hypothesis, given by its worn joints, on a machine of so many that may wear."""
+    def weight(self, worn: Collection[str], count: int, most: int) -> float:
+        """Return the weight of a hypothesis, given by its worn joints, on a machine of so many that may wear.
+
+        No more than `most` wear at once. Without weights of joints it is a probability.
+        """
         if not worn:
-            return 1.0
-        share = count / math.comb(count, len(worn))
-        return share * self.another ** (len(worn) - 1) * math.prod(self.joints.get(joint, 1.0) for joint in worn)
+            return 1.0 - self.worn
+        share = self.numbers(count, most)[len(worn) - 1] / math.comb(count, len(worn))
+        return self.worn * share * math.prod(self.joints.get(joint, 1.0) for joint in worn)
 
     def numbers(self, count: int, most: int) -> tuple[float, ...]:
         """Return the probabilities of one to `most` worn joints, of so many that may wear, where any is.
@@ -78,7 +87,11 @@ class Prior:
         usual = Prior()
         if self == usual:
             return result
-        factors = [self.weight(match.joints, count) / usual.weight(match.joints, count) for match in result.hypotheses]
+        most = max(len(match.joints) for match in result.hypotheses)
+        factors = [
+            self.weight(match.joints, count, most) / usual.weight(match.joints, count, most)
+            for match in result.hypotheses
+        ]
         total = sum(match.probability * factor for match, factor in zip(result.hypotheses, factors, strict=True))
         again = (
             replace(match, probability=match.probability * factor / total)

@@ -50,7 +50,7 @@ class Spectra(Protocol):
         """Rows of a hypothesis."""
 
     def packed(self, rows: IntArray) -> PackedArray:
-        """Spectra of rows, (m, G, 9)."""
+        """Spectra of rows, (m, G, 33): :data:`catalogue.storage.cross_power.COLUMNS`."""
 
     def clearance(self, rows: IntArray) -> FloatArray:
         """Radial clearances of rows, (m, joints), m."""

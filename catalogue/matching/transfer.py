@@ -46,8 +46,8 @@ class RandomTransfer:
 
     def draw(
         self, generator: np.random.Generator, count: int, edges_hz: FloatArray, channels: int
-    ) -> tuple[FloatArray, ComplexArray]:
-        """Draw products of responses averaged over bands.
+    ) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+        """Draw responses, and products of them, averaged over bands.
 
         Parameters
         ----------
@@ -64,6 +64,8 @@ class RandomTransfer:
             |H|^2, > 0.
         product : ndarray of complex, shape (count, G, p)
             H_i conj(H_j) of the pairs of channels.
+        mean : ndarray of complex, shape (count, G, channels)
+            H.
         """
         bands = len(edges_hz) - 1
         places = (np.arange(POINTS) + 0.5) / POINTS
@@ -77,6 +79,7 @@ class RandomTransfer:
         squared = np.empty((count, bands, channels))
         pairs = pairs_of(channels)
         product = np.empty((count, bands, len(pairs)), np.complex128)
+        mean = np.empty((count, bands, channels), np.complex128)
         # Single precision in slices: the levels need no more, and 800 draws of 320 frequencies stay in the cache.
         for start in range(0, count, 256):
             rows = slice(start, start + 256)
@@ -86,10 +89,11 @@ class RandomTransfer:
             response = 1.0 + np.einsum("nkc,nkf->ncf", gain[rows].astype(np.float32), mode, optimize=True)
             magnitude = response.real**2 + response.imag**2
             squared[rows] = np.swapaxes(magnitude.reshape(*magnitude.shape[:2], bands, POINTS).mean(axis=3), 1, 2)
+            mean[rows] = np.swapaxes(response.reshape(*magnitude.shape[:2], bands, POINTS).mean(axis=3), 1, 2)
             for place, (i, j) in enumerate(pairs):
                 each = response[:, i] * response[:, j].conj()
                 product[rows, :, place] = each.reshape(len(each), bands, POINTS).mean(axis=2)
-        return np.maximum(squared, 1e-6), product
+        return np.maximum(squared, 1e-6), product, mean
 
 
 def _log_uniform(generator: np.random.Generator, between: tuple[float, float], shape: tuple[int, int]) -> FloatArray:

@@ -75,7 +75,9 @@ class Disturbance:
     frequency: float | None = None
 
 
-def find_shocks(signal: FloatArray, sample_rate: float, track: SpeedTrack, missing: BoolArray) -> BoolArray:
+def find_shocks(
+    signal: FloatArray, sample_rate: float, track: SpeedTrack, missing: BoolArray, weaker: float = 1.0
+) -> BoolArray:
     """Samples that hold shocks from outside.
 
     Parameters
@@ -88,6 +90,8 @@ def find_shocks(signal: FloatArray, sample_rate: float, track: SpeedTrack, missi
         Course of the speed.
     missing : (n,) array of bool
         Samples that are not looked at.
+    weaker : float
+        By how much less than usual a shock may stand out.
 
     Returns
     -------
@@ -113,7 +117,7 @@ def find_shocks(signal: FloatArray, sample_rate: float, track: SpeedTrack, missi
         loudness[unknown] = 0.0
         usual = _of_others(_near(loudness, NEAR), others)
         loud = _of_others(loudness.max(axis=1, keepdims=True), others)
-        hit |= (loudness > here * usual) & (loudness > anywhere * loud)
+        hit |= (loudness > weaker * here * usual) & (loudness > weaker * anywhere * loud)
         smooth = _around(loudness, NEAR)
         lasting |= smooth > LASTING * np.median(smooth, axis=0)
     if not hit.any():

@@ -106,6 +106,12 @@ class PreparedMeasurement:
         return transform_power(self.sensor_bands.power, self.sensing.channels)
 
     @property
+    def group_cyclic(self) -> ComplexArray:
+        """Cyclic power of the compared channels in each feature band, (G, k, c); phases from the first sample on."""
+        whole = transform_power(self.sensor_bands.cyclic, self.sensing.channels)
+        return np.ascontiguousarray(np.diagonal(whole, axis1=-2, axis2=-1))
+
+    @property
     def group_power(self) -> FloatArray:
         """Power in each feature band, (G, c), noise included."""
         auto = np.ascontiguousarray(np.diagonal(self.power, axis1=-2, axis2=-1).real)
@@ -155,6 +161,7 @@ class PreparedMeasurement:
         if not (np.isfinite(factor).all() and (factor > 0).all()):
             raise MeasurementError(self.name, value=dict(gains), rule="sensor gains must be positive and finite")
         power = self.sensor_bands.power / np.outer(factor, factor)
+        cyclic = self.sensor_bands.cyclic / np.outer(factor, factor)
         floor = dataclasses.replace(self.floor, density=self.floor.density / factor**2)
         edges, squared = self.scheme.edges_hz(self.drive_speed), (self.sensing.channels**2).T
         before, after = (each.band_power(edges, self.sensing.derivatives) @ squared for each in (self.floor, floor))
@@ -162,7 +169,7 @@ class PreparedMeasurement:
         found = ", ".join(f"{name} {100 * (value - 1):+.1f} %" for name, value in shown.items())
         return dataclasses.replace(
             self,
-            sensor_bands=dataclasses.replace(self.sensor_bands, power=power),
+            sensor_bands=dataclasses.replace(self.sensor_bands, power=power, cyclic=cyclic),
             noise_power=after
             * (self.noise_power / np.maximum(before, 1e-300)),  # what sensors have in common changes like their own
             floor=floor,

@@ -12,8 +12,10 @@ import numpy.typing as npt
 from catalogue.signals.prepared import PreparedMeasurement
 from catalogue.signals.recipe_steps import RecipeStep
 from catalogue.signals.sensors import MOTIONS
+from catalogue.storage.feature_bands import FEATURE_ORDERS
 from solver.machines.machine import Machine
 from solver.machines.parts import Mount
+from solver.spectra.band_power import CYCLES, transform_power
 
 __all__ = ["accelerance", "suspension_change", "with_filed_suspension"]
 
@@ -103,6 +105,16 @@ def with_filed_suspension(
     speed, bands = prepared.drive_speed, prepared.sensor_bands
     change = suspension_change(machine, parameters, bands.scheme.centres * speed / (2.0 * math.pi))
     motion = change @ prepared.power @ np.conj(np.swapaxes(change, -1, -2))
+    edges = bands.scheme.edges_hz(speed)[list(prepared.cuts)]
+    middle = suspension_change(machine, parameters, 0.5 * (edges[:-1] + edges[1:]))
+    seen = transform_power(bands.cyclic, sensing.channels)
+    cyclic = np.empty_like(seen)
+    for place, cycle in enumerate(CYCLES):
+        # Lines so many orders higher are in another band where bands are single orders.
+        above = np.arange(len(middle)) + np.where(np.arange(len(middle)) < FEATURE_ORDERS, cycle, 0)
+        passed = middle[np.minimum(above, len(middle) - 1)]
+        whole = passed @ seen[:, place] @ np.conj(np.swapaxes(middle, -1, -2))
+        cyclic[:, place] = 0.5 * (whole + np.swapaxes(whole, -1, -2))
     own = prepared.floor.band_power(bands.scheme.edges_hz(speed), sensing.derivatives)
     # What the channels have more of than independent sensors explain is converted, too.
     noise = np.maximum(
@@ -117,7 +129,11 @@ def with_filed_suspension(
     )
     return dataclasses.replace(
         prepared,
-        sensor_bands=dataclasses.replace(bands, power=sensing.transform @ motion @ sensing.transform.T),
+        sensor_bands=dataclasses.replace(
+            bands,
+            power=transform_power(motion, sensing.transform),
+            cyclic=transform_power(cyclic, sensing.transform),
+        ),
         noise_power=noise,
         steps=(*prepared.steps, step),
     )

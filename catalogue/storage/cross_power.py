@@ -1,11 +1,13 @@
-"""Hermitian 3 x 3 cross-power matrices as nine real numbers, and back without loss."""
+"""Cross-power matrices of three motions as real numbers: Hermitian ones as nine, cyclic ones as twelve each."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHANNELS", "PACKED", "UNITS", "pack", "unpack"]
+from solver.spectra.band_power import CYCLES
+
+__all__ = ["CHANNELS", "COLUMNS", "CYCLIC", "PACKED", "UNITS", "pack", "pack_cyclic", "unpack", "unpack_cyclic"]
 
 CHANNELS = ("x", "y", "theta")
 """Motions of the frame, in the order of rows and columns of a matrix."""
@@ -26,7 +28,19 @@ PACKED = (
 )  # fmt: skip
 """What the nine numbers are."""
 
+CYCLIC = tuple(
+    f"{part} {pair} {cycle}"
+    for cycle in CYCLES
+    for pair in ("x x", "y y", "theta theta", "x y", "x theta", "y theta")
+    for part in ("re", "im")
+)
+"""What the numbers of cyclic cross-powers are: symmetric matrices, one for each cyclic order."""
+
+COLUMNS = len(PACKED) + len(CYCLIC)
+"""Numbers of a feature band: its cross-powers, then its cyclic ones."""
+
 _ABOVE = ((0, 1), (0, 2), (1, 2))
+_SYMMETRIC = ((0, 0), (1, 1), (2, 2), *_ABOVE)
 
 
 def pack(power: NDArray[np.complexfloating]) -> NDArray[np.float32]:
@@ -69,3 +83,30 @@ def unpack(packed: NDArray[np.float32]) -> NDArray[np.complex64]:
         power[..., i, j] = packed[..., 3 + 2 * k] + 1j * packed[..., 4 + 2 * k]
         power[..., j, i] = power[..., i, j].conj()
     return power
+
+
+def pack_cyclic(cyclic: NDArray[np.complexfloating]) -> NDArray[np.float32]:
+    """Numbers, in the order of :data:`CYCLIC`, of the cyclic cross-powers of every band.
+
+    Parameters
+    ----------
+    cyclic : ndarray of complex, shape (..., k, 3, 3)
+        Symmetric; one matrix for each of :data:`solver.spectra.band_power.CYCLES`.
+
+    Returns
+    -------
+    ndarray of float32, shape (..., 12 k)
+    """
+    first, second = zip(*_SYMMETRIC, strict=True)
+    values = np.ascontiguousarray(cyclic[..., first, second], np.complex64)
+    return values.reshape(*values.shape[:-2], -1).view(np.float32)
+
+
+def unpack_cyclic(packed: NDArray[np.float32]) -> NDArray[np.complex64]:
+    """Matrices (..., k, 3, 3) of :func:`pack_cyclic`'s numbers; its inverse."""
+    values = np.ascontiguousarray(packed, np.float32).view(np.complex64)
+    values = values.reshape(*packed.shape[:-1], len(CYCLES), len(_SYMMETRIC))
+    cyclic = np.empty((*values.shape[:-1], 3, 3), np.complex64)
+    for k, (i, j) in enumerate(_SYMMETRIC):
+        cyclic[..., i, j] = cyclic[..., j, i] = values[..., k]
+    return cyclic

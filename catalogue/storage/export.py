@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.errors import EntryNotFoundError
-from catalogue.storage.cross_power import CHANNELS, PACKED
+from catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED
 from catalogue.storage.directory import replacing
 from catalogue.storage.feature_bands import LEAST_POWER
 from catalogue.storage.hdf5 import write_growing
@@ -33,6 +33,7 @@ _UNITS = {
     "guard_db": "dB",
     "power": "x, y: m/s2; theta: rad/s2; their products",
     "spread_db": "dB",
+    "cyclic": "x, y: m/s2; theta: rad/s2; their products",
 }
 
 
@@ -72,6 +73,7 @@ class _Chosen:
             "joints": np.array(table.joints),
             "parameter_names": np.array(list(table.parameters), dtype=np.str_),
             "power_columns": np.array(PACKED),
+            "cyclic_columns": np.array(CYCLIC),
             **{name: getattr(table, name) for name in (*columns, "segments", "transient", "guard_db")},
             "clearance": table.clearance,
             "worn": table.worn,
@@ -92,20 +94,25 @@ class _Chosen:
             "units": json.dumps(_UNITS),
         }
 
-    def spectra(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """Packed spectra (m, B, 9) and their spread (m, B, 3), shard by shard; NaN for a case that failed."""
+    def spectra(self) -> Iterator[dict[str, NDArray[np.float32]]]:
+        """Packed spectra, their spread and cyclic powers, shard by shard; NaN for a case that failed."""
         for shard, positions in self.catalogue.parts(self.rows):
             row = shard.row[positions]
-            power = np.full((len(row), self.catalogue.scheme.count, 9), np.nan, np.float32)
-            spread = np.full((len(row), self.catalogue.scheme.count, 3), np.nan, np.float32)
-            power[row >= 0], spread[row >= 0] = shard.power[row[row >= 0]], shard.spread_db[row[row >= 0]]
-            yield power, spread
+            found = {}
+            for name, (_, *shape) in self.shapes.items():
+                found[name] = np.full((len(row), *shape), np.nan, np.float32)
+                found[name][row >= 0] = getattr(shard, name)[row[row >= 0]]
+            yield found
 
     @property
     def shapes(self) -> dict[str, tuple[int, int, int]]:
-        """Of the spectra and their spread."""
-        count, bands = len(self.rows), self.catalogue.scheme.count
-        return {"power": (count, bands, 9), "spread_db": (count, bands, 3)}
+        """Of spectra, their spread, and cyclic powers."""
+        count, bands, groups = len(self.rows), self.catalogue.scheme.count, len(self.catalogue.matrix.cuts) - 1
+        return {
+            "power": (count, bands, len(PACKED)),
+            "spread_db": (count, bands, 3),
+            "cyclic": (count, groups, len(CYCLIC)),
+        }
 
 
 def export(catalogue: Catalogue, path: str | Path, hypotheses: Sequence[str] | None = None) -> int:
@@ -146,8 +153,7 @@ def export(catalogue: Catalogue, path: str | Path, hypotheses: Sequence[str] | N
 
 
 def _write_hdf5(path: Path, chosen: _Chosen) -> None:
-    parts = ({"power": power, "spread_db": spread} for power, spread in chosen.spectra())
-    write_growing(path, chosen.arrays(), chosen.shapes, parts, units=_UNITS, attributes=chosen.attributes())
+    write_growing(path, chosen.arrays(), chosen.shapes, chosen.spectra(), units=_UNITS, attributes=chosen.attributes())
 
 
 def _write_npz(path: Path, chosen: _Chosen) -> None:
@@ -156,12 +162,12 @@ def _write_npz(path: Path, chosen: _Chosen) -> None:
         for name, array in {**chosen.arrays(), **texts}.items():
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, array, allow_pickle=False)
-        for number, (name, shape) in enumerate(chosen.shapes.items()):
+        for name, shape in chosen.shapes.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 head = {"descr": "<f4", "fortran_order": False, "shape": shape}
                 np.lib.format.write_array_header_1_0(file, head)
                 for part in chosen.spectra():
-                    file.write(np.ascontiguousarray(part[number], "<f4").tobytes())
+                    file.write(np.ascontiguousarray(part[name], "<f4").tobytes())
 
 
 def _write_csv(path: Path, chosen: _Chosen) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from catalogue.plans.entry import HEALTHY, Hypothesis
 from catalogue.plans.parameters import MachineNumbers
+from catalogue.storage.cross_power import COLUMNS
 from catalogue.storage.feature_bands import FEATURE_ORDERS
 from catalogue.storage.matrix_header import LAWS, STRATA, Block, MatrixHeader
 from catalogue.storage.shard import OK, Shard
@@ -37,7 +38,7 @@ class Gathered:
     columns : mapping of str to ndarray
         All but the spectra, by name; one row an entry.
     power : callable
-        Yields the grouped spectra in the order of the rows, (at most :data:`BLOCK_ROWS`, G, 9) float32 at a time.
+        Yields the grouped spectra in the order of the rows, (at most :data:`BLOCK_ROWS`, G, 33) float32 at a time.
     """
 
     header: MatrixHeader
@@ -91,7 +92,7 @@ def gather(
         if count == 0:
             return
         waiting.flush()
-        spectra: NDArray[np.float32] = np.memmap(waiting, np.float32, "r").reshape(-1, groups, 9)
+        spectra: NDArray[np.float32] = np.memmap(waiting, np.float32, "r").reshape(-1, groups, COLUMNS)
         for start in range(0, count, BLOCK_ROWS):
             yield spectra[spectrum[start : start + BLOCK_ROWS]]
 
@@ -129,7 +130,8 @@ class _Part:
     def of(cls, number: int, shard: Shard, cuts: tuple[int, ...], waiting: IO[bytes], first: int) -> _Part:
         """Take a shard apart; `first` spectra wait already."""
         count = shard.count
-        np.add.reduceat(shard.power[:, : cuts[-1]], cuts[:-1], axis=1).astype(np.float32).tofile(waiting)
+        grouped = np.add.reduceat(shard.power[:, : cuts[-1]], cuts[:-1], axis=1)
+        np.concatenate([grouped, shard.cyclic], axis=2, dtype=np.float32).tofile(waiting)
         place = np.stack([np.full(count, number), np.arange(count)], axis=1)
         remarks = zip(shard.status, shard.message, strict=True)
         return cls(
@@ -166,6 +168,7 @@ def _digests(shard: Shard) -> Iterator[bytes]:
         if row >= 0:
             digest.update(shard.power[row].tobytes())
             digest.update(shard.spread_db[row].tobytes())
+            digest.update(shard.cyclic[row].tobytes())
         yield digest.digest()
 
 

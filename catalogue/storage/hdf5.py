@@ -19,7 +19,7 @@ from catalogue.errors import CatalogueFileError, CatalogueMismatchError
 from catalogue.plans.entry import Hypothesis, Recipe, Stratum
 from catalogue.plans.keys import canonical_json
 from catalogue.plans.variants import Variant
-from catalogue.storage.cross_power import CHANNELS, PACKED, UNITS
+from catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED, UNITS
 from catalogue.storage.directory import publish
 from catalogue.storage.shard import Shard, ShardHeader
 
@@ -33,9 +33,9 @@ __all__ = [
     "write_growing",
 ]
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Of shard files and of the catalogue folder; a change that older programs cannot read raises it. From 4 on every case
-has play in every turning joint, and keys hold the version of numbers.
+has play in every turning joint, and keys hold the version of numbers; from 5 on spectra have cyclic powers.
 """
 
 _FORMAT = "jointplay catalogue shard"
@@ -97,6 +97,9 @@ def encode_shard(shard: Shard) -> bytes:
         spread = spectra.create_dataset("spread_db", data=shard.spread_db)
         spread.attrs["quantity"] = "standard deviation of the band level over the averaged windows"
         spread.attrs["unit"] = "dB"
+        cyclic = spectra.create_dataset("cyclic", data=shard.cyclic)
+        cyclic.attrs["quantity"] = "cyclic cross-power of the frame's acceleration, integrated over feature bands"
+        cyclic.attrs["columns"] = np.array(CYCLIC, dtype=_TEXT)
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
@@ -147,6 +150,7 @@ def decode_shard(content: bytes, path: Path) -> Shard:
                 parameters=entries["parameters"][()],
                 power=spectra["power"][()],
                 spread_db=spectra["spread_db"][()],
+                cyclic=spectra["cyclic"][()],
                 **columns,
             )
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:

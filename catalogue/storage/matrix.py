@@ -197,7 +197,8 @@ class FeatureMatrix:
         return self.speeds[int(np.searchsorted(borders, abs(speed / self.nominal_speed)))]
 
     def packed(self, rows: IntArray) -> NDArray[np.float32]:
-        """Spectra of some rows as they are stored, see :func:`catalogue.storage.cross_power.pack`, (m, G, 9).
+        """Spectra of some rows as they are stored, (m, G, 33): cross-powers, then cyclic ones, as
+        :func:`catalogue.storage.cross_power.pack` and `pack_cyclic` have them.
 
         Raises
         ------

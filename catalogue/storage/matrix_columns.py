@@ -9,6 +9,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from catalogue.storage.cross_power import COLUMNS
 from catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
 
 __all__ = ["Columns", "IntArray", "MemoryColumns", "hexadecimal"]
@@ -23,7 +24,7 @@ class Columns(Protocol):
         """One column of the table."""
 
     def power(self, rows: IntArray) -> NDArray[np.float32]:
-        """Packed spectra of some rows, (m, G, 9)."""
+        """Packed spectra of some rows, (m, G, 33)."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class MemoryColumns:
     Parameters
     ----------
     columns : mapping of str to ndarray
-    spectra : ndarray of float32, shape (n, G, 9)
+    spectra : ndarray of float32, shape (n, G, 33)
     """
 
     columns: Mapping[str, Numbers]
@@ -43,7 +44,7 @@ class MemoryColumns:
     def of(cls, gathered: Gathered) -> Self:
         """Read all spectra of what was gathered."""
         header = gathered.header
-        spectra = np.empty((header.count, len(header.cuts) - 1, 9), np.float32)
+        spectra = np.empty((header.count, len(header.cuts) - 1, COLUMNS), np.float32)
         for number, block in enumerate(gathered.power()):
             spectra[number * BLOCK_ROWS : number * BLOCK_ROWS + len(block)] = block
         return cls(gathered.columns, spectra)
@@ -53,7 +54,7 @@ class MemoryColumns:
         return self.columns[name]
 
     def power(self, rows: IntArray) -> NDArray[np.float32]:
-        """Packed spectra of some rows, (m, G, 9)."""
+        """Packed spectra of some rows, (m, G, 33)."""
         return self.spectra[rows]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalogue.errors import CatalogueFileError
+from catalogue.storage.cross_power import COLUMNS
 from catalogue.storage.directory import CatalogueDirectory, sha256_of, sync_folder
 from catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
 from catalogue.storage.matrix_header import ColumnFile, MatrixHeader, OtherVersionError
@@ -77,7 +78,7 @@ def _write_column(folder: Path, name: str, column: Numbers) -> ColumnFile:
 
 def _write_power(path: Path, gathered: Gathered) -> bytes:
     """Write the spectra and return the checksums of their blocks."""
-    shape = (gathered.header.count, len(gathered.header.cuts) - 1, 9)
+    shape = (gathered.header.count, len(gathered.header.cuts) - 1, COLUMNS)
     digests = []
     with open(path, "xb") as file:
         head = {"descr": "<f4", "fortran_order": False, "shape": shape}
@@ -126,7 +127,7 @@ class MappedColumns:
         # All files are opened at once: a reader keeps them when a later build removes the folder.
         files = header.files.items()
         self._columns = {name: _mapped(folder / f"{name}.npy", file.dtype, file.shape) for name, file in files}
-        self._power = _mapped(folder / _POWER, "<f4", (header.count, len(header.cuts) - 1, 9))
+        self._power = _mapped(folder / _POWER, "<f4", (header.count, len(header.cuts) - 1, COLUMNS))
         digests = (folder / _DIGESTS).read_bytes()
         if sha256_of(digests) != header.digests:
             raise ValueError(f"{_DIGESTS} does not match its checksum")
@@ -185,7 +186,7 @@ class MappedColumns:
         return column
 
     def power(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Packed spectra of some rows, (m, G, 9).
+        """Packed spectra of some rows, (m, G, 33).
 
         Raises
         ------

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
 from catalogue.plans.variants import Variant
-from catalogue.storage.cross_power import pack, unpack
+from catalogue.storage.cross_power import CYCLIC, pack, pack_cyclic, unpack, unpack_cyclic
+from catalogue.storage.feature_bands import FEATURE_ORDERS
 
 __all__ = ["OK", "Outcome", "Shard", "ShardHeader"]
 
@@ -41,6 +42,9 @@ class Outcome:
         Cross-power of the frame's acceleration in bands; only with status ok.
     spread_db : ndarray, shape (B, 3), optional
         Standard deviation of the band levels over the windows [dB]; only with status ok.
+    cyclic : ndarray of complex, shape (G, k, 3, 3), optional
+        Cyclic cross-power of the frame's acceleration in feature bands, phases against the drive's angle; only with
+        status ok.
     guard_db : float, optional
         Mean difference of the band levels from those of the same case computed more finely [dB]; for the cases that
         were computed twice.
@@ -54,6 +58,7 @@ class Outcome:
     seconds: float
     power: NDArray[np.complexfloating] | None = None
     spread_db: NDArray[np.floating] | None = None
+    cyclic: NDArray[np.complexfloating] | None = None
     guard_db: float | None = None
 
 
@@ -111,6 +116,8 @@ class Shard:
     power : ndarray of float32, shape (m, B, 9)
         Packed by :func:`catalogue.storage.cross_power.pack`.
     spread_db : ndarray of float32, shape (m, B, 3)
+    cyclic : ndarray of float32, shape (m, G, 24)
+        Packed by :func:`catalogue.storage.cross_power.pack_cyclic`.
     """
 
     header: ShardHeader
@@ -133,14 +140,16 @@ class Shard:
     guard_db: NDArray[np.float64]
     power: NDArray[np.float32]
     spread_db: NDArray[np.float32]
+    cyclic: NDArray[np.float32]
 
     @classmethod
     def of(cls, header: ShardHeader, entries: Sequence[Entry], outcomes: Sequence[Outcome]) -> Shard:
         """Put cases and what became of them together; all entries have in common what a shard has."""
         joints, names = entries[0].joints, tuple(sorted(entries[0].parameters))
         good = [outcome.power is not None for outcome in outcomes]
-        bands = header.recipe.scheme.count
+        bands, groups = header.recipe.scheme.count, len(header.recipe.scheme.third_octave_groups(FEATURE_ORDERS)) - 1
         power = [pack(np.asarray(outcome.power)) for outcome in outcomes if outcome.power is not None]
+        cyclic = [pack_cyclic(np.asarray(outcome.cyclic)) for outcome in outcomes if outcome.cyclic is not None]
         spread = [np.asarray(outcome.spread_db, np.float32) for outcome in outcomes if outcome.spread_db is not None]
         return cls(
             header=header,
@@ -165,6 +174,7 @@ class Shard:
             guard_db=np.array([outcome.guard_db for outcome in outcomes], np.float64),  # None becomes NaN
             power=np.array(power, np.float32).reshape(-1, bands, 9),
             spread_db=np.array(spread, np.float32).reshape(-1, bands, 3),
+            cyclic=np.array(cyclic, np.float32).reshape(-1, groups, len(CYCLIC)),
         )
 
     def outcome(self, position: int) -> Outcome:
@@ -179,6 +189,7 @@ class Shard:
             seconds=0.0,
             power=unpack(self.power[row]) if row >= 0 else None,
             spread_db=self.spread_db[row] if row >= 0 else None,
+            cyclic=unpack_cyclic(self.cyclic[row]) if row >= 0 else None,
             guard_db=None if np.isnan(guard) else guard,
         )
 

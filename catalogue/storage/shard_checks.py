@@ -9,7 +9,8 @@ import numpy as np
 from catalogue.errors import CatalogueError, CatalogueFileError
 from catalogue.plans.entry import Entry
 from catalogue.plans.keys import entry_key
-from catalogue.storage.cross_power import pack, unpack
+from catalogue.storage.cross_power import CYCLIC, pack, unpack
+from catalogue.storage.feature_bands import FEATURE_ORDERS
 from catalogue.storage.shard import OK, Shard
 from solver.errors import MachineError
 from solver.machines.machine import parse_machine
@@ -35,11 +36,16 @@ def check_shard(shard: Shard, path: Path) -> None:
     bands = shard.header.recipe.scheme.count
     if shard.power.shape != (spectra, bands, 9) or shard.spread_db.shape != (spectra, bands, 3):
         raise CatalogueFileError(path, "has spectra of another shape than its bands ask for")
+    groups = len(shard.header.recipe.scheme.third_octave_groups(FEATURE_ORDERS)) - 1
+    if shard.cyclic.shape != (spectra, groups, len(CYCLIC)):
+        raise CatalogueFileError(path, "has cyclic powers of another shape than its bands ask for")
     columns = ("status", "message", "clearance", "parameters", "draw", "segments", "row", "drive_speed")
     if any(len(getattr(shard, column)) != count for column in (*columns, "transient", "guard_db")):
         raise CatalogueFileError(path, "has columns of different lengths")
     if not (np.isfinite(shard.power).all() and np.isfinite(shard.spread_db).all() and (shard.spread_db >= 0).all()):
         raise CatalogueFileError(path, "holds a number that is not finite, or a negative spread")
+    if not np.isfinite(shard.cyclic).all():
+        raise CatalogueFileError(path, "holds a cyclic power that is not finite")
     if not (shard.power[..., :3] >= 0).all():
         raise CatalogueFileError(path, "holds a negative power")
     if not np.array_equal(pack(unpack(shard.power)), shard.power):

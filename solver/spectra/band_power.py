@@ -23,6 +23,9 @@ from solver.spectra.segments import ComplexArray, FloatArray, Segmentation, revo
 WINDOW_REVOLUTIONS = 3.0
 HOP_REVOLUTIONS = 1.0
 
+#: Cyclic orders: how many orders apart the lines are whose products say what comes back with every revolution.
+CYCLES = (1, 2)
+
 
 @dataclass(frozen=True)
 class BandMatrix:
@@ -46,6 +49,16 @@ class BandMatrix:
     sample_rate : float
         Hz.
     channels : tuple of str
+    cyclic : (G, len(CYCLES), c, c) complex array
+        Cyclic cross-power of joined bands: as `power`, but of lines that are 1, 2, ... orders apart, the mean of both
+        orders of the channels (symmetric). Its phase is that of the drive's angle, zero where it is counted from. No
+        bands unless they were asked for.
+
+    Notes
+    -----
+    What is periodic with the drive, or noise whose strength is, has cyclic power; what knows nothing of the drive has
+    none (W. A. Gardner, Introduction to Random Processes, 2nd ed. (1990), chapter 12; J. Antoni, Mechanical Systems
+    and Signal Processing 23 (2009) 987).
     """
 
     power: ComplexArray
@@ -57,6 +70,7 @@ class BandMatrix:
     drive_speed: float
     sample_rate: float
     channels: tuple[str, ...] = field(default=())
+    cyclic: ComplexArray = field(default_factory=lambda: np.empty((0, len(CYCLES), 0, 0), np.complex128))
 
     @property
     def auto_power(self) -> FloatArray:
@@ -75,6 +89,8 @@ def band_matrix(
     combine: npt.ArrayLike | None = None,
     sample_mean: bool = False,
     window_revolutions: float = WINDOW_REVOLUTIONS,
+    cuts: Sequence[int] = (),
+    angle: float = 0.0,
 ) -> BandMatrix:
     """Band powers and cross-powers of one signal.
 
@@ -98,6 +114,10 @@ def band_matrix(
         of such a mean is then undone, see :func:`solver.spectra.welch.undo_sample_mean`.
     window_revolutions : float
         Window in drive revolutions.
+    cuts : sequence of int, (G + 1,)
+        Band g of the cyclic powers joins bands ``cuts[g]`` to ``cuts[g + 1] - 1``; there are none unless given.
+    angle : float
+        Of the drive at the first sample [rad].
 
     Returns
     -------
@@ -115,7 +135,8 @@ def band_matrix(
         raise SettingsError("signal: holds a number that is not finite")
     segmentation = revolution_segments(len(values), sample_rate, drive_speed, window_revolutions, HOP_REVOLUTIONS)
     edges = scheme.edges_hz(drive_speed)
-    lines = min(segmentation.length // 2 + 1, int(edges[-1] / segmentation.resolution + 0.5) + 2)
+    apart = [round(cycle * window_revolutions) for cycle in CYCLES] if len(cuts) else [0]
+    lines = min(segmentation.length // 2 + 1, int(edges[-1] / segmentation.resolution + 0.5) + 2 + max(apart))
     spectrum = segmentation.coefficients(values, lines)
     factor = _line_factors(segmentation, lines, values.shape[1], derivatives, sample_mean)
     if factor is not None:
@@ -128,6 +149,12 @@ def band_matrix(
     _sum_bands(spectrum, _band_limits(edges, segmentation), 0.5 * segmentation.length, auto, power)
     for i in range(width):
         power[:, i, i] = auto[:, i].mean(axis=0)
+    cyclic = np.zeros((max(0, len(cuts) - 1), len(CYCLES), width, width), dtype=np.complex128)
+    if len(cuts):
+        begin = angle + abs(drive_speed) / sample_rate * np.array(segmentation.starts)
+        turns = np.exp(-1j * np.outer(CYCLES, begin)) / windows
+        limits = _band_limits(edges[list(cuts)], segmentation)
+        _sum_cyclic(spectrum, limits, np.array(apart), turns, 0.5 * segmentation.length, cyclic)
     tiny = np.finfo(np.float64).tiny
     if windows > 1:
         spread = np.std(10.0 * np.log10(np.maximum(auto, tiny)), axis=0, ddof=1).T
@@ -143,6 +170,7 @@ def band_matrix(
         drive_speed=abs(drive_speed),
         sample_rate=sample_rate,
         channels=channels,
+        cyclic=cyclic,
     )
 
 
@@ -245,6 +273,52 @@ def _sum_bands(spectrum: ComplexArray, limits: FloatArray, end: float, auto: Flo
         for a in range(width):
             for b in range(a + 1, width):
                 power[band, b, a] = power[band, a, b].conjugate()
+
+
+@compiled
+def _sum_cyclic(
+    spectrum: ComplexArray,
+    limits: FloatArray,
+    apart: npt.NDArray[np.int64],
+    turns: ComplexArray,
+    end: float,
+    cyclic: ComplexArray,
+) -> None:
+    """Cyclic powers of the bands, averaged over windows; lines count as in :func:`_sum_bands`.
+
+    Parameters
+    ----------
+    spectrum : (windows, c, lines) array
+    limits : (G + 1,) array
+        In lines.
+    apart : (k,) array of int
+        Distance of the lines that are multiplied, one a cyclic order.
+    turns : (k, windows) array
+        What takes each window's phase back to that of the drive, over the number of windows.
+    end : float
+        As for :func:`_sum_bands`.
+    cyclic : (G, k, c, c) array
+        Zeros; filled in.
+    """
+    windows, width, lines = spectrum.shape
+    for band in range(limits.size - 1):
+        low, high = limits[band], limits[band + 1]
+        for k in range(apart.size):
+            i, j = math.floor(low + 0.5), min(math.ceil(high + 0.5) - 1, lines - 1 - apart[k])
+            if high <= low or j < i:
+                continue
+            begin = max(i - 0.5, 0.0)
+            first = (min(high, i + 0.5) - low) / (min(i + 0.5, end) - begin)
+            last = (high - max(low, j - 0.5)) / (min(j + 0.5, end) - max(j - 0.5, 0.0))
+            last = min(last, 1.0)  # the last line there is need not be the band's
+            for window in range(windows):
+                for a in range(width):
+                    one = spectrum[window, a, i + apart[k] : j + 1 + apart[k]]
+                    for b in range(width):
+                        real, imaginary = _weighted(one, spectrum[window, b, i : j + 1], first, last)
+                        half = 0.5 * complex(real, imaginary) * turns[k, window]
+                        cyclic[band, k, a, b] += half
+                        cyclic[band, k, b, a] += half
 
 
 def _degrees_of_freedom(segmentation: Segmentation, edges: FloatArray) -> FloatArray:

@@ -35,10 +35,15 @@ def test_what_is_held_likely_beforehand_may_be_said(client: httpx.Client, diagno
     usual = diagnosis.json()
     most = max(len(each["joints"]) for each in usual["hypotheses"])
     numbers = pytest.approx(Prior().numbers(3, most))
-    assert usual["prior"] == {"another": Prior().another, "joints": {}, "numbers": numbers}
+    assert usual["prior"] == {"worn": Prior().worn, "another": Prior().another, "joints": {}, "numbers": numbers}
     asked = {"measurement": usual["measurement"], "catalogue": "slider-crank", "effort": "fast", "speed": "606.8 rpm"}
     other = client.post(f"{API}/diagnoses", json={**asked, "prior": {"joints": {"A": 1000}}}).json()
-    assert other["prior"] == {"another": Prior().another, "joints": {"A": 1000.0}, "numbers": numbers}
+    assert other["prior"] == {
+        "worn": Prior().worn,
+        "another": Prior().another,
+        "joints": {"A": 1000.0},
+        "numbers": numbers,
+    }
     assert other["id"] != usual["id"]
     odds = [{each["label"]: each["probability"] for each in found["hypotheses"]} for found in (usual, other)]
     assert odds[1]["A"] / odds[1]["healthy"] == pytest.approx(1000 * odds[0]["A"] / odds[0]["healthy"])

@@ -89,7 +89,13 @@ def test_a_prior_of_every_set_is_said_by_how_many_joints_wear(older: dict[str, A
     three = {"label": "A+B+O", "joints": {"A": {}, "B": {}, "O": {}}, "probability": 0.0}
     answered = {**older, "prior": {"another": 0.4, "joints": {}}, "hypotheses": [*older["hypotheses"], three]}
     # Three single joints, three pairs at 0.4 and a triple at 0.16.
-    assert in_present_form(answered, MACHINE)["prior"]["numbers"] == pytest.approx([3 / 4.36, 1.2 / 4.36, 0.16 / 4.36])
+    prior = in_present_form(answered, MACHINE)["prior"]
+    assert prior["numbers"] == pytest.approx([3 / 4.36, 1.2 / 4.36, 0.16 / 4.36])
+    assert prior["worn"] == pytest.approx(4.36 / 5.36)
+    # Then every number of joints had as much as there are joints: 3, 3 x 0.4 and 3 x 0.16.
+    later = in_present_form({**answered, "prior": {**answered["prior"], "numbers": [0.6, 0.3, 0.1]}}, MACHINE)["prior"]
+    assert later["numbers"] == [0.6, 0.3, 0.1]
+    assert later["worn"] == pytest.approx(4.68 / 5.68)
 
 
 def test_an_answer_of_now_stays(older: dict[str, Any]) -> None:

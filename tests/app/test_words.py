@@ -175,13 +175,13 @@ def test_why_a_model_is_not_believed() -> None:
 
 
 def test_what_was_held_likely() -> None:
-    usual = {"another": 0.6, "joints": {}, "numbers": [0.51, 0.306, 0.184]}
+    usual = {"worn": 0.75, "another": 0.6, "joints": {}, "numbers": [0.51, 0.306, 0.184]}
     assert words.prior_sentence({"prior": usual}) == (
-        "Before the recording: of joints that wear at once, 1 with 51 %, 2 with 31 % and 3 with 18 %."
+        "Before the recording: wear with 75 %, and then of joints at once 1 with 51 %, 2 with 31 % and 3 with 18 %."
     )
-    own = {"another": 1.0, "joints": {"A": 3.0, "B": 0.5}, "numbers": [0.5, 0.5]}
+    own = {"worn": 0.5, "another": 1.0, "joints": {"A": 3.0, "B": 0.5}, "numbers": [0.5, 0.5]}
     assert words.prior_sentence({"prior": own}) == (
-        "Before the recording: of joints that wear at once, 1 with 50 % and 2 with 50 %; "
+        "Before the recording: wear with 50 %, and then of joints at once 1 with 50 % and 2 with 50 %; "
         "A 3 times as likely; B 0.5 times as likely."
     )
 

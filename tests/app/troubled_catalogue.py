@@ -11,6 +11,7 @@ from catalogue.building.chunk import Chunk
 from catalogue.plans.plan import parse_plan
 from catalogue.storage.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
+from solver.spectra.bands import BandScheme
 
 PLAN = parse_plan({"name": "made up", "draws": {"healthy": 6, "single": 12}, "fits": {"silent": 0}, "laws": {"own": 1}})
 MESSAGE = "left <the range> at t = 0.1 s"
@@ -23,16 +24,17 @@ def fails(key: str) -> bool:
 
 def compute(chunk: Chunk) -> tuple[Outcome, ...]:
     """Make up the outcomes of some cases; they follow from the keys."""
-    return tuple(outcome(entry.key, chunk.recipe.scheme.count) for entry in chunk.entries)
+    return tuple(outcome(entry.key, chunk.recipe.scheme) for entry in chunk.entries)
 
 
-def outcome(key: str, bands: int) -> Outcome:
+def outcome(key: str, scheme: BandScheme) -> Outcome:
     if fails(key):
         return Outcome("diverged", MESSAGE, 60.0, 0.0, 0, 0.5)
-    random = np.random.default_rng(int(key[:8], 16))
+    random, bands = np.random.default_rng(int(key[:8], 16)), scheme.count
+    cyclic = np.zeros((len(scheme.third_octave_groups()) - 1, 2, 3, 3), np.complex64)
     root = random.normal(size=(bands, 3, 3)) + 1j * random.normal(size=(bands, 3, 3))
     power = (root @ root.conj().swapaxes(1, 2)).astype(np.complex64)
-    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, random.random((bands, 3)).astype(np.float32))
+    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, random.random((bands, 3)).astype(np.float32), cyclic)
 
 
 def make(folder: Path) -> tuple[int, int]:

@@ -30,7 +30,7 @@ def assert_complete(directory: Path, plan: Plan = PLAN) -> None:
     assert sorted([*catalogue.entries.key, *catalogue.failed.key]) == sorted(keys)
     assert set(catalogue.failed.key) == {key for key in keys if diverges(key)}
     for key, power in zip(catalogue.entries.key, catalogue.power(), strict=True):
-        made = fake_simulator._outcome(str(key), catalogue.scheme.count).power
+        made = fake_simulator._outcome(str(key), catalogue.scheme).power
         assert made is not None
         assert np.allclose(power, made, rtol=1e-6)
     report = verify(directory)

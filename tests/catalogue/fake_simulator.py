@@ -24,6 +24,7 @@ from catalogue.building.cluster import DaskCluster
 from catalogue.plans.plan import Plan, parse_plan
 from catalogue.storage.shard import OK, Outcome
 from solver.machines.machine import shipped_machine
+from solver.spectra.bands import BandScheme
 
 MACHINE = shipped_machine("slider-crank")
 
@@ -47,25 +48,26 @@ def diverges(key: str) -> bool:
 def compute(chunk: Chunk) -> tuple[Outcome, ...]:
     """Make up one outcome a case."""
     time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
-    outcomes = tuple(_outcome(entry.key, chunk.recipe.scheme.count) for entry in chunk.entries)
+    outcomes = tuple(_outcome(entry.key, chunk.recipe.scheme) for entry in chunk.entries)
     if "FAKE_LOG" in os.environ:
         with open(os.environ["FAKE_LOG"], "a", encoding="ascii") as log:
             log.writelines(f"{entry.key}\n" for entry in chunk.entries)
     return outcomes
 
 
-def _outcome(key: str, bands: int) -> Outcome:
+def _outcome(key: str, scheme: BandScheme) -> Outcome:
     if key.startswith(os.environ.get("FAKE_DEADLY", "none")):
         os.kill(os.getpid(), signal.SIGKILL)
     if key.startswith(os.environ.get("FAKE_RAISES", "none")):
         raise ArithmeticError(f"case {key[:8]}\nis too hard")
     if diverges(key):
         return Outcome("diverged", "left the range at t = 0.1 s", 60.0, 0.0, 0, 0.5)
-    random = np.random.default_rng(int(key[:8], 16))
+    random, bands = np.random.default_rng(int(key[:8], 16)), scheme.count
     root = random.normal(size=(bands, 3, 3)) + 1j * random.normal(size=(bands, 3, 3))
     power = (root @ root.conj().swapaxes(1, 2)).astype(np.complex64)
     spread = random.random((bands, 3)).astype(np.float32)
-    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, spread)
+    half = random.normal(size=(len(scheme.third_octave_groups()) - 1, 2, 3, 3)).astype(np.complex64)
+    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, spread, half + half.swapaxes(2, 3))
 
 
 def _tell(progress: Progress) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from catalogue.matching.observation import Sensing
 from catalogue.plans.entry import Hypothesis, Stratum
+from catalogue.storage.cross_power import COLUMNS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -50,7 +51,7 @@ class SpectraModel:
         self.id = f"model {count} {pairs} {wide} {seed}"
 
     def power(self, clearance: FloatArray, scatter: float, generator: np.random.Generator) -> FloatArray:
-        """Packed spectra (n, G, 9) of machines with clearances (n, joints)."""
+        """Packed spectra (n, G, 33), nothing locked to the crank, of machines with clearances (n, joints)."""
         level = np.full((len(clearance), GROUPS, 3), 1e-6)
         for j in range(len(self.joints)):
             shape = np.random.default_rng([5, j])
@@ -58,7 +59,7 @@ class SpectraModel:
             growth = np.maximum(np.log(np.maximum(clearance[:, j], 1e-12)) - LOW, 0.0)
             worn = clearance[:, j] > 0.0
             level += worn[:, None, None] * 10.0 ** (0.1 * (offset + slope * growth[:, None, None]))
-        packed = np.zeros((*level.shape[:2], 9))
+        packed = np.zeros((*level.shape[:2], COLUMNS))
         packed[..., :3] = level * 10.0 ** (0.1 * scatter * generator.normal(size=level.shape))
         return packed
 

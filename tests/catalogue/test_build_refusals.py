@@ -61,13 +61,13 @@ def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     monkeypatch.undo()
     manifest = tmp_path / "manifest.json"
-    for other in (3, 99):
-        manifest.write_text(manifest.read_text().replace('"schema_version": 4', f'"schema_version": {other}'))
+    for other in (4, 99):
+        manifest.write_text(manifest.read_text().replace('"schema_version": 5', f'"schema_version": {other}'))
         for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
-            rule = f"has schema version {other}; this program reads 4: build the catalogue anew$"
+            rule = f"has schema version {other}; this program reads 5: build the catalogue anew$"
             with pytest.raises(CatalogueMismatchError, match=rule):
                 use()
-        manifest.write_text(manifest.read_text().replace(f'"schema_version": {other}', '"schema_version": 4'))
+        manifest.write_text(manifest.read_text().replace(f'"schema_version": {other}', '"schema_version": 5'))
 
 
 def test_another_version_of_the_product_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

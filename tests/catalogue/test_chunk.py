@@ -67,11 +67,15 @@ def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
         assert entry.drive_speed == history.drive_speed == case.parameters["drive.speed"]
         assert entry.transient == history.transient
         signal = history.band_limited_acceleration[history.t >= history.transient]
-        bands = band_matrix(signal, 4000.0, history.drive_speed, catalogue.scheme)
+        cuts, angle = catalogue.matrix.cuts, history.drive_speed * history.transient
+        bands = band_matrix(signal, 4000.0, history.drive_speed, catalogue.scheme, cuts=cuts, angle=angle)
         assert entry.power is not None
         assert entry.spread_db is not None
         assert np.allclose(entry.power, bands.power, rtol=1e-6, atol=0)
         assert np.allclose(entry.spread_db, bands.spread_db, rtol=1e-6)
+        ((_, outcome),) = catalogue.cases(np.array(catalogue.matrix.find(case.key)))
+        assert outcome.cyclic is not None
+        assert np.allclose(outcome.cyclic, bands.cyclic, rtol=1e-5, atol=1e-7 * np.abs(bands.cyclic).max())
 
 
 def test_spectra_do_not_depend_on_which_order_of_the_machine_file_was_met_first(catalogue: Catalogue) -> None:

@@ -25,19 +25,19 @@ def recording(name: str) -> tuple[Measurement, Machine]:
     return read_measurement(RECORDINGS / f"{name}.csv.gz"), shipped_machine(TRUTH[name]["machine"])
 
 
-def with_shocks(name: str, times: tuple[float, ...], size: float, width: float = 0.004) -> PreparedMeasurement:
-    """Blows on the frame, which then rings at 25 Hz; `size` in units of the recording's rms."""
+def with_shocks(name: str, times: tuple[float, ...], *sizes: float, width: float = 0.004) -> PreparedMeasurement:
+    """Blows on the frame, which then rings at 25 Hz; a size for each, or for all, in units of the recording's rms."""
     measurement, machine = recording(name)
     chosen = [next(s for s in machine.sensors if s.name == each) for each in measurement.channel_names]
     centre = machine.links[machine.frame].cg
     transform = sensor_transform([s.at for s in chosen], [s.direction for s in chosen], centre)
     t = np.arange(len(measurement.signal)) / measurement.sample_rate
     added = np.zeros(len(t))
-    for start in times:
+    for start, size in zip(times, sizes if len(sizes) > 1 else sizes * len(times), strict=True):
         after = np.maximum(t - start, 0.0)
-        added += np.where(after < width, np.sin(math.pi * after / width), 0.0)
-        added -= 0.2 * np.exp(-25.0 * after) * np.sin(2 * math.pi * 25.0 * after)
-    blow = size * measurement.signal.std() * np.outer(added, transform @ [0.8, 0.6, 2.0])
+        added += size * np.where(after < width, np.sin(math.pi * after / width), 0.0)
+        added -= 0.2 * size * np.exp(-25.0 * after) * np.sin(2 * math.pi * 25.0 * after)
+    blow = measurement.signal.std() * np.outer(added, transform @ [0.8, 0.6, 2.0])
     return prepare(dataclasses.replace(measurement, signal=measurement.signal + blow), machine)
 
 
@@ -69,6 +69,14 @@ def test_shocks_cost_their_time(name: str, size: float) -> None:
     assert any(each.startswith("shock from outside 2 times, at") for each in disturbed.warnings)
     off = np.sqrt(np.mean((disturbed.features - before.features) ** 2))
     assert off < 1.5
+
+
+@pytest.mark.parametrize(("name", "faint"), [("quick-return-01", 2.8), ("quick-return-08", 1.0)])
+def test_shocks_that_stand_out_less_are_looked_for_where_there_are_others(name: str, faint: float) -> None:
+    alone, beside = with_shocks(name, (1.9,), faint), with_shocks(name, (0.4, 1.9), 10.0, faint)
+    assert not [each for each in alone.disturbances if each.kind == "shock"]
+    shocks = [each.begin for each in beside.disturbances if each.kind == "shock"]
+    assert shocks == [pytest.approx(0.4, abs=0.03), pytest.approx(1.9, abs=0.03)]
 
 
 def test_steady_lines_are_told_as_disturbances() -> None:

@@ -306,6 +306,7 @@ def test_strata_laws_and_the_guard(tmp_path: Path) -> None:
     manifest, layout = Manifest.of(MACHINE, PLAN), CatalogueDirectory(tmp_path)
     layout.create()
     bands = manifest.recipe.scheme.count
+    cyclic = np.zeros((len(manifest.recipe.scheme.third_octave_groups()) - 1, 2, 3, 3))
     for stratum, law, draws in (("trusted", "own", range(4)), ("wide", "hertz", (5, 2)), ("trusted", "hertz", (4, 5))):
         entries, outcomes = [], []
         for draw in draws:
@@ -316,7 +317,7 @@ def test_strata_laws_and_the_guard(tmp_path: Path) -> None:
             power = np.eye(3)[None] * np.full((bands, 1, 1), draw + 1.0)
             guard = 0.5 * draw if draw % 2 == 0 else None
             entries.append(entry)
-            outcomes.append(Outcome(OK, "", -10.0 - draw, 0.1, 3, 0.0, power, np.ones((bands, 3)), guard))
+            outcomes.append(Outcome(OK, "", -10.0 - draw, 0.1, 3, 0.0, power, np.ones((bands, 3)), cyclic, guard))
         content = encode_shard(Shard.of(manifest.header(PLAN), entries, outcomes))
         layout.shard(sha256_of(content)).write_bytes(content)
     matrix = seal(layout, manifest, layout.shard_names).matrix

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
+from catalogue.diagnosing.comparison import exact_sensing, measured_features
 from catalogue.errors import MeasurementError
 from catalogue.measurements.measurement import Channel, Measurement, measurement_of, read_measurement
 from catalogue.measurements.readers import RawColumn, RawRecording
@@ -89,6 +90,28 @@ def test_a_catalogues_power_and_a_recording_meet(machine: Machine) -> None:
     many = feature_vector(np.stack([stored, 4 * stored]), prepared.cuts, matrix)
     assert many.shape == (2, len(seen))
     assert (many[1] - many[0])[:40] == pytest.approx(np.full(40, 10 * math.log10(4)), abs=1e-9)
+
+
+def test_what_is_locked_to_the_crank_is_found_wherever_a_recording_begins(machine: Machine) -> None:
+    """Bursts of noise at one angle of the crank, beside orders; two recordings of them that begin elsewhere."""
+    time = np.arange(int(20.7 * FS / 5.0)) / FS
+    angle, generator = 10 * math.pi * time, np.random.default_rng(3)
+    motion = np.stack([np.cos(n * angle + n) for n in (1, 2, 3)], axis=1)
+    motion += 0.3 * np.exp(8.0 * (np.cos(angle - 1.0) - 1.0))[:, None] * generator.normal(size=motion.shape)
+    skipped = int(0.137 * FS)
+    seen = []
+    for first in (0, skipped):
+        prepared = prepare(recorded(at_sensors(machine, motion[first:])), machine)
+        seen.append((prepared, measured_features(prepared, exact_sensing(prepared))))
+    (one, features), (other, later) = seen
+    turn = np.angle(other.group_cyclic[-5:-1, 0, 0] / one.group_cyclic[-5:-1, 0, 0])
+    assert np.cos(turn - angle[skipped]) == pytest.approx(1.0, abs=0.02)
+    levels = one.group_power.size
+    # Of 10; noise scatters by as much as it is not in both recordings.
+    assert later[levels:] == pytest.approx(features[levels:], abs=2.0)
+    # The strength of a burst of exp(8 (cos a - 1)), squared, has the moments of a von Mises law of 16.
+    wide = one.group_cyclic[-5:-1, :, 0] / one.group_power[-5:-1, None, 0]
+    assert np.abs(wide) == pytest.approx(np.tile([0.968, 0.879], (4, 1)), abs=0.05)
 
 
 def test_noise_goes_through_the_least_squares(machine: Machine) -> None:

@@ -11,11 +11,11 @@ from catalogue.errors import DiagnosisError
 from catalogue.matching.coherence import SCALE, common_noise, compose, decompose, noise_alike, with_more_noise
 from catalogue.matching.observation import Discrepancy, Sensing, grouped, observe, rounded_sensing, rounded_up
 from catalogue.matching.transfer import RandomTransfer
-from catalogue.storage.cross_power import pack
+from catalogue.storage.cross_power import pack, pack_cyclic
 from catalogue.storage.feature_bands import feature_vector
 from solver.spectra.sensor import rigid_body, sensor_transform
 
-NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0, delay=0.0, phase=0.0)
+NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0, delay=0.0, phase=0.0, cyclic=0.0)
 TRANSFORM = sensor_transform(
     [[0.2, -0.1], [0.2, -0.1], [-0.2, 0.1], [-0.2, 0.1]], [[1, 0], [0, 1], [1, 0], [0, 1]], [0.0, 0.0]
 )
@@ -33,8 +33,17 @@ def entries(count: int = 5, bands: int = 8) -> np.ndarray:
     return power
 
 
+def locked(power: np.ndarray) -> np.ndarray:
+    """Cyclic powers (n, G, 2, 3, 3) of motions that have some of their power in common with themselves an order on."""
+    joined = np.add.reduceat(power[:, : CUTS[-1]], CUTS[:-1], axis=1)
+    phases = np.exp(1j * np.random.default_rng(2).uniform(0.0, 6.0, (*joined.shape[:2], 2)))
+    shares = 0.5 * phases[..., None, None] * joined[:, :, None].real
+    found: np.ndarray = 0.5 * (shares + shares.swapaxes(-1, -2))
+    return found
+
+
 def stored(power: np.ndarray) -> np.ndarray:
-    joined: np.ndarray = grouped(pack(power), CUTS)
+    joined: np.ndarray = np.concatenate([grouped(pack(power), CUTS), pack_cyclic(locked(power))], axis=2)
     return joined
 
 
@@ -47,8 +56,16 @@ def test_without_noise_and_discrepancy_it_is_the_feature_vector() -> None:
     root = np.sqrt(np.einsum("ngii->ngi", joint).real)
     for place, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
         expected = joint[..., i, j] / (root[..., i] * root[..., j])
-        parts = features[:, LEVELS:].reshape(5, 2, 4, 3)[..., place] / SCALE
+        parts = features[:, LEVELS : LEVELS + 24].reshape(5, 2, 4, 3)[..., place] / SCALE
         assert np.allclose(parts[:, 0] + 1j * parts[:, 1], expected, atol=1e-4)
+    own = np.diagonal(locked(power)[:, :, 0], axis1=2, axis2=3)
+    auto = root**2
+    beside = np.array([1, 2, 3, 3])  # single orders, of which the last has none above it
+    expected = own / np.sqrt(auto * auto[:, beside])
+    angle = np.angle(expected.sum(axis=(1, 2)))[:, None, None]
+    parts = features[:, LEVELS + 24 :].reshape(5, 2, 4, 3) / SCALE
+    assert np.allclose(parts[:, 0] + 1j * parts[:, 1], expected * np.exp(-1j * angle), atol=1e-4)
+    assert features.shape[1] == BODY.features_count
     corner = Sensing(TRANSFORM[:2], np.eye(2), CUTS, np.full((4, 2), 1e-12), np.full(4, 40.0))
     features, _ = observe(stored(power), corner, NOTHING, np.ones(5, np.int64))
     assert np.allclose(features[:, :8], feature_vector(power, CUTS, TRANSFORM[:2]), atol=1e-3)
@@ -69,11 +86,28 @@ def test_noise_has_the_stated_mean_and_scatter() -> None:
     assert np.allclose(measured.std(axis=0), expected, rtol=0.1)
     assert features[:, :LEVELS].min() >= 10.0 * np.log10(20.0) - 1e-9
     # Cross-powers keep their mean but for what noise of the same sensors has in common.
-    _, seen = decompose(features, 4, 3)
+    _, seen, _ = decompose(features, 4, 3)
     assert seen is not None
     assert cross is not None
     expected = cross[0] + common_noise(noisy.noise, noisy.alike)
     assert np.abs(seen.mean(axis=0) - expected).max() < 0.03 * np.abs(expected).max()
+    # Noise knows nothing of the crank: cyclic powers stay, as long as it does not hide where a revolution begins.
+    faint = replace(BODY, noise=np.full((4, 3), 0.1))
+    features, _ = observe(stored(power), faint, NOTHING, np.array([20_000]))
+    _, _, own = decompose(features, 4, 3)
+    assert own is not None
+    expected = np.abs(faint.cyclic_powers(stored(power))[0])
+    assert np.allclose(np.abs(own.mean(axis=0)), expected, rtol=0.02, atol=0.02)
+
+
+def test_where_a_recording_begins_does_not_matter() -> None:
+    power = entries(3)
+    there, later = stored(power), stored(power)
+    turned = locked(power) * np.exp(1j * 0.7 * np.array([1, 2]))[:, None, None]
+    later[..., 9:] = pack_cyclic(turned)
+    first, second = (observe(each, BODY, NOTHING, np.ones(3, np.int64))[0] for each in (there, later))
+    assert not np.allclose(there, later)
+    assert np.allclose(first, second, atol=1e-3)
 
 
 def test_noise_of_channels_made_of_the_same_sensors_is_alike() -> None:
@@ -89,7 +123,13 @@ def test_noise_added_later_is_noise_that_was_there() -> None:
     more = np.linspace(1.0, 30.0, 12).reshape(4, 3)
     clean, cross = BODY.powers(stored(power))
     assert cross is not None
-    whole = compose(clean + more, cross + common_noise(more, BODY.alike))
+    cyclic = BODY.cyclic_powers(stored(power))
+    scale = BODY.cyclic.scale(clean)
+    whole = compose(
+        clean + more,
+        cross + common_noise(more, BODY.alike),
+        BODY.cyclic.from_crank(cyclic / scale) * scale,
+    )
     assert np.allclose(with_more_noise(quiet, more, BODY.alike), whole, atol=1e-3)
     assert with_more_noise(quiet, np.zeros((4, 3)), BODY.alike) is quiet
 
@@ -99,7 +139,7 @@ def test_delays_and_phase_errors_turn_coherences_and_leave_levels() -> None:
     plain, _ = observe(power, BODY, NOTHING, np.array([1]), edges_hz=edges)
     late, _ = observe(power, BODY, replace(NOTHING, delay=1e-5), np.array([4000]), edges_hz=edges)
     assert np.allclose(late[:, :LEVELS], plain[:, :LEVELS], atol=1e-3)
-    (_, first), (_, turned) = decompose(plain, 4, 3), decompose(late, 4, 3)
+    (_, first, _), (_, turned, _) = decompose(plain, 4, 3), decompose(late, 4, 3)
     assert first is not None
     assert turned is not None
     angle = np.angle(turned / first).std(axis=0)
@@ -107,7 +147,7 @@ def test_delays_and_phase_errors_turn_coherences_and_leave_levels() -> None:
     expected = 2.0 * np.pi * 1e-5 * np.sqrt(2.0) * 0.5 * (edges[:-1] + edges[1:])
     assert np.allclose(angle, expected[:, None], rtol=0.1)
     smooth, _ = observe(power, BODY, replace(NOTHING, phase=0.1), np.array([4000]))
-    _, turned = decompose(smooth, 4, 3)
+    _, turned, _ = decompose(smooth, 4, 3)
     assert turned is not None
     assert np.angle(turned / first).std() == pytest.approx(0.1 * np.sqrt(2.0), rel=0.1)
 

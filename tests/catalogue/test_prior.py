@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,30 +24,33 @@ def match(label: str, probability: float) -> HypothesisMatch:
 
 
 def test_weights_by_hand() -> None:
-    prior = Prior(0.5, {"A": 3.0, "B": 0.1})
+    prior = Prior(0.8, 0.5, {"A": 3.0, "B": 0.1})
     sets = [(), ("A",), ("B",), ("O",), ("A", "B"), ("A", "B", "O")]
-    # Of four joints there are six pairs and four triples.
-    by_hand = [1.0, 3.0, 0.1, 1.0, 0.15 * 4 / 6, 0.075]
-    assert [prior.weight(worn, 4) for worn in sets] == pytest.approx(by_hand)
+    # Of four joints there are six pairs and four triples; one, two and three are worn with 4/7, 2/7 and 1/7.
+    by_hand = [0.2, 3.0 * 0.8 / 7, 0.1 * 0.8 / 7, 0.8 / 7, 0.3 * 1.6 / 7 / 6, 0.3 * 0.8 / 7 / 4]
+    assert [prior.weight(worn, 4, 3) for worn in sets] == pytest.approx(by_hand)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
 def test_sets_of_as_many_joints_share_what_their_number_has(count: int) -> None:
     joints = "ABCDEFGH"[:count]
     together = [
-        sum(Prior(0.6).weight(worn, count) for worn in itertools.combinations(joints, number)) for number in (1, 2, 3)
+        sum(Prior(0.7).weight(worn, count, 3) for worn in itertools.combinations(joints, number))
+        for number in range(1, min(3, count) + 1)
     ]
-    there = together[: min(3, count)]
-    assert there == pytest.approx([count * 0.6**more for more in range(len(there))])
-    assert Prior(0.6).numbers(count, 3) == pytest.approx([each / sum(there) for each in there])
+    assert together == pytest.approx([0.7 * share for share in Prior().numbers(count, 3)])
+    assert sum(together) == pytest.approx(0.7)
+    assert together[1:] == pytest.approx([0.6 * fewer for fewer in together[:-1]])
 
 
 def test_an_answer_is_weighed_again_and_ranked_anew() -> None:
     found = ranked([match("healthy", 0.2), match("A", 0.5), match("O", 0.1), match("A+O", 0.2)])
-    again = Prior(1.2, {"A": 0.1}).applied(found, 3)
-    # 0.2, 0.5 x 0.1, 0.1, and 0.2 x 0.1 x 1.2 / 0.6; together 0.39.
+    again = Prior(another=1.2, joints={"A": 0.1}).applied(found, 3)
+    # One joint is worn with 1 / 2.2 in place of 1 / 1.6, two with 1.2 / 2.2 in place of 0.6 / 1.6.
+    one, two = 1.6 / 2.2, 3.2 / 2.2
+    weights = {"healthy": 0.2, "A": 0.5 * 0.1 * one, "O": 0.1 * one, "A+O": 0.2 * 0.1 * two}
     assert {each.label: each.probability for each in again.hypotheses} == pytest.approx(
-        {"healthy": 0.2 / 0.39, "A": 0.05 / 0.39, "O": 0.1 / 0.39, "A+O": 0.04 / 0.39}
+        {label: weight / sum(weights.values()) for label, weight in weights.items()}
     )
     assert [each.label for each in again.hypotheses] == ["healthy", "O", "A", "A+O"]
     assert Prior().applied(found, 3) is found
@@ -58,7 +62,7 @@ def test_weighing_an_answer_again_is_what_learning_with_that_prior_gives() -> No
     asked = Prior(joints={"A": 0.05, "B": 20.0})
 
     def answer(prior: Prior) -> MatchResult:
-        sets = (replace(draws, prior=prior.weight(draws.joints, 3)) for draws in drawn.hypotheses)
+        sets = (replace(draws, prior=prior.weight(draws.joints, 3, 1)) for draws in drawn.hypotheses)
         return GaussianAlongClearance().fit(TrainingSet(tuple(sets), drawn.watched)).match(feature)
 
     usual, direct = answer(Prior()), answer(asked)
@@ -69,16 +73,18 @@ def test_weighing_an_answer_again_is_what_learning_with_that_prior_gives() -> No
 
 
 @pytest.mark.parametrize(
-    ("another", "joints", "message"),
+    ("said", "message"),
     [
-        (0.0, {}, "prior.another: 0.0: must be from 0.001 to 1000"),
-        (float("nan"), {}, "prior.another: nan: must be from 0.001 to 1000"),
-        (0.4, {"A": 1e4}, "prior.joints.A: 10000.0: must be from 0.001 to 1000"),
+        ({"another": 0.0}, "prior.another: 0.0: must be from 0.001 to 1000"),
+        ({"another": float("nan")}, "prior.another: nan: must be from 0.001 to 1000"),
+        ({"joints": {"A": 1e4}}, "prior.joints.A: 10000.0: must be from 0.001 to 1000"),
+        ({"worn": 1.0}, "prior.worn: 1.0: must be from 0.001 to 0.999"),
+        ({"worn": float("nan")}, "prior.worn: nan: must be from 0.001 to 0.999"),
     ],
 )
-def test_refusals(another: float, joints: dict[str, float], message: str) -> None:
+def test_refusals(said: dict[str, Any], message: str) -> None:
     with pytest.raises(DiagnosisError, match=message):
-        Prior(another, joints)
+        Prior(**said)
 
 
 def test_joints_that_the_machine_does_not_have_are_refused() -> None:

@@ -171,7 +171,7 @@ def test_index_that_says_something_else_is_corrected(directory: Path, statement:
     assert verify(directory).is_sound
 
 
-@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "schema_version": 4}'])
+@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "schema_version": 5}'])
 def test_manifest_is_made_again_from_a_shard(directory: Path, built: Path, content: str | None) -> None:
     before = Catalogue.open(directory)
     (directory / "manifest.json").unlink()
