@@ -40,7 +40,7 @@ class Prior:
         A weight is not between 0.001 and 1000, or the probability not between 0.001 and 0.999.
     """
 
-    worn: float = 0.5
+    worn: float = 0.75
     another: float = 0.6
     joints: Mapping[str, float] = field(default_factory=dict)
 
