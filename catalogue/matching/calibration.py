@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ def folds(training: TrainingSet, count: int, seed: int = 0) -> Iterator[tuple[Tr
         parts = list(zip(training.hypotheses, assigned, strict=True))
         learned = tuple(draws.rows(part != fold) for draws, part in parts)
         held = tuple(draws.rows(part == fold) for draws, part in parts)
-        yield TrainingSet(learned, training.watched), TrainingSet(held, training.watched)
+        yield replace(training, hypotheses=learned), replace(training, hypotheses=held)
 
 
 def held_out(entry: IntArray) -> BoolArray:
@@ -83,7 +83,7 @@ def kept_apart(training: TrainingSet) -> tuple[TrainingSet, TrainingSet]:
             apart = (case if len(cases) > 1 else np.arange(len(case))) % 5 == 0
         learned.append(draws.rows(~apart))
         held.append(draws.rows(apart))
-    return TrainingSet(tuple(learned), training.watched), TrainingSet(tuple(held), training.watched)
+    return replace(training, hypotheses=tuple(learned)), replace(training, hypotheses=tuple(held))
 
 
 def probabilities(log_evidence: FloatArray) -> FloatArray:

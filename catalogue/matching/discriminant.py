@@ -23,9 +23,10 @@ def discriminant(training: TrainingSet, bins: tuple[int, ...], directions: int, 
         Share of the within-class scatter replaced by its mean variance in all directions.
     """
     features, hypothesis = training.stacked()
+    features = features[:, : training.plain]
     share = row_weights(hypothesis)
     overall = share @ features
-    d = training.length
+    d = features.shape[1]
     within = np.zeros((d, d))
     between = np.zeros((d, d))
     classes = 0
@@ -33,7 +34,7 @@ def discriminant(training: TrainingSet, bins: tuple[int, ...], directions: int, 
         weight = share[hypothesis == h][0]
         label = _bins(draws.log_clearance, bins)
         for value in np.unique(label):
-            rows = draws.features[label == value]
+            rows = draws.features[label == value, : training.plain]
             centre = rows.mean(axis=0)
             residual = rows - centre
             within += weight * residual.T @ residual
@@ -44,7 +45,8 @@ def discriminant(training: TrainingSet, bins: tuple[int, ...], directions: int, 
     within[np.diag_indices(d)] += shrinkage * mean_variance + 1e-9
     kept = max(1, min(directions, d, classes - 1))
     _, vectors = eigh(between, within, subset_by_index=[d - kept, d - 1])
-    projection: FloatArray = vectors[:, ::-1]
+    projection = np.zeros((training.length, kept))
+    projection[:d] = vectors[:, ::-1]
     return projection
 
 

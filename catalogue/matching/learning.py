@@ -135,7 +135,7 @@ def training_set(
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
         prior = Prior().weight(known.joints, len(matrix.joints), most)
         sets.append(Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))
-    return TrainingSet(tuple(sets), watched)
+    return TrainingSet(tuple(sets), watched, sensing.plain_count)
 
 
 def _log_clearance(matrix: Spectra, joints: Sequence[str], rows: IntArray) -> FloatArray:

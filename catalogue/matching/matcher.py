@@ -119,10 +119,14 @@ class TrainingSet:
     watched : ndarray of bool, shape (l,)
         Levels checked one by one besides the overall distance: the low orders, where foreign forces show. The first l
         features are levels, dB, the others coherences.
+    plain : int, optional
+        Features that curves are drawn through, the first so many; what is locked to the crank stands behind them, and
+        is a network's to hear. All unless given.
     """
 
     hypotheses: tuple[Draws, ...]
     watched: BoolArray
+    plain: int | None = None
 
     def __post_init__(self) -> None:
         labels = [draws.label for draws in self.hypotheses]

@@ -153,11 +153,14 @@ class Sensing:
         return cyclic_bands(self.bands)
 
     @property
+    def plain_count(self) -> int:
+        """How many features are levels and coherences, which stand before cyclic ones."""
+        return self.noise.size + (2 * self.bands * len(self.alike) if self.phases else 0)
+
+    @property
     def features_count(self) -> int:
         """Length d of feature vectors."""
-        if not self.phases:
-            return self.noise.size
-        return self.noise.size + 2 * (self.bands * len(self.alike) + len(self.cyclic.band) * len(self.channels))
+        return self.plain_count + (2 * len(self.cyclic.band) * len(self.channels) if self.phases else 0)
 
     @property
     def alike(self) -> FloatArray:

@@ -15,7 +15,7 @@ from app.problems import MEDIA_TYPE
 from app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("2.3.0", "b2a3b93ac16cbbc4")
+OF_VERSION = ("2.3.0", "470a126f22f09d4c")
 ASSET_MEASUREMENT = "/api/v1/assets/{external_id}/measurements/{measurement}"
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 

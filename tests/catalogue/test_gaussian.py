@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -231,3 +232,24 @@ def test_refuses_what_it_cannot_learn_or_match() -> None:
         TrainingSet((training.hypotheses[0], training.hypotheses[0]), training.watched)
     with pytest.raises(MatchingError, match="finite numbers"):
         Draws("A", ("A",), np.full((3, 2), np.inf), np.zeros((3, 1)), np.arange(3))
+
+
+def test_curves_are_drawn_through_the_first_features_only() -> None:
+    """What stands behind them, here nothing but noise, is for networks: answers are those without it."""
+    training = MODEL.training(60, np.random.default_rng(5))
+    generator = np.random.default_rng(6)
+    longer = tuple(
+        replace(draws, features=np.hstack([draws.features, generator.normal(0.0, 9.0, (len(draws.features), 7))]))
+        for draws in training.hypotheses
+    )
+    more = TrainingSet(longer, training.watched, plain=training.length)
+    feature = training.hypotheses[1].features[0]
+    short, long = (
+        GaussianAlongClearance().fit(each).match(asked)
+        for each, asked in ((training, feature), (more, np.r_[feature, np.full(7, 99.0)]))
+    )
+    assert [each.label for each in long.hypotheses] == [each.label for each in short.hypotheses]
+    assert [each.probability for each in long.hypotheses] == pytest.approx(
+        [each.probability for each in short.hypotheses], abs=1e-9
+    )
+    assert long.best.clearances == short.best.clearances
