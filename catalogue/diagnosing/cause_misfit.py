@@ -25,8 +25,9 @@ SHIFT_ERROR = 0.1
 #: What a level is not better known to after a change, dB, as far as the ideal machine does not explain it before: links
 #: that move with a frame that moves, and play, do not go with its motion as forces on a rigid body do.
 STRANGE_DB = 3.0
-#: A level counts where entries scatter by no more than this [dB], and it has this many times the power of the noise.
-MOST_SCATTER_DB = 4.0
+#: A level counts where entries scatter by no more than this [dB], and it has this many times the power of the noise: a
+#: load raises by 20 to 50 dB what play alone makes, and that scatters by 5 to 10 dB.
+MOST_SCATTER_DB = 10.0
 LEAST_SIGNAL = 2.0
 
 

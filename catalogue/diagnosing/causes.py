@@ -37,7 +37,8 @@ TEMPERATURE = 2.0
 LEAST_GAIN, LEAST_GAIN_EXACT = 10.0, 50.0
 #: where it has this probability,
 LEAST_PROBABILITY = 0.05
-#: and where it leaves no more than this part of what the machine as filed leaves unexplained, or fits as well as this.
+#: and where it leaves no more than this part of what the machine as filed leaves unexplained, less the expected square
+#: of every level, or fits as well as this.
 MOST_LEFT = 0.35
 EXPLAINED = 0.01
 #: Families that are searched beyond their starts: the best so many,
@@ -148,8 +149,8 @@ def _scored(
     misfit = Misfit.of(known, model)
     if len(misfit.away) < LEAST_LEVELS:
         return
-    none = misfit.none
-    penalty = 0.5 * math.log(len(misfit.away))
+    none, count = misfit.none, len(misfit.away)
+    penalty = 0.5 * math.log(count)
     yield _Scored(None, -0.5 * none / TEMPERATURE, np.zeros(0))
     starts = []
     every = misfit.of_members([(family, family.starts) for family in families], odd=False)
@@ -170,7 +171,7 @@ def _scored(
         if rank < SEARCHED:
             numbers, found = better[rank]
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
-        named = gain >= least_gain and found <= MOST_LEFT * none
+        named = gain >= least_gain and found - count <= MOST_LEFT * (none - count)
         if gain >= least_gain and not named:
             in_order = misfit.in_order() if in_order is None else in_order
             named = share_beyond(found, in_order) >= EXPLAINED
