@@ -15,7 +15,7 @@ help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
 demo: $(STAMP) ## simulate a worn machine, build a small catalogue, find the worn joint again
-	$(BIN)/python -m app.demo
+	$(BIN)/python -m jointplay.app.demo
 
 install: $(STAMP) ## everything the command needs, into .venv
 

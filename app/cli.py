@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from importlib import import_module, metadata
+from importlib import import_module
 from typing import Any
 
 import click
+
+import jointplay
 
 COMMANDS = {
     "machines": "list the machines that ship with the program, or print one as a file",
@@ -40,7 +42,7 @@ class PlainGroup(click.Group):
         """Import one command's module and return the command."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"app.commands.{cmd_name.replace('-', '_')}").command
+        command: click.Command = import_module(f"jointplay.app.commands.{cmd_name.replace('-', '_')}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -88,7 +90,7 @@ def run(call: Callable[[], Any]) -> int:
 
 def explain(error: Exception) -> int:
     """Print an exception as one line and return its exit status; one that nobody foresaw is named as such."""
-    from app.problems import exit_status, kind_of
+    from jointplay.app.problems import exit_status, kind_of
 
     if kind_of(error) is None:
         if os.environ.get("JOINTPLAY_DEBUG"):
@@ -105,8 +107,8 @@ def complain(message: str) -> None:
 
 
 def version() -> str:
-    """Return the version of the installed distribution."""
-    return metadata.version("jointplay")
+    """Return the version of the product."""
+    return jointplay.__version__
 
 
 def show_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -> None:

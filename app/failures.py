@@ -7,7 +7,7 @@ import sqlite3
 import sys
 from collections.abc import Iterator
 
-from app.errors import AppError, DatabaseGoneError, StorageFullError
+from jointplay.app.errors import AppError, DatabaseGoneError, StorageFullError
 
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 POSTGRES_FULL = "53100"

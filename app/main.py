@@ -12,18 +12,18 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
-from app.http import handlers, openapi
-from app.http.gate import Gate
-from app.http.headers import SecurityHeaders
-from app.http.limits import BodyLimit
-from app.http.metrics import Metrics
-from app.http.query import refuse_unknown
-from app.http.request_log import RequestLog
-from app.jobs.build_runner import BuildRunner
-from app.jobs.webhook_sender import WebhookSender
-from app.jobs.workers import WorkerPool
-from app.logs import LogSettings
-from app.routes import (
+from jointplay.app.http import handlers, openapi
+from jointplay.app.http.gate import Gate
+from jointplay.app.http.headers import SecurityHeaders
+from jointplay.app.http.limits import BodyLimit
+from jointplay.app.http.metrics import Metrics
+from jointplay.app.http.query import refuse_unknown
+from jointplay.app.http.request_log import RequestLog
+from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.webhook_sender import WebhookSender
+from jointplay.app.jobs.workers import WorkerPool
+from jointplay.app.logs import LogSettings
+from jointplay.app.routes import (
     asset_pages,
     assets,
     browser_pages,
@@ -41,15 +41,15 @@ from app.routes import (
     signin,
     webhooks,
 )
-from app.scopes import API
-from app.service import Service
-from app.settings import Settings
-from app.shelves.catalogues import CatalogueShelf
-from app.storage.build_queue import BuildQueue
-from app.storage.keys import Keys
-from app.storage.machine_store import MachineStore
-from app.storage.store import Store
-from app.storage.webhooks import Webhooks
+from jointplay.app.scopes import API
+from jointplay.app.service import Service
+from jointplay.app.settings import Settings
+from jointplay.app.shelves.catalogues import CatalogueShelf
+from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.store import Store
+from jointplay.app.storage.webhooks import Webhooks
 
 STATIC = Path(__file__).parent / "static"
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any
 
-from app import errors
-from app.failures import foreseen
-from catalogue import errors as catalogue_errors
-from solver import errors as solver_errors
+from jointplay.app import errors
+from jointplay.app.failures import foreseen
+from jointplay.catalogue import errors as catalogue_errors
+from jointplay.solver import errors as solver_errors
 
 MEDIA_TYPE = "application/problem+json"
 PLAIN_TYPE = "about:blank"

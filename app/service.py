@@ -12,23 +12,23 @@ from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from app.errors import BadFieldError, TimeLimitError, WorkerDiedError
-from app.http.metrics import Metrics
-from app.jobs import tasks
-from app.jobs.build_runner import BuildRunner
-from app.jobs.workers import TaskFailedError, WorkerPool
-from app.schemas.resources import DiagnosisRequest
-from app.settings import Settings
-from app.shelves.catalogues import CatalogueShelf, Offer
-from app.shelves.entries import EntryShelf
-from app.storage import webhooks
-from app.storage.assets import AssetRow, Assets
-from app.storage.build_queue import BuildQueue
-from app.storage.machine_store import MachineStore
-from app.storage.store import DiagnosisRow, MeasurementRow, NewDiagnosis, Store, Upload
-from app.storage.told import Told
-from solver.errors import UnitError
-from solver.machines.units import ANGULAR_SPEED, to_si
+from jointplay.app.errors import BadFieldError, TimeLimitError, WorkerDiedError
+from jointplay.app.http.metrics import Metrics
+from jointplay.app.jobs import tasks
+from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
+from jointplay.app.schemas.resources import DiagnosisRequest
+from jointplay.app.settings import Settings
+from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
+from jointplay.app.shelves.entries import EntryShelf
+from jointplay.app.storage import webhooks
+from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, NewDiagnosis, Store, Upload
+from jointplay.app.storage.told import Told
+from jointplay.solver.errors import UnitError
+from jointplay.solver.machines.units import ANGULAR_SPEED, to_si
 
 
 @dataclass(frozen=True)

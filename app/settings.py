@@ -14,7 +14,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
-from app.errors import BadFieldError
+from jointplay.app.errors import BadFieldError
 
 SECRETS = "JOINTPLAY_SECRETS"
 """Names a folder whose files hold settings, such as ``jointplay_database``."""

@@ -27,8 +27,8 @@ import httpx
 import numpy as np
 import pyuff
 
-from app.http import examples
 from benchmarks.entry_load import serving
+from jointplay.app.http import examples
 
 CONFIGURATION = Path(__file__).parent.parent / "schemathesis.toml"
 RECORDINGS = Path(__file__).parent.parent / "tests" / "data" / "recordings"

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from benchmarks import slider_crank
 from benchmarks.computer import processor_seconds
 from benchmarks.scenes import Scene, p1, quick_return
-from solver.cases.start import start_velocity
-from solver.compiler import native
-from solver.compiler.ir import DECLARATIONS, LANES, ROW
-from solver.equations.model import Model, build_model
-from solver.integrators import gill
-from solver.integrators.kernel import Kernel, compile_model, kernel_code
-from solver.machines.machine import Machine
+from jointplay.solver.cases.start import start_velocity
+from jointplay.solver.compiler import native
+from jointplay.solver.compiler.ir import DECLARATIONS, LANES, ROW
+from jointplay.solver.equations.model import Model, build_model
+from jointplay.solver.integrators import gill
+from jointplay.solver.integrators.kernel import Kernel, compile_model, kernel_code
+from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def flops(text: str) -> int:
 
 
 def assembly(text: str) -> str:
-    """What the compiler makes of vector code, with the options of :mod:`solver.compiler.native`."""
+    """What the compiler makes of vector code, with the options of :mod:`jointplay.solver.compiler.native`."""
     name, features = native.processor()
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=name, features=features, opt=3, codemodel="jitdefault", jit=True

@@ -23,16 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.kills import free_port
-from catalogue.building.build import BuildReport, build
-from catalogue.building.chunk import Chunk
-from catalogue.building.cluster import DaskCluster
-from catalogue.building.executors import LocalProcesses
-from catalogue.plans.plan import Plan, parse_plan
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.location import IndexLocation
-from catalogue.storage.shard import OK, Outcome
-from solver.machines.machine import shipped_machine
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.building.build import BuildReport, build
+from jointplay.catalogue.building.chunk import Chunk
+from jointplay.catalogue.building.cluster import DaskCluster
+from jointplay.catalogue.building.executors import LocalProcesses
+from jointplay.catalogue.plans.plan import Plan, parse_plan
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.location import IndexLocation
+from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.spectra.bands import BandScheme
 
 
 def plan_of(entries: int) -> Plan:

@@ -16,9 +16,9 @@ import json, sys, time
 began = time.process_time()
 from benchmarks.computer import peak_memory
 from benchmarks.scenes import p1, quick_return
-from solver.cases.history import Case, Settings
-from solver.machines.machine import shipped_machine
-from solver.simulation.simulate import simulate_batch
+from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.simulation.simulate import simulate_batch
 spent = {"import_s": time.process_time() - began}
 scene = {"P1": p1, "QR": quick_return}[sys.argv[1]]()
 short = Settings(duration=0.01)

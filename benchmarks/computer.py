@@ -11,7 +11,7 @@ from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 
-from solver.compiler.native import processor
+from jointplay.solver.compiler.native import processor
 
 #: Packages whose versions matter to what is measured; the last ones are the peers.
 PACKAGES = ("jointplay", "numpy", "numba", "llvmlite", "casadi", "scipy", "scikit-sundae", "exudyn", "mujoco-core")

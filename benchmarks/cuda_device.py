@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from solver.cases.history import Case, History, Settings
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, load_machine
-from solver.simulation.simulate import simulate_batch
+from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, load_machine
+from jointplay.solver.simulation.simulate import simulate_batch
 
 CASES = (32, 1024, 8192)
 SIMULATED = 0.25  # s

@@ -105,7 +105,7 @@ def measure(address: str, port: int, pid: int, clients: int, seconds: float) -> 
 @contextmanager
 def serving(catalogues: Path, data: Path) -> Iterator[tuple[str, int, int]]:
     """Run a server of one worker that carries no builds out; gives its address, port and process."""
-    command = [sys.executable, "-m", "app.cli", "serve", "--no-keys", "--port", "0", "--workers", "1"]
+    command = [sys.executable, "-m", "jointplay.app.cli", "serve", "--no-keys", "--port", "0", "--workers", "1"]
     command += ["--catalogues", str(catalogues), "--data", str(data)]
     told = {"JOINTPLAY_RATE_LIMIT_PER_S": "1e6", "JOINTPLAY_RATE_BURST": "1e6", "JOINTPLAY_BUILDS": "0"}
     log = data / "server.log"  # a file, because a pipe that nobody reads fills up

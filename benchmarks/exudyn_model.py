@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import RATE
-from solver.machines.drives import RotationDrive
-from solver.machines.fault import FaultState
-from solver.machines.joints import SlidingJoint
-from solver.machines.machine import Machine
-from solver.machines.parts import Mount
-from solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.machines.drives import RotationDrive
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Mount
+from jointplay.solver.simulation.simulate import Case, Settings, simulate
 
 Array = NDArray[np.float64]
 

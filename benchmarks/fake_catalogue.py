@@ -18,16 +18,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.plans.entry import Entry, Hypothesis
-from catalogue.plans.plan import Plan, preset
-from catalogue.plans.variants import Variant
-from catalogue.storage.directory import CatalogueDirectory, sha256_of
-from catalogue.storage.hdf5 import encode_shard
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.sealing import seal
-from catalogue.storage.shard import OK, Outcome, Shard
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import Machine, shipped_machine
+from jointplay.catalogue.plans.entry import Entry, Hypothesis
+from jointplay.catalogue.plans.plan import Plan, preset
+from jointplay.catalogue.plans.variants import Variant
+from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
+from jointplay.catalogue.storage.hdf5 import encode_shard
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.sealing import seal
+from jointplay.catalogue.storage.shard import OK, Outcome, Shard
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine, shipped_machine
 
 CHUNK = 128
 

@@ -19,9 +19,9 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.store import Catalogue
-from catalogue.storage.verify import verify
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.verify import verify
 
 PROGRAM = Path(__file__).parents[1] / "tests" / "catalogue" / "fake_simulator.py"
 LEASE = "2"

@@ -53,7 +53,7 @@ def bodies(columns: int) -> list[bytes]:
     """Return recordings of 5 s at 10 kHz as CSV, with some of the four columns of the shipped ones."""
     made = []
     for name in ("quick-return-01", "quick-return-03", "quick-return-05"):
-        packed = resources.files("app.demo").joinpath("recordings", f"{name}.csv.gz").read_bytes()
+        packed = resources.files("jointplay.app.demo").joinpath("recordings", f"{name}.csv.gz").read_bytes()
         head, *rows = gzip.decompress(packed).split(b"\n")
         kept = [row.split(b",")[: columns + 1] for row in (head, *rows) if row]
         times = [row[0] for row in kept[1:]]
@@ -132,7 +132,7 @@ def resident(pid: int) -> int:
 @contextmanager
 def service(catalogues: Path, data: Path, workers: int) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """Start a service in processes of its own; gives it and its port."""
-    command = [sys.executable, "-m", "app.cli", "serve", "--no-keys", "--port", "0"]
+    command = [sys.executable, "-m", "jointplay.app.cli", "serve", "--no-keys", "--port", "0"]
     command += ["--catalogues", str(catalogues), "--data", str(data), "--workers", str(workers)]
     with (data / "log").open("w") as log, subprocess.Popen(command, stderr=log, text=True) as process:
         try:

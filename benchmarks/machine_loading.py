@@ -6,8 +6,8 @@ import statistics
 import time
 from collections.abc import Callable
 
-from solver.machines.machine import parse_machine, shipped_machine_names, shipped_machine_text
-from solver.machines.yamlfile import read_tree
+from jointplay.solver.machines.machine import parse_machine, shipped_machine_names, shipped_machine_text
+from jointplay.solver.machines.yamlfile import read_tree
 
 
 def measure(quick: bool, say: Callable[[str], None]) -> list[dict[str, object]]:

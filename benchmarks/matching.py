@@ -27,16 +27,16 @@ import httpx
 import numpy as np
 
 from benchmarks.fake_catalogue import peak
-from catalogue.building.network_building import train_networks
-from catalogue.diagnosing.answer import Effort, ModeAsked
-from catalogue.diagnosing.diagnosis import Question, answer
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.matching.network_shelf import NetworkShelf
-from catalogue.measurements.measurement import read_measurement
-from catalogue.signals.features import prepare
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.storage.store import Catalogue
-from solver.spectra.band_power import transform_power
+from jointplay.catalogue.building.network_building import train_networks
+from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
+from jointplay.catalogue.diagnosing.diagnosis import Question, answer
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
+from jointplay.catalogue.measurements.measurement import read_measurement
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.spectra.band_power import transform_power
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "app" / "demo" / "recordings"
 RECORDED = 60
@@ -122,7 +122,7 @@ def server(folder: Path, data: Path) -> Iterator[str]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "app.cli", "serve", "--no-keys", "--port", str(port)]
+    command = [sys.executable, "-m", "jointplay.app.cli", "serve", "--no-keys", "--port", str(port)]
     command += ["--catalogues", str(folder), "--data", str(data), "--workers", "1"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from benchmarks import slider_crank
 from benchmarks.pointers import carray, doubles_at
 from benchmarks.scenes import RATE, Scene
-from solver.compiler.emit import straight_line
-from solver.compiler.layout import Layout
-from solver.compiler.scalar import SCALAR
-from solver.equations.model import build_model
-from solver.simulation.simulate import start_of
+from jointplay.solver.compiler.emit import straight_line
+from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.compiler.scalar import SCALAR
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.simulation.simulate import start_of
 
 Array = NDArray[np.float64]
 

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from app.commands.tables import table
-from catalogue.diagnosing.answer import Diagnosis, Effort
-from catalogue.diagnosing.diagnosis import diagnose
-from catalogue.errors import CatalogueError
-from catalogue.measurements.recordings import read_recording
-from catalogue.storage.store import Catalogue
+from jointplay.app.commands.tables import table
+from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort
+from jointplay.catalogue.diagnosing.diagnosis import diagnose
+from jointplay.catalogue.errors import CatalogueError
+from jointplay.catalogue.measurements.recordings import read_recording
+from jointplay.catalogue.storage.store import Catalogue
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.commands.tables import table
-from catalogue.matching.calibration import kept_apart
-from catalogue.matching.learning import Learning, training_set
-from catalogue.matching.libraries import library_of
-from catalogue.matching.matcher import TrainingSet
-from catalogue.matching.network_shelf import NetworkShelf, own_sensing
-from catalogue.matching.network_training import FULL_BAND
-from catalogue.matching.observation import Sensing
-from catalogue.matching.spectra import band_widths
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from catalogue.storage.store import Catalogue
+from jointplay.app.commands.tables import table
+from jointplay.catalogue.matching.calibration import kept_apart
+from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.libraries import library_of
+from jointplay.catalogue.matching.matcher import TrainingSet
+from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
+from jointplay.catalogue.matching.network_training import FULL_BAND
+from jointplay.catalogue.matching.observation import Sensing
+from jointplay.catalogue.matching.spectra import band_widths
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.catalogue.storage.store import Catalogue
 
 FloatArray = NDArray[np.float64]
 

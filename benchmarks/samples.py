@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from app.commands.tables import table
-from catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
-from catalogue.diagnosing.diagnosis import diagnose
-from catalogue.measurements.recordings import read_recording
-from catalogue.storage.store import Catalogue
+from jointplay.app.commands.tables import table
+from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
+from jointplay.catalogue.diagnosing.diagnosis import diagnose
+from jointplay.catalogue.measurements.recordings import read_recording
+from jointplay.catalogue.storage.store import Catalogue
 
 #: The same data as the plain file of that number.
 OTHER_CLOTHES = (

@@ -1,7 +1,7 @@
 """Dormand and Prince's pair for one case at a time, scalar Numba: what a program for one machine would be.
 
 Error control, dense output of order 4 at 20 kHz, contact switch located on the dense output or left to error control.
-Coefficients as in :mod:`solver.integrators.dopri`, where the sources are.
+Coefficients as in :mod:`jointplay.solver.integrators.dopri`, where the sources are.
 """
 
 from __future__ import annotations

@@ -15,12 +15,12 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.arithmetic import casadi_operations, nanoseconds
 from benchmarks.computer import processor_seconds
-from solver.cases.history import Case, Settings
-from solver.equations.model import build_model
-from solver.integrators.kernel import compile_model
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.simulate import simulate_batch
+from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.integrators.kernel import compile_model
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import simulate_batch
 
 Row = dict[str, Any]
 

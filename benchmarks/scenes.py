@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.history import Case, Settings
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, load_machine, shipped_machine
-from solver.simulation.simulate import simulate
-from solver.spectra.harmonics import harmonic_error
+from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, load_machine, shipped_machine
+from jointplay.solver.simulation.simulate import simulate
+from jointplay.solver.spectra.harmonics import harmonic_error
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from catalogue.storage.index import Index
+from jointplay.catalogue.storage.index import Index
 
 
 @dataclass(frozen=True)

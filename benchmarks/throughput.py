@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import LIMITED_RATE, p1
-from solver.cases.history import Case, Settings, Status
-from solver.compiler.ir import LANES
-from solver.machines.fault import FaultState
-from solver.simulation.simulate import simulate_batch
-from solver.spectra.harmonics import harmonic_error
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.simulation.simulate import simulate_batch
+from jointplay.solver.spectra.harmonics import harmonic_error
 
 Array = NDArray[np.float64]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
-
 NUMBERS_VERSION = 2
 """Of what a simulated case gives. It changes when, and only when, a digit of a stored spectrum may change: with the
 equations, the integrators, their tolerances, the estimate of spectra, and not with the version of the product. Frozen

@@ -1,4 +1,6 @@
-"""Exceptions of the solver, misuse only. A numerical failure is the status of a result: :mod:`solver.cases.history`."""
+"""Exceptions of the solver, misuse only. A numerical failure is the status of a result:
+:mod:`jointplay.solver.cases.history`.
+"""
 
 from __future__ import annotations
 

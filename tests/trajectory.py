@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.compiler.ir import LANES
-from solver.equations.links import LinkMotion, link_motion
-from solver.equations.model import Model, build_model
-from solver.equations.numbers import contact_paths
-from solver.integrators.gill import integrate
-from solver.integrators.kernel import compile_model
-from solver.machines.machine import Machine
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.equations.links import LinkMotion, link_motion
+from jointplay.solver.equations.model import Model, build_model
+from jointplay.solver.equations.numbers import contact_paths
+from jointplay.solver.integrators.gill import integrate
+from jointplay.solver.integrators.kernel import compile_model
+from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

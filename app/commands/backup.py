@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from app.commands.keys import data_option
-from app.commands.parameters import json_option, print_json
+from jointplay.app.commands.keys import data_option
+from jointplay.app.commands.parameters import json_option, print_json
 
 if TYPE_CHECKING:
-    from app.storage.backup import Place
+    from jointplay.app.storage.backup import Place
 
 catalogues_option = click.option(
     "--catalogues",
@@ -32,15 +32,15 @@ def command(folder: Path, catalogues: Path | None, data: Path | None, no_catalog
 
     The service may go on meanwhile. JOINTPLAY_DATABASE names its database, where that is no file in its directory.
     """
-    from app.storage.backup import back_up
+    from jointplay.app.storage.backup import back_up
 
     tell(back_up(place_of(catalogues, data), folder, catalogues=not no_catalogues), "copied", as_json=as_json)
 
 
 def place_of(catalogues: Path | None, data: Path | None) -> Place:
     """Return where a service keeps what it keeps, from options and environment."""
-    from app.settings import Settings
-    from app.storage.backup import Place
+    from jointplay.app.settings import Settings
+    from jointplay.app.storage.backup import Place
 
     given: dict[str, Any] = {"catalogues": catalogues, "data": data}
     settings = Settings(**{name: value for name, value in given.items() if value is not None})

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import json_option, print_json
-from app.commands.progress import ProgressLine
+from jointplay.app.commands.parameters import json_option, print_json
+from jointplay.app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
-    from catalogue.building.build import BuildReport
-    from catalogue.building.cluster import DaskCluster
+    from jointplay.catalogue.building.build import BuildReport
+    from jointplay.catalogue.building.cluster import DaskCluster
 
 
 @click.command("build")
@@ -50,17 +50,17 @@ def command(
 
     What is there already is kept; the same command again goes on where an interrupted one stopped.
     """
-    from catalogue.building.build import build
-    from catalogue.building.network_building import train_networks
-    from catalogue.plans.plan import resolve_plan
-    from catalogue.plans.plan_check import check_plan
-    from catalogue.plans.plan_text import plan_lines
-    from solver.machines.machine import resolve_machine
+    from jointplay.catalogue.building.build import build
+    from jointplay.catalogue.building.network_building import train_networks
+    from jointplay.catalogue.plans.plan import resolve_plan
+    from jointplay.catalogue.plans.plan_check import check_plan
+    from jointplay.catalogue.plans.plan_text import plan_lines
+    from jointplay.solver.machines.machine import resolve_machine
 
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for processes here; a cluster has its own")
     if scheduler is not None:
-        from catalogue.building.cluster import check_address
+        from jointplay.catalogue.building.cluster import check_address
 
         check_address(scheduler)
     found, wanted = resolve_machine(machine), resolve_plan(plan)
@@ -88,7 +88,7 @@ def command(
     else:
         tell(report, catalogue)
     if report.lost:
-        from app.errors import IncompleteBuildError
+        from jointplay.app.errors import IncompleteBuildError
 
         raise IncompleteBuildError(
             f"{len(report.lost)} cases could not be computed: {report.lost_reason}; the same command tries them again"
@@ -101,7 +101,7 @@ def command(
 @contextmanager
 def cluster(address: str, tell: Callable[[str], None]) -> Iterator[DaskCluster]:
     """Connect to a Dask cluster, telling what is waited for, and leave it in the end."""
-    from catalogue.building.cluster import DaskCluster
+    from jointplay.catalogue.building.cluster import DaskCluster
 
     workers = DaskCluster(address, tell=tell)
     try:

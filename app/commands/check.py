@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.machines import drive_of
-from app.commands.parameters import json_option, print_json
-from app.commands.tables import indented, table
+from jointplay.app.commands.machines import drive_of
+from jointplay.app.commands.parameters import json_option, print_json
+from jointplay.app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from solver.machines.fault import FaultState
-    from solver.machines.machine import Machine
-    from solver.machines.matrix import MechanismMatrix
-    from solver.simulation.account import Account
+    from jointplay.solver.machines.fault import FaultState
+    from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.machines.matrix import MechanismMatrix
+    from jointplay.solver.simulation.account import Account
 
 
 @click.command("check")
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_json: bool) -> None:
     """Validate MACHINE (a shipped machine's name, or a file) and show what it consists of."""
     if drawing is not None:
-        from app.figures.pictures import check_ending
+        from jointplay.app.figures.pictures import check_ending
 
         check_ending(drawing)
-    from solver.machines.contact_rules import restitution_remarks
-    from solver.machines.fault import parse_fault
-    from solver.machines.machine import resolve_machine
-    from solver.simulation.account import account
-    from solver.simulation.simulate import check_assembly
+    from jointplay.solver.machines.contact_rules import restitution_remarks
+    from jointplay.solver.machines.fault import parse_fault
+    from jointplay.solver.machines.machine import resolve_machine
+    from jointplay.solver.simulation.account import account
+    from jointplay.solver.simulation.simulate import check_assembly
 
     found = resolve_machine(machine)
     state = parse_fault(fault, found)
     sizes = account(found, state)
     check_assembly(found)
     if drawing is not None:
-        from app.figures.pictures import save_drawing
+        from jointplay.app.figures.pictures import save_drawing
 
         save_drawing(found, state.joints, drawing)
     matrix = matrix_of(found, state)
@@ -58,8 +58,8 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
 
 def matrix_of(machine: Machine, fault: FaultState) -> MechanismMatrix | str:
     """Return the mechanism matrix, or why it cannot say this machine."""
-    from solver.errors import MachineError
-    from solver.machines.matrix import MechanismMatrix
+    from jointplay.solver.errors import MachineError
+    from jointplay.solver.machines.matrix import MechanismMatrix
 
     try:
         return MechanismMatrix.from_machine(machine, fault.joints)
@@ -76,7 +76,7 @@ def document(
     drawing: Path | None,
 ) -> dict[str, object]:
     """Return everything as JSON values."""
-    from solver.machines.matrix import MechanismMatrix
+    from jointplay.solver.machines.matrix import MechanismMatrix
 
     content = {
         "name": machine.name,
@@ -110,7 +110,7 @@ def document(
 
 def report(machine: Machine, fault: FaultState, sizes: Account, matrix: MechanismMatrix | str, arrays: bool) -> str:
     """Return everything as plain text."""
-    from solver.machines.matrix import MechanismMatrix
+    from jointplay.solver.machines.matrix import MechanismMatrix
 
     size = len(sizes.coordinates) + len(sizes.closures)
     parts = [
@@ -156,8 +156,8 @@ def links_of(machine: Machine) -> str:
 
 def joints_of(machine: Machine, fault: FaultState) -> str:
     """Return the joints as a table; all clearances are radial."""
-    from solver.machines.fits import in_um
-    from solver.machines.joints import TurningJoint
+    from jointplay.solver.machines.fits import in_um
+    from jointplay.solver.machines.joints import TurningJoint
 
     rows = []
     for name, joint in machine.joints.items():
@@ -173,7 +173,7 @@ def joints_of(machine: Machine, fault: FaultState) -> str:
 
 def fits_document(machine: Machine) -> dict[str, object]:
     """Return what play each turning joint has as new and from which it is worn out, as JSON values; radial."""
-    from solver.machines.joints import TurningJoint
+    from jointplay.solver.machines.joints import TurningJoint
 
     return {
         name: {
@@ -189,7 +189,7 @@ def fits_document(machine: Machine) -> dict[str, object]:
 
 def arrays_of(matrix: MechanismMatrix) -> str:
     """Return the paper's arrays as tables: counts, neighbour lists (without the zeros that fill them up), factors."""
-    from solver.machines.matrix_arrays import matrix_arrays
+    from jointplay.solver.machines.matrix_arrays import matrix_arrays
 
     arrays = matrix_arrays(matrix)
     size = range(len(arrays.links))
@@ -220,7 +220,7 @@ def arrays_of(matrix: MechanismMatrix) -> str:
 
 def arrays_document(matrix: MechanismMatrix) -> dict[str, object]:
     """Return the paper's arrays as JSON values, links counted from 1."""
-    from solver.machines.matrix_arrays import matrix_arrays
+    from jointplay.solver.machines.matrix_arrays import matrix_arrays
 
     arrays = matrix_arrays(matrix)
     return {

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from app import words
-from app.commands.parameters import (
+from jointplay.app import words
+from jointplay.app.commands.parameters import (
     Pairs,
     Quantity,
     each_once,
@@ -18,12 +18,12 @@ from app.commands.parameters import (
     print_json,
     refuse_given,
 )
-from app.commands.tables import indented, table
-from catalogue.matching.prior import LARGEST, Prior
+from jointplay.app.commands.tables import indented, table
+from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:
-    from catalogue.diagnosing.answer import Effort, ModeAsked
-    from catalogue.measurements.import_profile import ImportProfile
+    from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
+    from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 
 @click.command("diagnose")
@@ -133,17 +133,17 @@ def command(
 ) -> None:
     """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame."""
     if plot is not None:
-        from app.figures.plots import check_ending
+        from jointplay.app.figures.plots import check_ending
 
         check_ending(plot)
     if effort != "thorough":
         refuse_given(("cases",), "means something with --effort thorough only")
     if tacho is None:
         refuse_given(("pulses",), "means something with --tacho only")
-    from catalogue.diagnosing.diagnosis import diagnose
-    from catalogue.measurements.measurement import read_measurement
-    from catalogue.measurements.recordings import read_recording
-    from catalogue.storage.store import Catalogue
+    from jointplay.catalogue.diagnosing.diagnosis import diagnose
+    from jointplay.catalogue.measurements.measurement import read_measurement
+    from jointplay.catalogue.measurements.recordings import read_recording
+    from jointplay.catalogue.storage.store import Catalogue
 
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
     opened = Catalogue.open(existing_catalogue(catalogue))
@@ -169,7 +169,7 @@ def command(
     )
     result = diagnosis.model_dump(mode="json")
     if plot is not None:
-        from app.figures.plots import plot_diagnosis
+        from jointplay.app.figures.plots import plot_diagnosis
 
         plot_diagnosis(result, measurement.name, plot)
     if as_json:
@@ -202,7 +202,7 @@ def told_of(
     file: Path, profile: Path | None, said: Mapping[str, Any], tacho: str | None = None, pulses: int | None = None
 ) -> ImportProfile:
     """Return what is told of a file: its profile, the given one or that beside it, and what options say."""
-    from catalogue.measurements.import_profile import Tacho, load_profile, profile_beside
+    from jointplay.catalogue.measurements.import_profile import Tacho, load_profile, profile_beside
 
     told = profile_beside(file) if profile is None else load_profile(profile)
     members = dict(said)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from app.commands.build import processors
-from app.commands.parameters import Names, Quantity, existing_catalogue, json_option, print_json, refuse_given
-from app.commands.progress import ProgressLine
+from jointplay.app.commands.build import processors
+from jointplay.app.commands.parameters import Names, Quantity, existing_catalogue, json_option, print_json, refuse_given
+from jointplay.app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
-    from catalogue.evaluation.study import Study
-    from catalogue.evaluation.sweep import Sweep
+    from jointplay.catalogue.evaluation.study import Study
+    from jointplay.catalogue.evaluation.sweep import Sweep
 
 PROTOCOLS = (
     "matched, noisy, hard, healthy, pairs, triples, small, beyond-range, cyclic-load, and groups model-error, "
@@ -111,18 +111,18 @@ def command(
 ) -> None:
     """Measure diagnoses on freshly simulated recordings that the catalogue has not seen."""
     if plot is not None:
-        from app.figures.plots import check_ending
+        from jointplay.app.figures.plots import check_ending
 
         check_ending(plot)
     if not sweep:
         refuse_given(("draws", "accuracies", "workers"), "means something with --sweep only")
     elif len(protocols) > 1:
         raise click.UsageError(f"--protocol: {', '.join(protocols)}: --sweep takes one")
-    from catalogue.evaluation.protocols import protocols_of, with_noise
-    from catalogue.evaluation.recordings import Recordings
-    from catalogue.evaluation.study import evaluate, setups_of
-    from catalogue.storage.store import Catalogue
-    from solver.compiler.native import cache_directory
+    from jointplay.catalogue.evaluation.protocols import protocols_of, with_noise
+    from jointplay.catalogue.evaluation.recordings import Recordings
+    from jointplay.catalogue.evaluation.study import evaluate, setups_of
+    from jointplay.catalogue.storage.store import Catalogue
+    from jointplay.solver.compiler.native import cache_directory
 
     opened = Catalogue.open(existing_catalogue(catalogue))
     setups = setups_of(methods, efforts, modes)
@@ -132,7 +132,7 @@ def command(
     kept = Recordings(cache_directory().parent / "recordings")
     with ProgressLine("diagnosing", "recordings") as line:
         if sweep:
-            from catalogue.evaluation.sweep import trade_off
+            from jointplay.catalogue.evaluation.sweep import trade_off
 
             found: Study | Sweep = trade_off(
                 opened,
@@ -150,13 +150,13 @@ def command(
         else:
             found = evaluate(opened, wanted, count, seed, setups=setups, recordings=kept, progress=line.show)
     if plot is not None:
-        from app.figures.evaluation_plots import plot_evaluation
+        from jointplay.app.figures.evaluation_plots import plot_evaluation
 
         plot_evaluation(found, plot)
     if as_json:
         print_json(found.content())
         return
-    from app.figures.evaluation_report import report
+    from jointplay.app.figures.evaluation_report import report
 
     click.echo(report(found))
     if plot is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
+from jointplay.app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
 
 
 @click.command("export")
@@ -28,10 +28,10 @@ from app.commands.parameters import catalogue_option, existing_catalogue, json_o
 @json_option
 def command(catalogue: Path, out: Path, hypotheses: tuple[str, ...], as_json: bool) -> None:
     """Write the cases of a catalogue with their spectra into one file for other programs."""
-    from app.errors import OutputError
-    from app.figures.outputs import checked
-    from catalogue.storage.export import ENDINGS, export
-    from catalogue.storage.store import Catalogue
+    from jointplay.app.errors import OutputError
+    from jointplay.app.figures.outputs import checked
+    from jointplay.catalogue.storage.export import ENDINGS, export
+    from jointplay.catalogue.storage.store import Catalogue
 
     checked(out, ENDINGS, "must end in .h5, .csv or .npz")
     opened = Catalogue.open(existing_catalogue(catalogue))

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import json_option, print_json
-from app.commands.tables import table
-from app.scopes import Scope
+from jointplay.app.commands.parameters import json_option, print_json
+from jointplay.app.commands.tables import table
+from jointplay.app.scopes import Scope
 
 if TYPE_CHECKING:
-    from app.storage.keys import Key, Keys
+    from jointplay.app.storage.keys import Key, Keys
 
 data_option = click.option(
     "--data",
@@ -94,9 +94,9 @@ def revoke(identity: str, data: Path | None, as_json: bool) -> None:
 @contextmanager
 def keys_of(data: Path | None) -> Iterator[Keys]:
     """Open the keys of a service's database, for the time of a ``with`` block."""
-    from app.settings import Settings
-    from app.storage.keys import Keys
-    from app.storage.store import Store
+    from jointplay.app.settings import Settings
+    from jointplay.app.storage.keys import Keys
+    from jointplay.app.storage.store import Store
 
     settings = Settings() if data is None else Settings(data=data)
     store = Store(settings.data, settings.database)

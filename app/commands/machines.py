@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import json_option, print_json
-from app.commands.tables import table
+from jointplay.app.commands.parameters import json_option, print_json
+from jointplay.app.commands.tables import table
 
 if TYPE_CHECKING:
-    from solver.machines.machine import Machine
+    from jointplay.solver.machines.machine import Machine
 
 
 @click.command("machines")
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @json_option
 def command(name: str | None, as_json: bool) -> None:
     """List the machines that ship with the program, or print machine NAME as a file."""
-    from solver.machines.machine import shipped_machine, shipped_machine_names, shipped_machine_text
+    from jointplay.solver.machines.machine import shipped_machine, shipped_machine_names, shipped_machine_text
 
     if name is not None:
         if as_json:

@@ -14,8 +14,8 @@ import click
 from click.core import ParameterSource
 
 if TYPE_CHECKING:
-    from solver.machines.machine import Machine
-    from solver.machines.units import Dimension
+    from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.machines.units import Dimension
 
 
 class Quantity(click.ParamType[float]):
@@ -24,7 +24,7 @@ class Quantity(click.ParamType[float]):
     Parameters
     ----------
     dimension : str
-        Name of a dimension in :mod:`solver.machines.units`.
+        Name of a dimension in :mod:`jointplay.solver.machines.units`.
     positive : bool
         Whether the value must be greater than 0.
     """
@@ -36,7 +36,7 @@ class Quantity(click.ParamType[float]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the SI value."""
-        from solver.machines import units
+        from jointplay.solver.machines import units
 
         dimension: Dimension = getattr(units, self._dimension)
         try:
@@ -181,8 +181,8 @@ def existing_catalogue(path: Path) -> Path:
     UnknownCatalogueError
         When there is no catalogue.
     """
-    from app.errors import UnknownCatalogueError
-    from catalogue.storage.directory import CatalogueDirectory
+    from jointplay.app.errors import UnknownCatalogueError
+    from jointplay.catalogue.storage.directory import CatalogueDirectory
 
     layout = CatalogueDirectory(path)
     if not layout.manifest.exists() and not layout.shards.is_dir():

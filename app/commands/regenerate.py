@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
-from app.commands.progress import ProgressLine
+from jointplay.app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
+from jointplay.app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
-    from catalogue.building.regenerate import RegenerateReport
+    from jointplay.catalogue.building.regenerate import RegenerateReport
 
 
 @click.command("regenerate")
@@ -29,10 +29,10 @@ def command(catalogue: Path, sample: int, seed: int, workers: int | None, as_jso
     machines with play take another course: levels then differ by some tenths of a decibel on average. Exit status 1: a
     status has changed, or the mean difference is above 1 dB.
     """
-    from app.commands.build import processors
-    from app.errors import DamagedCatalogueError
-    from catalogue.building.regenerate import TOLERANCE_DB, regenerate
-    from catalogue.storage.store import Catalogue
+    from jointplay.app.commands.build import processors
+    from jointplay.app.errors import DamagedCatalogueError
+    from jointplay.catalogue.building.regenerate import TOLERANCE_DB, regenerate
+    from jointplay.catalogue.storage.store import Catalogue
 
     opened = Catalogue.open(existing_catalogue(catalogue))
     with ProgressLine("simulating", "cases") as line:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from app.commands.parameters import catalogue_option, existing_catalogue, json_option
-from app.commands.verify import tell
+from jointplay.app.commands.parameters import catalogue_option, existing_catalogue, json_option
+from jointplay.app.commands.verify import tell
 
 
 @click.command("reindex")
@@ -18,6 +18,6 @@ def command(catalogue: Path, as_json: bool) -> None:
 
     Exit status 1 means that spectra are lost: building again computes them.
     """
-    from catalogue.storage.verify import reindex
+    from jointplay.catalogue.storage.verify import reindex
 
     tell(reindex(existing_catalogue(catalogue)), catalogue, "index and matrix made again", as_json=as_json)

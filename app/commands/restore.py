@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from app.commands.backup import catalogues_option, place_of, tell
-from app.commands.keys import data_option
-from app.commands.parameters import json_option
+from jointplay.app.commands.backup import catalogues_option, place_of, tell
+from jointplay.app.commands.keys import data_option
+from jointplay.app.commands.parameters import json_option
 
 
 @click.command("restore")
@@ -21,6 +21,6 @@ def command(folder: Path, catalogues: Path | None, data: Path | None, as_json: b
 
     JOINTPLAY_DATABASE names the database, which may be of another kind than the copied one; it has to be empty.
     """
-    from app.storage.backup import restore
+    from jointplay.app.storage.backup import restore
 
     tell(restore(folder, place_of(catalogues, data)), "restored", as_json=as_json)

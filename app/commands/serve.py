@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from app.errors import AddressError
+from jointplay.app.errors import AddressError
 
 if TYPE_CHECKING:
-    from app.settings import Settings
+    from jointplay.app.settings import Settings
 
 log = logging.getLogger(__name__)
 
@@ -51,9 +51,9 @@ def command(
     import uvicorn
     from pydantic import ValidationError
 
-    from app.logs import LogSettings, configure
-    from app.main import create_app
-    from app.settings import Settings
+    from jointplay.app.logs import LogSettings, configure
+    from jointplay.app.main import create_app
+    from jointplay.app.settings import Settings
 
     given: dict[str, Any] = {"catalogues": catalogues, "data": data, "workers": workers}
     given["keys"] = "off" if no_keys else None
@@ -67,7 +67,7 @@ def command(
             f"{host}: without keys (--no-keys) only this computer itself may ask: 127.0.0.1, ::1, localhost"
         )
     if settings.scheduler:
-        from catalogue.building.cluster import check_address
+        from jointplay.catalogue.building.cluster import check_address
 
         check_address(settings.scheduler)
     settings = answering(settings, host)

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from app.commands.parameters import Decibels, Quantity, drive_speed, json_option, print_json
+from jointplay.app.commands.parameters import Decibels, Quantity, drive_speed, json_option, print_json
 
 if TYPE_CHECKING:
-    from app.figures.recording import Recording
-    from solver.cases.history import Case, History, Settings
-    from solver.cases.steps import Accuracy
-    from solver.machines.machine import Machine
-    from solver.simulation.ensemble import Ensemble, Kind
+    from jointplay.app.figures.recording import Recording
+    from jointplay.solver.cases.history import Case, History, Settings
+    from jointplay.solver.cases.steps import Accuracy
+    from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.simulation.ensemble import Ensemble, Kind
 
 
 @click.command("simulate")
@@ -87,7 +87,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Simulate MACHINE (a shipped machine's name, or a file) and write what its frame does."""
-    from app.figures.outputs import writer_for
+    from jointplay.app.figures.outputs import writer_for
 
     if accuracy is not None and rtol is not None:
         raise click.UsageError("--rtol: give either --accuracy or --rtol, not both")
@@ -98,15 +98,15 @@ def command(
         refuse_for_ensembles(output, links=links, duration=duration is not None and converged is not None)
     write = writer_for(output)
     if plot is not None:
-        from app.figures.plots import check_ending
+        from jointplay.app.figures.plots import check_ending
 
         check_ending(plot)
-    from app.errors import SimulationFailedError, UnassembledError
-    from app.figures.recording import record
-    from solver import __version__
-    from solver.machines.fault import parse_fault
-    from solver.machines.machine import resolve_machine
-    from solver.simulation.simulate import Case, Settings, Status, simulate
+    from jointplay import __version__
+    from jointplay.app.errors import SimulationFailedError, UnassembledError
+    from jointplay.app.figures.recording import record
+    from jointplay.solver.machines.fault import parse_fault
+    from jointplay.solver.machines.machine import resolve_machine
+    from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
     found = resolve_machine(machine)
     case = Case(fault=parse_fault(fault, found), parameters=drive_speed(found, speed))
@@ -121,7 +121,7 @@ def command(
         device=device,
     )
     if several:
-        from solver.simulation.ensemble import Ensemble
+        from jointplay.solver.simulation.ensemble import Ensemble
 
         asked = Ensemble(starts or 8, starts_by, converged, most_revolutions, seed)
         run_ensemble(found, case, asked, settings, output, plot, as_json)
@@ -134,7 +134,7 @@ def command(
     recording = record(found, history, settings, __version__)
     write(output, recording)
     if plot is not None:
-        from app.figures.plots import plot_simulation
+        from jointplay.app.figures.plots import plot_simulation
 
         plot_simulation(recording, plot)
     report(history, recording, output, plot, as_json)
@@ -154,13 +154,13 @@ def run_ensemble(
     machine: Machine, case: Case, asked: Ensemble, settings: Settings, output: Path, plot: Path | None, as_json: bool
 ) -> None:
     """Average over several starts, write that and say what it is."""
-    from app.commands.progress import ProgressLine
-    from app.errors import SimulationFailedError
-    from app.figures.ensembles import document, plot_ensemble, record_ensemble, report
-    from app.figures.outputs import writer_for
-    from solver import __version__
-    from solver.cases.history import Status
-    from solver.simulation.ensemble import simulate_ensemble
+    from jointplay import __version__
+    from jointplay.app.commands.progress import ProgressLine
+    from jointplay.app.errors import SimulationFailedError
+    from jointplay.app.figures.ensembles import document, plot_ensemble, record_ensemble, report
+    from jointplay.app.figures.outputs import writer_for
+    from jointplay.solver.cases.history import Status
+    from jointplay.solver.simulation.ensemble import simulate_ensemble
 
     with ProgressLine("simulating", "revolutions at most") as line:
         found = simulate_ensemble(
@@ -182,7 +182,7 @@ def run_ensemble(
 
 def report(history: History, recording: Recording, output: Path, plot: Path | None, as_json: bool) -> None:
     """Say what was computed and where it is."""
-    from solver.spectra.spectrum import frame_units
+    from jointplay.solver.spectra.spectrum import frame_units
 
     steady = history.acceleration[history.t >= history.transient]
     rms = (steady**2).mean(axis=0) ** 0.5 if len(steady) else None

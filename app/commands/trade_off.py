@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import Decibels, drive_speed, json_option, print_json
-from app.commands.progress import ProgressLine
-from app.commands.tables import indented, table
+from jointplay.app.commands.parameters import Decibels, drive_speed, json_option, print_json
+from jointplay.app.commands.progress import ProgressLine
+from jointplay.app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from solver.machines.machine import Machine
-    from solver.simulation.tradeoff import Point, Recommendation, TradeOff
+    from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.simulation.tradeoff import Point, Recommendation, TradeOff
 
 
 @click.command("trade-off")
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 def command(machine: str, fault: str, speed: str | None, error: float, plot: Path | None, as_json: bool) -> None:
     """Measure harmonic error against processor time for MACHINE, and recommend a setting."""
     if plot is not None:
-        from app.figures.plots import check_ending
+        from jointplay.app.figures.plots import check_ending
 
         check_ending(plot)
-    from app.errors import SimulationFailedError
-    from solver.machines.fault import parse_fault
-    from solver.machines.machine import resolve_machine
-    from solver.simulation.simulate import Case, History
-    from solver.simulation.tradeoff import measure
+    from jointplay.app.errors import SimulationFailedError
+    from jointplay.solver.machines.fault import parse_fault
+    from jointplay.solver.machines.machine import resolve_machine
+    from jointplay.solver.simulation.simulate import Case, History
+    from jointplay.solver.simulation.tradeoff import measure
 
     found = resolve_machine(machine)
     case = Case(parse_fault(fault, found), drive_speed(found, speed))
@@ -46,7 +46,7 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
         raise SimulationFailedError(f"{found.name}: no reference: {measured.status}: {measured.message}")
     advice = measured.recommend(error)
     if plot is not None:
-        from app.figures.tradeoff_plot import plot_trade_off
+        from jointplay.app.figures.tradeoff_plot import plot_trade_off
 
         plot_trade_off(found, measured, error, plot)
     if as_json:

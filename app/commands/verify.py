@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
+from jointplay.app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
 
 if TYPE_CHECKING:
-    from catalogue.storage.verify import VerifyReport
+    from jointplay.catalogue.storage.verify import VerifyReport
 
 
 @click.command("verify")
@@ -21,7 +21,7 @@ def command(catalogue: Path, as_json: bool) -> None:
 
     Exit status 1 means that spectra are lost: building again computes them.
     """
-    from catalogue.storage.verify import verify
+    from jointplay.catalogue.storage.verify import verify
 
     tell(verify(existing_catalogue(catalogue)), catalogue, "in order", as_json=as_json)
 
@@ -43,7 +43,7 @@ def tell(report: VerifyReport, catalogue: Path, sound: str, *, as_json: bool) ->
     DamagedCatalogueError
         Cases are lost.
     """
-    from app.errors import DamagedCatalogueError
+    from jointplay.app.errors import DamagedCatalogueError
 
     if as_json:
         print_json(

@@ -1,4 +1,4 @@
-"""``python -m app.demo``: build or reuse a catalogue, diagnose three recordings, compare with the truth."""
+"""``python -m jointplay.app.demo``: build or reuse a catalogue, diagnose three recordings, compare with the truth."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any
 
 import click
 
-from app import words
-from app.cli import run
-from app.commands.build import processors
-from app.commands.diagnose import ranking
-from app.commands.progress import ProgressLine
-from app.commands.tables import indented
+from jointplay.app import words
+from jointplay.app.cli import run
+from jointplay.app.commands.build import processors
+from jointplay.app.commands.diagnose import ranking
+from jointplay.app.commands.progress import ProgressLine
+from jointplay.app.commands.tables import indented
 
 MACHINE = "quick-return"
 PLAN = "quick"
@@ -25,9 +25,9 @@ CATALOGUE = Path(".jointplay/catalogues") / MACHINE
 
 def demo() -> None:
     """Run the demo in the present folder."""
-    from catalogue.diagnosing.diagnosis import diagnose
-    from catalogue.measurements.measurement import read_measurement
-    from catalogue.storage.store import Catalogue
+    from jointplay.catalogue.diagnosing.diagnosis import diagnose
+    from jointplay.catalogue.measurements.measurement import read_measurement
+    from jointplay.catalogue.storage.store import Catalogue
 
     click.echo(f"Machine {MACHINE}: which of its turning joints is worn, from vibration of its frame alone?\n")
     build_catalogue()
@@ -54,10 +54,10 @@ def build_catalogue() -> None:
     """Build the catalogue of the demo, or go on with it; one that fits no longer is built anew."""
     import shutil
 
-    from catalogue.building.build import build
-    from catalogue.errors import CatalogueMismatchError
-    from catalogue.plans.plan import resolve_plan
-    from solver.machines.machine import shipped_machine
+    from jointplay.catalogue.building.build import build
+    from jointplay.catalogue.errors import CatalogueMismatchError
+    from jointplay.catalogue.plans.plan import resolve_plan
+    from jointplay.solver.machines.machine import shipped_machine
 
     machine, plan = shipped_machine(MACHINE), resolve_plan(PLAN)
 
@@ -83,14 +83,14 @@ def build_catalogue() -> None:
 
 def recordings() -> dict[str, Mapping[str, Any]]:
     """Return the recordings' names, each with what it was made with."""
-    folder = resources.files("app.demo") / "recordings"
+    folder = resources.files("jointplay.app.demo") / "recordings"
     found: dict[str, Mapping[str, Any]] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     return found
 
 
 def content_of(name: str) -> bytes:
     """Return the bytes of a recording as they are stored."""
-    return (resources.files("app.demo") / "recordings" / f"{name}.csv.gz").read_bytes()
+    return (resources.files("jointplay.app.demo") / "recordings" / f"{name}.csv.gz").read_bytes()
 
 
 def truth_sentence(truth: Mapping[str, Any]) -> str:

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from app.figures.plots import BLUE, SHOWN_DECADES, SYMBOLS, save
-from app.figures.recording import MOTIONS, Attribute, Recording, accuracy_of, identity
-from solver.cases.history import Settings
-from solver.machines.machine import Machine
-from solver.simulation.ensemble import EnsembleResult
+from jointplay.app.figures.plots import BLUE, SHOWN_DECADES, SYMBOLS, save
+from jointplay.app.figures.recording import MOTIONS, Attribute, Recording, accuracy_of, identity
+from jointplay.solver.cases.history import Settings
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.ensemble import EnsembleResult
 
 WINDOW = "hann"
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from app.figures.plots import BLUE, ORANGE, save
-from catalogue.evaluation.study import Study
+from jointplay.app.figures.plots import BLUE, ORANGE, save
+from jointplay.catalogue.evaluation.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from catalogue.evaluation.sweep import Point, Sweep
+    from jointplay.catalogue.evaluation.sweep import Point, Sweep
 
 COLOURS = (BLUE, ORANGE, "#3a8a3a", "#7a4fa0", "#8a6d1f", "#555555")
 

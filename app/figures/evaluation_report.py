@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.commands.tables import indented, table
-from catalogue.evaluation.study import Row, Study
-from catalogue.evaluation.sweep import Sweep
+from jointplay.app.commands.tables import indented, table
+from jointplay.catalogue.evaluation.study import Row, Study
+from jointplay.catalogue.evaluation.sweep import Sweep
 
 
 def report(found: Study | Sweep) -> str:

@@ -11,9 +11,9 @@ from typing import IO
 
 import numpy as np
 
-from app.errors import OutputError
-from app.figures.recording import MOTIONS, Recording
-from catalogue.storage.hdf5 import write_arrays
+from jointplay.app.errors import OutputError
+from jointplay.app.figures.recording import MOTIONS, Recording
+from jointplay.catalogue.storage.hdf5 import write_arrays
 
 
 def write_hdf5(path: Path, recording: Recording) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from solver.machines.drawing import machine_svg
-from solver.machines.machine import Machine
-from solver.machines.shapes import SupportMark, machine_shapes
+from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.shapes import SupportMark, machine_shapes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,7 @@ def check_ending(path: Path) -> None:
     OutputError
         For another ending than .svg or .png, or a folder that does not exist.
     """
-    from app.figures.outputs import checked  # loads the simulation, which the web page does without
+    from jointplay.app.figures.outputs import checked  # loads the simulation, which the web page does without
 
     checked(path, ENDINGS, "must end in .svg or .png")
 
@@ -60,7 +60,7 @@ def save_drawing(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
     path : Path
         Its ending says which format.
     """
-    from app.figures.outputs import checked
+    from jointplay.app.figures.outputs import checked
 
     ending = checked(path, ENDINGS, "must end in .svg or .png")
     if ending == ".png":

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from app import words
-from app.figures.outputs import checked
-from app.figures.recording import MOTIONS, Recording
-from app.figures.spectra import Comparison, comparisons
+from jointplay.app import words
+from jointplay.app.figures.outputs import checked
+from jointplay.app.figures.recording import MOTIONS, Recording
+from jointplay.app.figures.spectra import Comparison, comparisons
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

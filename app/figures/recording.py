@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from solver.errors import SettingsError
-from solver.machines.machine import Machine
-from solver.simulation.simulate import Case, History, Settings
-from solver.spectra.sensor import sensor_signals
-from solver.spectra.spectrum import Spectrum, order_levels
-from solver.spectra.welch import welch
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.simulate import Case, History, Settings
+from jointplay.solver.spectra.sensor import sensor_signals
+from jointplay.solver.spectra.spectrum import Spectrum, order_levels
+from jointplay.solver.spectra.welch import welch
 
 FloatArray = npt.NDArray[np.float64]
 Attribute = str | float | int | bool | tuple[str, ...]

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from app.figures.plots import BLUE, ORANGE, save
+from jointplay.app.figures.plots import BLUE, ORANGE, save
 
 if TYPE_CHECKING:
-    from solver.machines.machine import Machine
-    from solver.simulation.tradeoff import TradeOff
+    from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.simulation.tradeoff import TradeOff
 
 
 def plot_trade_off(machine: Machine, found: TradeOff, wanted_db: float, path: Path) -> None:

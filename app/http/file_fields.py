@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from catalogue.measurements.import_profile import SpectrumSaid
+from jointplay.catalogue.measurements.import_profile import SpectrumSaid
 
 
 def text(description: str) -> dict[str, Any]:

@@ -13,15 +13,15 @@ from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Send
 from starlette.types import Scope as Connection
 
-from app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
-from app.http.handlers import answer, problem_from
-from app.http.rates import TokenBuckets
-from app.pages.page_templates import is_fragment, is_page
-from app.scopes import READING, scope_of
-from app.settings import Settings
+from jointplay.app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
+from jointplay.app.http.handlers import answer, problem_from
+from jointplay.app.http.rates import TokenBuckets
+from jointplay.app.pages.page_templates import is_fragment, is_page
+from jointplay.app.scopes import READING, scope_of
+from jointplay.app.settings import Settings
 
 if TYPE_CHECKING:
-    from app.storage.keys import Key, Keys
+    from jointplay.app.storage.keys import Key, Keys
 
 COOKIE = "jointplay_session"
 ANY_HOST = "*"

@@ -14,12 +14,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
 
-from app.errors import AppError, BadRequestError
-from app.jobs.workers import TaskFailedError
-from app.pages.page_templates import is_page, problem_page
-from app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
-from catalogue.errors import CatalogueError
-from solver.errors import SolverError
+from jointplay.app.errors import AppError, BadRequestError
+from jointplay.app.jobs.workers import TaskFailedError
+from jointplay.app.pages.page_templates import is_page, problem_page
+from jointplay.app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
+from jointplay.catalogue.errors import CatalogueError
+from jointplay.solver.errors import SolverError
 
 log = logging.getLogger(__name__)
 

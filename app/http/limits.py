@@ -7,8 +7,8 @@ import asyncio
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.errors import BadRequestError, SlowRequestError, UploadTooLargeError
-from app.scopes import API
+from jointplay.app.errors import BadRequestError, SlowRequestError, UploadTooLargeError
+from jointplay.app.scopes import API
 
 JSON_BYTES = 1_000_000
 RECORDINGS = f"{API}/measurements"

@@ -13,7 +13,7 @@ from prometheus_client.registry import Collector
 from sqlalchemy.exc import SQLAlchemyError
 
 if TYPE_CHECKING:
-    from app.service import Service
+    from jointplay.app.service import Service
 
 log = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from starlette.requests import Request
 
-from app.errors import NotAcceptableError
+from jointplay.app.errors import NotAcceptableError
 
 
 def chosen_type(request: Request, offered: Sequence[str]) -> str:

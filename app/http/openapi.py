@@ -10,11 +10,11 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from app.http.examples import with_examples
-from app.http.links import with_links
-from app.problems import MEDIA_TYPE
-from app.schemas.resources import ProblemDocument
-from app.scopes import scope_of
+from jointplay.app.http.examples import with_examples
+from jointplay.app.http.links import with_links
+from jointplay.app.problems import MEDIA_TYPE
+from jointplay.app.schemas.resources import ProblemDocument
+from jointplay.app.scopes import scope_of
 
 API_VERSION = "2.3.0"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
@@ -133,8 +133,8 @@ def with_security(document: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Print the document, for ``docs/openapi.json``."""
-    from app.main import create_app
-    from app.settings import Settings
+    from jointplay.app.main import create_app
+    from jointplay.app.settings import Settings
 
     sys.stdout.write(json.dumps(create_app(Settings(keys="required")).openapi(), indent=1) + "\n")
 

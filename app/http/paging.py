@@ -7,7 +7,7 @@ import binascii
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
-from app.errors import BadCursorError
+from jointplay.app.errors import BadCursorError
 
 
 def encode(position: str) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from starlette.requests import Request
 
-from app.errors import BadFieldError
-from app.scopes import API
+from jointplay.app.errors import BadFieldError
+from jointplay.app.scopes import API
 
 
 async def refuse_unknown(request: Request) -> None:

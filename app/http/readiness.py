@@ -8,8 +8,8 @@ from collections.abc import Callable
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 
-from app.errors import AppError, DatabaseGoneError, NotReadyError
-from app.service import Service
+from jointplay.app.errors import AppError, DatabaseGoneError, NotReadyError
+from jointplay.app.service import Service
 
 START_S = 10.0
 """Longest time that a worker may take to start [s]."""

@@ -15,11 +15,11 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.routing import compile_path
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app import logs
-from app.errors import NotReadyError
-from app.http.handlers import handle
-from app.http.metrics import Metrics
-from app.storage.uploads import MULTIPART
+from jointplay.app import logs
+from jointplay.app.errors import NotReadyError
+from jointplay.app.http.handlers import handle
+from jointplay.app.http.metrics import Metrics
+from jointplay.app.storage.uploads import MULTIPART
 
 HEADER = "X-Request-ID"
 SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")

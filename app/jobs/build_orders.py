@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from app.errors import BadFieldError, BuildOpenError, UnknownMachineError
-from app.schemas.builds import BuildRequest
-from app.storage.build_queue import ENDED, BuildQueue, BuildRow
-from app.storage.machine_store import MachineStore
-from catalogue.errors import PlanError
-from catalogue.plans.plan import Plan, parse_plan, preset
-from catalogue.plans.plan_check import check_plan
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.manifest import Manifest
-from solver.machines.machine import Machine, parse_machine
+from jointplay.app.errors import BadFieldError, BuildOpenError, UnknownMachineError
+from jointplay.app.schemas.builds import BuildRequest
+from jointplay.app.storage.build_queue import ENDED, BuildQueue, BuildRow
+from jointplay.app.storage.machine_store import MachineStore
+from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.plan import Plan, parse_plan, preset
+from jointplay.catalogue.plans.plan_check import check_plan
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 
 def order(queue: BuildQueue, machines: MachineStore, folder: Path, wanted: BuildRequest) -> BuildRow:

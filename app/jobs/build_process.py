@@ -11,9 +11,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
-from app.jobs.workers import prepare
-from app.logs import DEFAULT_LOG, LogSettings, of_request
-from app.problems import problem_of
+from jointplay.app.jobs.workers import prepare
+from jointplay.app.logs import DEFAULT_LOG, LogSettings, of_request
+from jointplay.app.problems import problem_of
 
 log = logging.getLogger(__name__)
 
@@ -61,12 +61,12 @@ def work(order: Order, sender: Connection) -> None:
 
 def built(order: Order, sender: Connection) -> Told:
     """Build, train, and return how it ended."""
-    from app.commands.build import cluster, processors
-    from catalogue.building.build import Progress, build
-    from catalogue.building.network_building import train_networks
-    from catalogue.plans.plan import parse_plan
-    from catalogue.storage.store import Catalogue
-    from solver.machines.machine import parse_machine
+    from jointplay.app.commands.build import cluster, processors
+    from jointplay.catalogue.building.build import Progress, build
+    from jointplay.catalogue.building.network_building import train_networks
+    from jointplay.catalogue.plans.plan import parse_plan
+    from jointplay.catalogue.storage.store import Catalogue
+    from jointplay.solver.machines.machine import parse_machine
 
     workers = order.workers or processors()
 

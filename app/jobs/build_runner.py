@@ -20,9 +20,9 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from app.jobs.build_process import Order, Told, work
-from app.logs import DEFAULT_LOG, LogSettings, of_request
-from app.storage.build_queue import BuildQueue, BuildRow
+from jointplay.app.jobs.build_process import Order, Told, work
+from jointplay.app.logs import DEFAULT_LOG, LogSettings, of_request
+from jointplay.app.storage.build_queue import BuildQueue, BuildRow
 
 log = logging.getLogger(__name__)
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from catalogue.measurements.measured_spectrum import MeasuredSpectrum
-    from catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+    from jointplay.catalogue.measurements.measurement import Measurement
 
 
 def summary_of(measurement: Measurement | MeasuredSpectrum) -> dict[str, Any]:
@@ -20,9 +20,9 @@ def summary_of(measurement: Measurement | MeasuredSpectrum) -> dict[str, Any]:
     Returns
     -------
     dict
-        Members of :class:`app.schemas.resources.MeasurementOut` that follow from the file.
+        Members of :class:`jointplay.app.schemas.resources.MeasurementOut` that follow from the file.
     """
-    from catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.measurements.measurement import Measurement
 
     common = {"warnings": list(measurement.warnings), "import_report": list(measurement.import_report)}
     channels = [

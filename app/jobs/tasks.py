@@ -9,15 +9,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.jobs.summaries import summary_of
-from app.jobs.workers import Outcome, attempt
-from app.storage.told import Told
+from jointplay.app.jobs.summaries import summary_of
+from jointplay.app.jobs.workers import Outcome, attempt
+from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
-    from catalogue.diagnosing.answer import Effort, ModeAsked
-    from catalogue.measurements.measured_spectrum import MeasuredSpectrum
-    from catalogue.measurements.measurement import Measurement
-    from catalogue.storage.store import Catalogue
+    from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
+    from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+    from jointplay.catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.storage.store import Catalogue
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Question:
     mapping : Mapping
         Column to sensor.
     prior : Mapping
-        Numbers of :class:`~catalogue.matching.prior.Prior`.
+        Numbers of :class:`~jointplay.catalogue.matching.prior.Prior`.
     baseline : tuple, optional
         Path, name and what is told of a recording of the machine in order.
     """
@@ -103,8 +103,8 @@ def summarise_and_diagnose(path: str, name: str, told: Told, question: Question)
 
 def diagnosed(measurement: Measurement | MeasuredSpectrum, question: Question) -> dict[str, Any]:
     """Diagnose what was read and return the contract's members as JSON values."""
-    from catalogue.diagnosing.diagnosis import diagnose as ranked
-    from catalogue.matching.prior import Prior
+    from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
+    from jointplay.catalogue.matching.prior import Prior
 
     result = ranked(
         measurement,
@@ -130,10 +130,10 @@ def check_machine(text: str, name: str) -> str:
     name : str
         What messages call it.
     """
-    from solver.machines.fault import FaultState
-    from solver.machines.machine import parse_machine
-    from solver.simulation.account import account
-    from solver.simulation.simulate import check_assembly
+    from jointplay.solver.machines.fault import FaultState
+    from jointplay.solver.machines.machine import parse_machine
+    from jointplay.solver.simulation.account import account
+    from jointplay.solver.simulation.simulate import check_assembly
 
     machine = parse_machine(text, name)
     account(machine, FaultState({}))
@@ -149,10 +149,10 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     catalogues : sequence of (str, str)
         Folders and stamps, as in :class:`Question`.
     """
-    import catalogue.diagnosing.diagnosis
-    import catalogue.measurements.recordings  # noqa: F401, loaded to be there when it is needed
-    from catalogue.errors import CatalogueError
-    from catalogue.matching.libraries import KEPT, library_of
+    import jointplay.catalogue.diagnosing.diagnosis
+    import jointplay.catalogue.measurements.recordings  # noqa: F401, loaded to be there when it is needed
+    from jointplay.catalogue.errors import CatalogueError
+    from jointplay.catalogue.matching.libraries import KEPT, library_of
 
     loaded = 0
     for directory, stamp in catalogues[:KEPT]:
@@ -163,7 +163,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
 
 def read(path: str, name: str, told: Told) -> Measurement | MeasuredSpectrum:
     """Read a recording, or a spectrum, by the reader that its content and name ask for."""
-    from catalogue.measurements.recordings import read_recording
+    from jointplay.catalogue.measurements.recordings import read_recording
 
     return read_recording(
         Path(path).read_bytes(),
@@ -176,7 +176,7 @@ def read(path: str, name: str, told: Told) -> Measurement | MeasuredSpectrum:
 
 def in_order(path: str, name: str, told: Told) -> Measurement:
     """Read a baseline, which has to be a recording over time."""
-    from catalogue.measurements.measurement import read_measurement
+    from jointplay.catalogue.measurements.measurement import read_measurement
 
     return read_measurement(
         Path(path).read_bytes(),
@@ -190,6 +190,6 @@ def in_order(path: str, name: str, told: Told) -> Measurement:
 @lru_cache(maxsize=4)
 def opened(directory: str, stamp: str) -> Catalogue:
     """Return an open catalogue; a worker keeps the last few it used."""
-    from catalogue.storage.store import Catalogue
+    from jointplay.catalogue.storage.store import Catalogue
 
     return Catalogue.open(Path(directory))

@@ -18,9 +18,9 @@ from urllib.parse import SplitResult, urlsplit
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from app.errors import BadFieldError
-from app.storage.store import now
-from app.storage.webhooks import SIGNATURE, Taken, Webhooks, signature
+from jointplay.app.errors import BadFieldError
+from jointplay.app.storage.store import now
+from jointplay.app.storage.webhooks import SIGNATURE, Taken, Webhooks, signature
 
 log = logging.getLogger(__name__)
 

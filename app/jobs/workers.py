@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any, Protocol
 
-from app import logs
-from app.errors import BusyError, TimeLimitError, WorkerDiedError
-from app.logs import DEFAULT_LOG, LogSettings
-from app.problems import Problem, problem_of
+from jointplay.app import logs
+from jointplay.app.errors import BusyError, TimeLimitError, WorkerDiedError
+from jointplay.app.logs import DEFAULT_LOG, LogSettings
+from jointplay.app.problems import Problem, problem_of
 
 log = logging.getLogger(__name__)
 

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.jobs.tasks import opened
-from app.pages.understanding import RPM
+from jointplay.app.jobs.tasks import opened
+from jointplay.app.pages.understanding import RPM
 
 if TYPE_CHECKING:
-    from catalogue.storage.matrix import FeatureMatrix
+    from jointplay.catalogue.storage.matrix import FeatureMatrix
 
 HEALTHY = "healthy"
 #: Power shown at least: 10 um/s2 is less than any accelerometer sees, and an ideal machine is far stiller than that.
@@ -23,7 +23,7 @@ def nearest(directory: str, stamp: str, hypothesis: str, clearance: float) -> di
     Parameters
     ----------
     directory, stamp : str
-        Of the catalogue, as for :func:`app.jobs.tasks.diagnose`.
+        Of the catalogue, as for :func:`jointplay.app.jobs.tasks.diagnose`.
     hypothesis : str
         Its label; one that the catalogue has entries of.
     clearance : float

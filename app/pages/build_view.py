@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from app.schemas.entries import EntryItem
-from app.storage.build_queue import ENDED, BuildRow
-from app.storage.store import aware
-from app.words import micrometres
+from jointplay.app.schemas.entries import EntryItem
+from jointplay.app.storage.build_queue import ENDED, BuildRow
+from jointplay.app.storage.store import aware
+from jointplay.app.words import micrometres
 
 STATES = {
     "queued": "Waiting",

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from app import words
-from app.storage.assets import FindingRow
-from app.storage.store import DiagnosisRow, MeasurementRow, aware
+from jointplay.app import words
+from jointplay.app.storage.assets import FindingRow
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, aware
 
 
 def history(

@@ -9,16 +9,16 @@ from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
-from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
-from app.problems import Problem
-from app.schemas.resources import DiagnosisRequest
-from app.service import speed_of
-from app.storage.told import TOLD
-from app.storage.uploads import media_type
-from catalogue.errors import DiagnosisError
-from catalogue.matching.prior import Prior
-from catalogue.signals.sensors import matched_by_name
-from solver.machines.machine import Machine
+from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.problems import Problem
+from jointplay.app.schemas.resources import DiagnosisRequest
+from jointplay.app.service import speed_of
+from jointplay.app.storage.told import TOLD
+from jointplay.app.storage.uploads import media_type
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.prior import Prior
+from jointplay.catalogue.signals.sensors import matched_by_name
+from jointplay.solver.machines.machine import Machine
 
 SAID = tuple(sorted(TOLD))
 UPLOAD = ("catalogue", "file", "asset", *SAID)

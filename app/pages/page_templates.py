@@ -8,7 +8,7 @@ from fastapi.templating import Jinja2Templates
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.problems import Problem
+from jointplay.app.problems import Problem
 
 templates = Jinja2Templates(directory=Path(__file__).parents[1] / "templates")
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from app.jobs.tasks import opened, read
-from app.storage.told import Told
+from jointplay.app.jobs.tasks import opened, read
+from jointplay.app.storage.told import Told
 
 POSITIONS = 72
 RPM = 30.0 / math.pi
@@ -21,7 +21,7 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     Parameters
     ----------
     path, name, told, catalogue, stamp
-        As for :func:`app.jobs.tasks.diagnose`.
+        As for :func:`jointplay.app.jobs.tasks.diagnose`.
 
     Returns
     -------
@@ -29,10 +29,10 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
         ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found; ``tacho``: whether pulses say it;
         ``warnings``; ``field`` and ``message``: what has to be put right first, empty where nothing has.
     """
-    from catalogue.errors import MeasurementError
-    from catalogue.measurements.measurement import Measurement
-    from catalogue.signals.features import prepare
-    from catalogue.signals.sensors import map_sensors
+    from jointplay.catalogue.errors import MeasurementError
+    from jointplay.catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.signals.features import prepare
+    from jointplay.catalogue.signals.sensors import map_sensors
 
     measurement = read(path, name, told)
     found = opened(catalogue, stamp)
@@ -66,11 +66,11 @@ def motion(machine: str) -> Mapping[str, Any]:
     Returns
     -------
     dict
-        ``view_box`` and ``transforms``, see :class:`solver.machines.drawing_motion.MovingDrawing`.
+        ``view_box`` and ``transforms``, see :class:`jointplay.solver.machines.drawing_motion.MovingDrawing`.
     """
-    from solver.cases.positions import link_motion
-    from solver.machines.drawing_motion import moving_drawing
-    from solver.machines.machine import parse_machine
+    from jointplay.solver.cases.positions import link_motion
+    from jointplay.solver.machines.drawing_motion import moving_drawing
+    from jointplay.solver.machines.machine import parse_machine
 
     parsed = parse_machine(json.loads(machine))
     moving = moving_drawing(parsed, link_motion(parsed, POSITIONS))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from app.jobs.summaries import channel_words, kind_of, said
-from app.pages.page_forms import NOT_USED
-from app.shelves.catalogues import Offer
-from app.storage.store import MeasurementRow
-from catalogue.signals.sensors import matched_by_name
+from jointplay.app.jobs.summaries import channel_words, kind_of, said
+from jointplay.app.pages.page_forms import NOT_USED
+from jointplay.app.shelves.catalogues import Offer
+from jointplay.app.storage.store import MeasurementRow
+from jointplay.catalogue.signals.sensors import matched_by_name
 
 
 def confirmation(
@@ -24,7 +24,7 @@ def confirmation(
     offer : Offer
         The catalogue it is to be compared with.
     found : Mapping
-        What :func:`app.pages.understanding.understand` returned.
+        What :func:`jointplay.app.pages.understanding.understand` returned.
     given : Mapping
         Fields that somebody filled in already; they stay.
     """

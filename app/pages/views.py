@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from app import words
-from app.figures.pictures import machine_picture
-from app.figures.spectra import Band, Comparison, comparisons, deciding
-from app.storage.store import DiagnosisRow, MeasurementRow, aware
-from solver.machines.machine import parse_machine
+from jointplay.app import words
+from jointplay.app.figures.pictures import machine_picture
+from jointplay.app.figures.spectra import Band, Comparison, comparisons, deciding
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, aware
+from jointplay.solver.machines.machine import parse_machine
 
 SHOWN_HYPOTHESES = 12
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from app import words
-from app.jobs.summaries import extent, kind_of, said
-from app.storage.store import DiagnosisRow, MeasurementRow, aware
+from jointplay.app import words
+from jointplay.app.jobs.summaries import extent, kind_of, said
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, aware
 
 SHOWN_HYPOTHESES = 5
 SHOWN_SUGGESTIONS = 3

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
-from app.figures.spectra import Band, Comparison, comparisons
-from app.storage.store import DiagnosisRow
-from solver.machines.drawing import machine_svg
-from solver.machines.machine import Machine, parse_machine
+from jointplay.app.figures.spectra import Band, Comparison, comparisons
+from jointplay.app.storage.store import DiagnosisRow
+from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 WEAR = (232, 106, 20)
 INK, SOFT, GRID = "#16202b", "#566373", "#d4dae1"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from app.reports.content import JOINT_COLUMNS, Report
-from app.reports.figures import Figures
+from jointplay.app.reports.content import JOINT_COLUMNS, Report
+from jointplay.app.reports.figures import Figures
 
 TEMPLATES = Path(__file__).parent.parent / "templates" / "report"
 

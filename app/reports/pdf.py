@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
-from app.reports.content import JOINT_COLUMNS, Named, Report
-from app.reports.figures import Figures
+from jointplay.app.reports.content import JOINT_COLUMNS, Named, Report
+from jointplay.app.reports.figures import Figures
 
 REGULAR, BOLD, OBLIQUE = "DejaVuSans", "DejaVuSans-Bold", "DejaVuSans-Oblique"
 MM = 72 / 25.4

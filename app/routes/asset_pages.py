@@ -11,20 +11,20 @@ from sqlalchemy import select
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
-from app.errors import BadFieldError
-from app.http import paging
-from app.http.handlers import note, problem_from
-from app.pages.history import history, moment
-from app.pages.page_forms import messages_of, plain_form
-from app.pages.page_templates import templates
-from app.problems import Problem
-from app.routes.assets import check_baseline
-from app.routes.pages import REFUSALS, context
-from app.schemas.assets import AssetIn, AssetName
-from app.scopes import Scope
-from app.service import Service, of_request
-from app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
-from app.storage.store import MeasurementRow
+from jointplay.app.errors import BadFieldError
+from jointplay.app.http import paging
+from jointplay.app.http.handlers import note, problem_from
+from jointplay.app.pages.history import history, moment
+from jointplay.app.pages.page_forms import messages_of, plain_form
+from jointplay.app.pages.page_templates import templates
+from jointplay.app.problems import Problem
+from jointplay.app.routes.assets import check_baseline
+from jointplay.app.routes.pages import REFUSALS, context
+from jointplay.app.schemas.assets import AssetIn, AssetName
+from jointplay.app.scopes import Scope
+from jointplay.app.service import Service, of_request
+from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
+from jointplay.app.storage.store import MeasurementRow
 
 router = APIRouter(prefix="/assets")
 

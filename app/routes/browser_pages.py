@@ -8,19 +8,19 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from app.errors import BadFieldError
-from app.figures.pictures import machine_picture
-from app.figures.spectra import NAMES, UNITS
-from app.http.handlers import note, problem_from
-from app.pages import browsing
-from app.pages.page_forms import messages_of, plain_number
-from app.pages.page_templates import is_fragment, templates
-from app.routes.pages import REFUSALS, context
-from app.service import Service, of_request
-from app.shelves.catalogues import Offer
-from app.words import micrometres, order
-from solver.errors import UnitError
-from solver.machines.units import LENGTH, to_si
+from jointplay.app.errors import BadFieldError
+from jointplay.app.figures.pictures import machine_picture
+from jointplay.app.figures.spectra import NAMES, UNITS
+from jointplay.app.http.handlers import note, problem_from
+from jointplay.app.pages import browsing
+from jointplay.app.pages.page_forms import messages_of, plain_number
+from jointplay.app.pages.page_templates import is_fragment, templates
+from jointplay.app.routes.pages import REFUSALS, context
+from jointplay.app.service import Service, of_request
+from jointplay.app.shelves.catalogues import Offer
+from jointplay.app.words import micrometres, order
+from jointplay.solver.errors import UnitError
+from jointplay.solver.machines.units import LENGTH, to_si
 
 router = APIRouter(prefix="/catalogues")
 

@@ -10,20 +10,20 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
-from app.errors import BadFieldError, UnknownCatalogueError
-from app.http import paging
-from app.http.handlers import note, problem_from
-from app.jobs.build_orders import order, order_again
-from app.pages.build_view import PLANS, build_view, failures_view
-from app.pages.page_forms import messages_of, plain_form
-from app.pages.page_templates import is_fragment, templates
-from app.problems import Problem
-from app.routes.pages import REFUSALS, context
-from app.schemas.builds import BuildRequest
-from app.scopes import Scope
-from app.service import Service, of_request
-from app.storage.build_queue import BuildRow
-from catalogue.errors import CatalogueError
+from jointplay.app.errors import BadFieldError, UnknownCatalogueError
+from jointplay.app.http import paging
+from jointplay.app.http.handlers import note, problem_from
+from jointplay.app.jobs.build_orders import order, order_again
+from jointplay.app.pages.build_view import PLANS, build_view, failures_view
+from jointplay.app.pages.page_forms import messages_of, plain_form
+from jointplay.app.pages.page_templates import is_fragment, templates
+from jointplay.app.problems import Problem
+from jointplay.app.routes.pages import REFUSALS, context
+from jointplay.app.schemas.builds import BuildRequest
+from jointplay.app.scopes import Scope
+from jointplay.app.service import Service, of_request
+from jointplay.app.storage.build_queue import BuildRow
+from jointplay.catalogue.errors import CatalogueError
 
 router = APIRouter(prefix="/builds")
 

@@ -16,18 +16,18 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
-from app.errors import UnsupportedMediaError
-from app.etags import respond
-from app.http import paging
-from app.http.openapi import problems
-from app.jobs.build_orders import order
-from app.routes.diagnoses import JSON_TYPE, parsed
-from app.routes.machines import Cursor, Limit
-from app.schemas.builds import BuildOut, BuildPage, BuildRequest, build_out
-from app.service import Service, of_request
-from app.storage.build_queue import ENDED
-from app.storage.idempotency import IdempotencyKey, once
-from app.storage.uploads import media_type
+from jointplay.app.errors import UnsupportedMediaError
+from jointplay.app.etags import respond
+from jointplay.app.http import paging
+from jointplay.app.http.openapi import problems
+from jointplay.app.jobs.build_orders import order
+from jointplay.app.routes.diagnoses import JSON_TYPE, parsed
+from jointplay.app.routes.machines import Cursor, Limit
+from jointplay.app.schemas.builds import BuildOut, BuildPage, BuildRequest, build_out
+from jointplay.app.service import Service, of_request
+from jointplay.app.storage.build_queue import ENDED
+from jointplay.app.storage.idempotency import IdempotencyKey, once
+from jointplay.app.storage.uploads import media_type
 
 router = APIRouter(prefix="/builds", tags=["builds"])
 log = logging.getLogger(__name__)

@@ -7,14 +7,14 @@ import hashlib
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from app.etags import respond
-from app.http import paging
-from app.http.openapi import DRAWING, problems
-from app.routes.machines import Cursor, Limit
-from app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage
-from app.service import of_request
-from app.shelves.catalogues import Offer
-from solver.machines.drawing import machine_svg
+from jointplay.app.etags import respond
+from jointplay.app.http import paging
+from jointplay.app.http.openapi import DRAWING, problems
+from jointplay.app.routes.machines import Cursor, Limit
+from jointplay.app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage
+from jointplay.app.service import of_request
+from jointplay.app.shelves.catalogues import Offer
+from jointplay.solver.machines.drawing import machine_svg
 
 router = APIRouter(prefix="/catalogues", tags=["catalogues"])
 

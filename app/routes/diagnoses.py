@@ -13,21 +13,21 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
-from app.etags import respond
-from app.http import paging
-from app.http.file_fields import ASSET, FILE, SAID
-from app.http.openapi import COMPUTING, problems
-from app.routes.findings import Only, Since
-from app.routes.machines import Cursor, Limit
-from app.schemas.resources import DiagnosisItem, DiagnosisPage, DiagnosisRequest
-from app.service import of_request
-from app.storage.assets import diagnoses_of
-from app.storage.idempotency import IdempotencyKey, once
-from app.storage.results import DiagnosisOut, diagnosis_out
-from app.storage.store import DiagnosisRow, aware, measurement_key
-from app.storage.told import TOLD, Told, told_of
-from app.storage.uploads import MULTIPART, Form, media_type, received_form
+from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.etags import respond
+from jointplay.app.http import paging
+from jointplay.app.http.file_fields import ASSET, FILE, SAID
+from jointplay.app.http.openapi import COMPUTING, problems
+from jointplay.app.routes.findings import Only, Since
+from jointplay.app.routes.machines import Cursor, Limit
+from jointplay.app.schemas.resources import DiagnosisItem, DiagnosisPage, DiagnosisRequest
+from jointplay.app.service import of_request
+from jointplay.app.storage.assets import diagnoses_of
+from jointplay.app.storage.idempotency import IdempotencyKey, once
+from jointplay.app.storage.results import DiagnosisOut, diagnosis_out
+from jointplay.app.storage.store import DiagnosisRow, aware, measurement_key
+from jointplay.app.storage.told import TOLD, Told, told_of
+from jointplay.app.storage.uploads import MULTIPART, Form, media_type, received_form
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 

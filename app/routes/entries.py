@@ -8,14 +8,14 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from app.etags import matches, tag
-from app.http import paging
-from app.http.negotiation import chosen_type
-from app.http.openapi import problems
-from app.schemas.entries import EntryDetail, EntryPage, EntryQuery
-from app.service import Service, of_request
-from app.shelves.entries import Rendered
-from app.shelves.entry_forms import FORMS
+from jointplay.app.etags import matches, tag
+from jointplay.app.http import paging
+from jointplay.app.http.negotiation import chosen_type
+from jointplay.app.http.openapi import problems
+from jointplay.app.schemas.entries import EntryDetail, EntryPage, EntryQuery
+from jointplay.app.service import Service, of_request
+from jointplay.app.shelves.entries import Rendered
+from jointplay.app.shelves.entry_forms import FORMS
 
 router = APIRouter(prefix="/catalogues/{name}/entries", tags=["catalogues"])
 

@@ -7,17 +7,17 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.etags import respond
-from app.http import paging
-from app.http.openapi import problems
-from app.moments import Moment
-from app.routes.machines import Cursor, Limit
-from app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
-from app.service import of_request
-from app.storage.assets import Assets, FindingRow
-from app.storage.idempotency import IdempotencyKey, once
-from app.storage.store import aware
-from app.storage.uploads import JSON_TYPE, json_body
+from jointplay.app.etags import respond
+from jointplay.app.http import paging
+from jointplay.app.http.openapi import problems
+from jointplay.app.moments import Moment
+from jointplay.app.routes.machines import Cursor, Limit
+from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
+from jointplay.app.service import of_request
+from jointplay.app.storage.assets import Assets, FindingRow
+from jointplay.app.storage.idempotency import IdempotencyKey, once
+from jointplay.app.storage.store import aware
+from jointplay.app.storage.uploads import JSON_TYPE, json_body
 
 router = APIRouter(tags=["findings"])
 

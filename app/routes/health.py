@@ -7,10 +7,10 @@ from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response
 
-from app.http.openapi import problems
-from app.http.readiness import check
-from app.schemas.resources import Health, Readiness
-from app.service import of_request
+from jointplay.app.http.openapi import problems
+from jointplay.app.http.readiness import check
+from jointplay.app.schemas.resources import Health, Readiness
+from jointplay.app.service import of_request
 
 router = APIRouter(tags=["health"])
 

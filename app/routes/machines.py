@@ -9,17 +9,17 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from app.errors import BadRequestError, UnsupportedMediaError
-from app.etags import Conditions, respond, tag
-from app.http import paging
-from app.http.openapi import DRAWING, problems
-from app.jobs import tasks
-from app.schemas.resources import MachineItem, MachinePage
-from app.service import of_request
-from app.storage.machine_store import check_name
-from app.storage.uploads import media_type
-from solver.machines.drawing import machine_svg
-from solver.machines.machine import Machine, shipped_machine_names
+from jointplay.app.errors import BadRequestError, UnsupportedMediaError
+from jointplay.app.etags import Conditions, respond, tag
+from jointplay.app.http import paging
+from jointplay.app.http.openapi import DRAWING, problems
+from jointplay.app.jobs import tasks
+from jointplay.app.schemas.resources import MachineItem, MachinePage
+from jointplay.app.service import of_request
+from jointplay.app.storage.machine_store import check_name
+from jointplay.app.storage.uploads import media_type
+from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.machine import Machine, shipped_machine_names
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 

@@ -7,19 +7,19 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from app.etags import respond
-from app.http import paging
-from app.http.file_fields import ASSET, FILE, SAID
-from app.http.openapi import COMPUTING, problems
-from app.routes.findings import Only
-from app.routes.machines import Cursor, Limit
-from app.schemas.resources import MeasurementOut, MeasurementPage
-from app.service import of_request
-from app.storage.assets import measurements_of
-from app.storage.idempotency import IdempotencyKey, once
-from app.storage.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
-from app.storage.store import MeasurementRow, aware
-from app.storage.uploads import MULTIPART
+from jointplay.app.etags import respond
+from jointplay.app.http import paging
+from jointplay.app.http.file_fields import ASSET, FILE, SAID
+from jointplay.app.http.openapi import COMPUTING, problems
+from jointplay.app.routes.findings import Only
+from jointplay.app.routes.machines import Cursor, Limit
+from jointplay.app.schemas.resources import MeasurementOut, MeasurementPage
+from jointplay.app.service import of_request
+from jointplay.app.storage.assets import measurements_of
+from jointplay.app.storage.idempotency import IdempotencyKey, once
+from jointplay.app.storage.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
+from jointplay.app.storage.store import MeasurementRow, aware
+from jointplay.app.storage.uploads import MULTIPART
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 

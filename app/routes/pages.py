@@ -16,23 +16,23 @@ from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
 
-from app.errors import AppError, BadFieldError
-from app.etags import respond
-from app.http.handlers import note, problem_from
-from app.jobs.workers import TaskFailedError
-from app.pages import understanding
-from app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, wanted
-from app.pages.page_templates import is_fragment, templates
-from app.pages.understood import confirmation
-from app.pages.views import view
-from app.problems import Problem
-from app.service import Service, of_request
-from app.storage.assets import Assets
-from app.storage.store import DiagnosisRow
-from app.storage.told import told_of
-from app.storage.uploads import received_form
-from catalogue.errors import CatalogueError
-from solver.errors import SolverError
+from jointplay.app.errors import AppError, BadFieldError
+from jointplay.app.etags import respond
+from jointplay.app.http.handlers import note, problem_from
+from jointplay.app.jobs.workers import TaskFailedError
+from jointplay.app.pages import understanding
+from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, wanted
+from jointplay.app.pages.page_templates import is_fragment, templates
+from jointplay.app.pages.understood import confirmation
+from jointplay.app.pages.views import view
+from jointplay.app.problems import Problem
+from jointplay.app.service import Service, of_request
+from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.store import DiagnosisRow
+from jointplay.app.storage.told import told_of
+from jointplay.app.storage.uploads import received_form
+from jointplay.catalogue.errors import CatalogueError
+from jointplay.solver.errors import SolverError
 
 router = APIRouter()
 

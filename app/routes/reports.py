@@ -9,14 +9,14 @@ from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from app.etags import matches, respond
-from app.http.negotiation import chosen_type
-from app.http.openapi import problems
-from app.reports.content import Report, report_of
-from app.reports.figures import Figures, figures_of
-from app.reports.html import html, policy
-from app.reports.pdf import pdf
-from app.service import Service, of_request
+from jointplay.app.etags import matches, respond
+from jointplay.app.http.negotiation import chosen_type
+from jointplay.app.http.openapi import problems
+from jointplay.app.reports.content import Report, report_of
+from jointplay.app.reports.figures import Figures, figures_of
+from jointplay.app.reports.html import html, policy
+from jointplay.app.reports.pdf import pdf
+from jointplay.app.service import Service, of_request
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 

@@ -8,12 +8,12 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
-from app.errors import UnauthorizedError, UnsupportedMediaError
-from app.http.gate import COOKIE
-from app.pages.page_templates import templates
-from app.service import of_request
-from app.storage.keys import SESSION, Keys
-from app.storage.uploads import media_type
+from jointplay.app.errors import UnauthorizedError, UnsupportedMediaError
+from jointplay.app.http.gate import COOKIE
+from jointplay.app.pages.page_templates import templates
+from jointplay.app.service import of_request
+from jointplay.app.storage.keys import SESSION, Keys
+from jointplay.app.storage.uploads import media_type
 
 router = APIRouter()
 FORM = "application/x-www-form-urlencoded"

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from app.schemas.resources import Page, Shape
-from app.storage.build_queue import BuildRow, State
-from app.storage.store import aware
+from jointplay.app.schemas.resources import Page, Shape
+from jointplay.app.storage.build_queue import BuildRow, State
+from jointplay.app.storage.store import aware
 
 CATALOGUE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.schemas.resources import Page, Shape
+from jointplay.app.schemas.resources import Page, Shape
 
 Micrometres = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
-from catalogue.matching.prior import LARGEST, Prior
+from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 Effort = Literal["fast", "standard", "thorough"]
 Mode = Literal["auto", "trusted", "robust"]

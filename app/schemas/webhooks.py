@@ -7,8 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from app.schemas.resources import Page, Shape
-from app.storage.webhooks import EVENTS, Event
+from jointplay.app.schemas.resources import Page, Shape
+from jointplay.app.storage.webhooks import EVENTS, Event
 
 
 class WebhookIn(Shape):

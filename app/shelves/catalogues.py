@@ -11,14 +11,14 @@ from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.errors import UnknownCatalogueError
-from app.schemas.resources import CatalogueDetail, SensorItem
-from catalogue.errors import CatalogueError
-from catalogue.storage.directory import CatalogueDirectory
+from jointplay.app.errors import UnknownCatalogueError
+from jointplay.app.schemas.resources import CatalogueDetail, SensorItem
+from jointplay.catalogue.errors import CatalogueError
+from jointplay.catalogue.storage.directory import CatalogueDirectory
 
 if TYPE_CHECKING:
-    from catalogue.storage.store import Catalogue
-    from solver.machines.machine import Machine
+    from jointplay.catalogue.storage.store import Catalogue
+    from jointplay.solver.machines.machine import Machine
 
 log = logging.getLogger(__name__)
 
@@ -131,7 +131,7 @@ def describe(path: Path, stamp: str) -> Offer:
     CatalogueError
         When it cannot be opened.
     """
-    from catalogue.storage.store import Catalogue
+    from jointplay.catalogue.storage.store import Catalogue
 
     catalogue = Catalogue.open(path)
     return Offer(path, stamp, catalogue.machine, describe_open(catalogue, path.name))

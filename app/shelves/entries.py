@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.errors import BadCursorError, BadFieldError
-from app.schemas.entries import EntryFilter, EntryItem
-from app.shelves.entry_forms import FORMS, RENDERING, micrometres
+from jointplay.app.errors import BadCursorError, BadFieldError
+from jointplay.app.schemas.entries import EntryFilter, EntryItem
+from jointplay.app.shelves.entry_forms import FORMS, RENDERING, micrometres
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from app.shelves.catalogues import Offer
-    from catalogue.storage.store import Catalogue
-    from catalogue.storage.table import EntryTable
+    from jointplay.app.shelves.catalogues import Offer
+    from jointplay.catalogue.storage.store import Catalogue
+    from jointplay.catalogue.storage.table import EntryTable
 
 OPEN_CATALOGUES = 4
 KEPT_BYTES = 64_000_000
@@ -132,7 +132,7 @@ class EntryShelf:
         return [item(table, row) for row in range(len(table))], len(rows)
 
     def _catalogue(self, offer: Offer) -> Catalogue:
-        from catalogue.storage.store import Catalogue
+        from jointplay.catalogue.storage.store import Catalogue
 
         place = (str(offer.path), offer.stamp)
         if place not in self._open:

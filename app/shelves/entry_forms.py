@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from app.schemas.entries import ComplexSeries, EntryDetail, EntrySpectrum
+from jointplay.app.schemas.entries import ComplexSeries, EntryDetail, EntrySpectrum
 
 if TYPE_CHECKING:
-    from catalogue.storage.stored_entry import StoredEntry
+    from jointplay.catalogue.storage.stored_entry import StoredEntry
 
 RENDERING = 1
 """Raised when a form changes: entity tags rest on it."""
@@ -26,7 +26,7 @@ POINT = "centre of gravity of the frame"
 
 def spectrum_of(entry: StoredEntry) -> EntrySpectrum | None:
     """Return the spectrum in its JSON shape; ``None`` where the case failed."""
-    from catalogue.storage.cross_power import CHANNELS, UNITS
+    from jointplay.catalogue.storage.cross_power import CHANNELS, UNITS
 
     if entry.power is None or entry.spread_db is None:
         return None
@@ -107,7 +107,7 @@ def table_of(entry: StoredEntry) -> npt.NDArray[np.void]:
 
 def as_csv(entry: StoredEntry) -> bytes:
     """Return the bands as a table with units in its head; only the head where the case failed."""
-    from catalogue.storage.cross_power import CHANNELS, PACKED, UNITS, pack
+    from jointplay.catalogue.storage.cross_power import CHANNELS, PACKED, UNITS, pack
 
     motion = {"x": "m/s2", "y": "m/s2", "theta": "rad/s2"}
     products = [f"({motion[name.split()[-2]]})({motion[name.split()[-1]]})" for name in PACKED[3:]]
@@ -130,8 +130,8 @@ def as_csv(entry: StoredEntry) -> bytes:
 
 def as_hdf5(entry: StoredEntry) -> bytes:
     """Return an entry as HDF5: arrays with their units, all else as attributes."""
-    from catalogue.storage.cross_power import CHANNELS, UNITS
-    from catalogue.storage.hdf5 import arrays_image
+    from jointplay.catalogue.storage.cross_power import CHANNELS, UNITS
+    from jointplay.catalogue.storage.hdf5 import arrays_image
 
     arrays: dict[str, npt.NDArray[Any]] = {
         "band_edges": np.array(entry.scheme.edges),

@@ -12,11 +12,11 @@ from typing import Any
 from sqlalchemy import ForeignKey, Select, String, Text, select
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
-from app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
-from app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
-from app.storage.database import Database
-from app.storage.store import Base, DiagnosisRow, newest, now
-from app.storage.webhooks import announce
+from jointplay.app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
+from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
+from jointplay.app.storage.database import Database
+from jointplay.app.storage.store import Base, DiagnosisRow, newest, now
+from jointplay.app.storage.webhooks import announce
 
 
 class AssetRow(Base):

@@ -20,10 +20,10 @@ from typing import Any
 from sqlalchemy import Integer, func, insert, select
 from sqlalchemy.engine import URL, make_url
 
-from app.errors import BackupError
-from app.storage.database import REVISION, Database, database_url
-from app.storage.store import Base, MeasurementRow, now, recording_path
-from catalogue.storage.directory import CatalogueDirectory, publish, sync_folder
+from jointplay.app.errors import BackupError
+from jointplay.app.storage.database import REVISION, Database, database_url
+from jointplay.app.storage.store import Base, MeasurementRow, now, recording_path
+from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, sync_folder
 
 FORMAT = 1
 ROWS = "service.sqlite"
@@ -172,7 +172,7 @@ def sealed(source: Path) -> dict[str, Any]:
 
 def known_tables() -> None:
     """Load every module that has a table."""
-    import app.main  # noqa: F401
+    import jointplay.app.main  # noqa: F401
 
 
 def sqlite(path: Path) -> URL:

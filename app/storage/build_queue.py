@@ -16,10 +16,10 @@ from typing import Any, Literal, NamedTuple, get_args
 from sqlalchemy import Double, String, Text, and_, func, or_, select
 from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 
-from app.errors import BuildEndedError, UnknownBuildError
-from app.logs import request_id
-from app.storage.database import Database
-from app.storage.store import Base, newest, now
+from jointplay.app.errors import BuildEndedError, UnknownBuildError
+from jointplay.app.logs import request_id
+from jointplay.app.storage.database import Database
+from jointplay.app.storage.store import Base, newest, now
 
 ATTEMPTS = 5
 """How often a build is begun before one whose process or server dies each time is given up."""

@@ -27,10 +27,10 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
-from app.errors import AppError, BadFieldError
+from jointplay.app.errors import AppError, BadFieldError
 
 REVISION = "0003"
-"""The newest revision in :mod:`app.migrations`."""
+"""The newest revision in :mod:`jointplay.app.migrations`."""
 
 VERSION_TABLE = "service_revision"
 """Where Alembic notes the revision; a name of its own, because the database may be shared with other programs."""
@@ -200,7 +200,7 @@ class Database:
             if layout not in FORMER_LAYOUTS:
                 raise AppError(f"{self.name}: has layout {layout}, made by another version of the program")
         config = Config()
-        config.set_main_option("script_location", "app:migrations")
+        config.set_main_option("script_location", "jointplay.app:migrations")
         config.attributes.update(connection=connection, version_table=VERSION_TABLE)
         revision = revision_of(connection)
         try:

@@ -21,9 +21,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.errors import KeyInUseError, KeyReusedError
-from app.storage.database import Database
-from app.storage.store import Base, now
+from jointplay.app.errors import KeyInUseError, KeyReusedError
+from jointplay.app.storage.database import Database
+from jointplay.app.storage.store import Base, now
 
 HEADER = "idempotency-key"
 LONGEST = 255

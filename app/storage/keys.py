@@ -11,10 +11,10 @@ from datetime import datetime, timedelta
 from sqlalchemy import String, delete, select
 from sqlalchemy.orm import Mapped, mapped_column
 
-from app.errors import UnauthorizedError, UnknownKeyError
-from app.scopes import Scope
-from app.storage.database import Database, is_id
-from app.storage.store import Base, aware, now
+from jointplay.app.errors import UnauthorizedError, UnknownKeyError
+from jointplay.app.scopes import Scope
+from jointplay.app.storage.database import Database, is_id
+from jointplay.app.storage.store import Base, aware, now
 
 PREFIX = "jp"
 ID_BYTES = 6

@@ -7,10 +7,16 @@ from pathlib import Path
 
 from filelock import FileLock
 
-from app.errors import BadFieldError, PreconditionError, ShippedMachineError, UnknownMachineError
-from app.etags import Conditions
-from catalogue.storage.directory import publish
-from solver.machines.machine import Machine, load_machine, parse_machine, shipped_machine, shipped_machine_names
+from jointplay.app.errors import BadFieldError, PreconditionError, ShippedMachineError, UnknownMachineError
+from jointplay.app.etags import Conditions
+from jointplay.catalogue.storage.directory import publish
+from jointplay.solver.machines.machine import (
+    Machine,
+    load_machine,
+    parse_machine,
+    shipped_machine,
+    shipped_machine_names,
+)
 
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
 RULE = "must be 1 to 63 of a-z, 0-9, - and _, the first a letter or digit"

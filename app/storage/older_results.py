@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from statistics import NormalDist
 from typing import Any
 
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import parse_machine
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import parse_machine
 
 PRIOR = {"another": 0.15, "joints": {}}
 """What answers before 2.1 held likely before a measurement."""

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.storage.store import DiagnosisRow, aware
-from catalogue.diagnosing.answer import (
+from jointplay.app.storage.store import DiagnosisRow, aware
+from jointplay.catalogue.diagnosing.answer import (
     BaselineShown,
     Cause,
     Effort,

@@ -13,12 +13,12 @@ from pydantic import FailFast, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
-from app.schemas.resources import Shape
-from app.storage.store import Store, Upload
-from app.storage.told import TOLD, Told, told_of
-from app.storage.uploads import MULTIPART, base_name, media_type, received_form
-from catalogue.measurements.import_profile import ImportProfile
+from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.schemas.resources import Shape
+from jointplay.app.storage.store import Store, Upload
+from jointplay.app.storage.told import TOLD, Told, told_of
+from jointplay.app.storage.uploads import MULTIPART, base_name, media_type, received_form
+from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 JSON_TYPE = "application/json"
 ENDING = ".json"

@@ -19,11 +19,11 @@ from sqlalchemy.engine import URL
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, reconstructor
 from sqlalchemy.orm.attributes import set_committed_value
 
-from app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
-from app.storage.database import Database, UtcDateTime, database_url
-from app.storage.older_results import in_present_form
-from app.storage.told import Told
-from catalogue.storage.directory import sync_folder
+from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.storage.database import Database, UtcDateTime, database_url
+from jointplay.app.storage.older_results import in_present_form
+from jointplay.app.storage.told import Told
+from jointplay.catalogue.storage.directory import sync_folder
 
 PARTIAL = "partial-"
 """Beginning of the name of an upload that is on its way."""

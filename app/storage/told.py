@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from app.errors import BadFieldError
+from jointplay.app.errors import BadFieldError
 
 if TYPE_CHECKING:
-    from catalogue.measurements.import_profile import ImportProfile
+    from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 #: Where in a profile a field of a form goes.
 PLACES: dict[str, tuple[str, ...]] = {
@@ -43,7 +43,7 @@ class Told:
     units : Mapping
         Column to unit; ``*`` for all columns that have none.
     profile : Mapping
-        Members of a :class:`catalogue.measurements.import_profile.ImportProfile` that are set.
+        Members of a :class:`jointplay.catalogue.measurements.import_profile.ImportProfile` that are set.
     """
 
     sample_rate_hz: float | None = None
@@ -65,7 +65,7 @@ class Told:
     @property
     def import_profile(self) -> ImportProfile:
         """The profile that a file is read by."""
-        from catalogue.measurements.import_profile import ImportProfile
+        from jointplay.catalogue.measurements.import_profile import ImportProfile
 
         return ImportProfile.model_validate(self.profile)
 
@@ -98,8 +98,8 @@ def rate_of(given: str | None) -> float | None:
     ------
     BadFieldError
     """
-    from solver.errors import UnitError
-    from solver.machines.units import FREQUENCY, to_si
+    from jointplay.solver.errors import UnitError
+    from jointplay.solver.machines.units import FREQUENCY, to_si
 
     if not given:
         return None
@@ -119,7 +119,7 @@ def pairs_of(name: str, text: str) -> dict[str, str]:
     ------
     BadFieldError
     """
-    from catalogue.measurements.readers.validity import NO_TEXT
+    from jointplay.catalogue.measurements.readers.validity import NO_TEXT
 
     if NO_TEXT.search(text):
         raise BadFieldError(f"{name}: holds a character that is no text", field=name)
@@ -160,8 +160,8 @@ def profile_of(text: str | None, said: Mapping[str, str]) -> dict[str, Any]:
     """
     from pydantic import ValidationError
 
-    from catalogue.errors import MeasurementError
-    from catalogue.measurements.import_profile import ImportProfile, full_scale_of, parse_profile
+    from jointplay.catalogue.errors import MeasurementError
+    from jointplay.catalogue.measurements.import_profile import ImportProfile, full_scale_of, parse_profile
 
     try:
         profile = parse_profile(text, "profile") if text is not None else ImportProfile()

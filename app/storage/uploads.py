@@ -11,8 +11,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
-from app.errors import BadFieldError, UnsupportedMediaError
-from app.storage.store import Store, Upload
+from jointplay.app.errors import BadFieldError, UnsupportedMediaError
+from jointplay.app.storage.store import Store, Upload
 
 MULTIPART = "multipart/form-data"
 JSON_TYPE = "application/json"

@@ -17,10 +17,10 @@ from typing import Any, Literal, get_args
 from sqlalchemy import JSON, ForeignKey, String, Text, delete, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
-from app.errors import UnknownWebhookError
-from app.storage import idempotency
-from app.storage.database import Database, is_id
-from app.storage.store import Base, newest, now
+from jointplay.app.errors import UnknownWebhookError
+from jointplay.app.storage import idempotency
+from jointplay.app.storage.database import Database, is_id
+from jointplay.app.storage.store import Base, newest, now
 
 Event = Literal["diagnosis.created", "finding.created"]
 EVENTS: tuple[str, ...] = get_args(Event)

@@ -7,23 +7,23 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from catalogue.building.chunk import Chunk, Compute, chunked, simulate_chunk
-from catalogue.building.executors import Executor, InProcess, LocalProcesses
-from catalogue.building.scheduling import Scheduler, Tally
-from catalogue.errors import CatalogueFileError
-from catalogue.plans.entry import Entry
-from catalogue.plans.plan import Plan
-from catalogue.storage.database import Database
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.index import ChunkRow, Index
-from catalogue.storage.location import IndexLocation
-from catalogue.storage.locks import BuilderLock
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.recovery import match_files, open_index
-from catalogue.storage.sealing import seal
-from catalogue.storage.shard import OK
-from solver.machines.machine import Machine
-from solver.simulation.simulate import check_assembly
+from jointplay.catalogue.building.chunk import Chunk, Compute, chunked, simulate_chunk
+from jointplay.catalogue.building.executors import Executor, InProcess, LocalProcesses
+from jointplay.catalogue.building.scheduling import Scheduler, Tally
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.plans.entry import Entry
+from jointplay.catalogue.plans.plan import Plan
+from jointplay.catalogue.storage.database import Database
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.index import ChunkRow, Index
+from jointplay.catalogue.storage.location import IndexLocation
+from jointplay.catalogue.storage.locks import BuilderLock
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.recovery import match_files, open_index
+from jointplay.catalogue.storage.sealing import seal
+from jointplay.catalogue.storage.shard import OK
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.simulate import check_assembly
 
 __all__ = ["BuildReport", "Progress", "build"]
 

@@ -10,15 +10,15 @@ from itertools import zip_longest
 
 import numpy as np
 
-from catalogue.building.guard import mean_difference_db
-from catalogue.plans.entry import Entry, Recipe
-from catalogue.plans.keys import content_digest
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from catalogue.storage.shard import OK, Outcome
-from solver.cases.steps import Accuracy
-from solver.machines.machine import Machine, parse_machine
-from solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
-from solver.spectra.band_power import band_matrix
+from jointplay.catalogue.building.guard import mean_difference_db
+from jointplay.catalogue.plans.entry import Entry, Recipe
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.solver.cases.steps import Accuracy
+from jointplay.solver.machines.machine import Machine, parse_machine
+from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
+from jointplay.solver.spectra.band_power import band_matrix
 
 __all__ = ["Chunk", "Compute", "chunked", "simulate_chunk"]
 

@@ -11,9 +11,9 @@ from concurrent.futures import CancelledError, Future
 from functools import lru_cache
 from typing import Any, TypeVar
 
-import solver
-from catalogue.errors import BuildError, SchedulerAddressError
-from catalogue.storage.manifest import package_versions
+from jointplay import solver
+from jointplay.catalogue.errors import BuildError, SchedulerAddressError
+from jointplay.catalogue.storage.manifest import package_versions
 
 __all__ = ["DaskCluster", "check_address"]
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 
-from catalogue.building.executors import InProcess, LocalProcesses
-from catalogue.errors import BuildError
-from catalogue.matching.learning import Learning
-from catalogue.matching.network_shelf import NetworkShelf
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.building.executors import InProcess, LocalProcesses
+from jointplay.catalogue.errors import BuildError
+from jointplay.catalogue.matching.learning import Learning
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["train_networks"]
 

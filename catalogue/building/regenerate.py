@@ -9,15 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from catalogue.building.chunk import Chunk, Compute, chunked, simulate_chunk
-from catalogue.building.executors import Executor, InProcess, LocalProcesses
-from catalogue.errors import CatalogueMismatchError
-from catalogue.plans.entry import Entry
-from catalogue.storage.cross_power import pack
-from catalogue.storage.feature_bands import LEAST_POWER
-from catalogue.storage.manifest import package_versions, this_platform
-from catalogue.storage.shard import Outcome
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.building.chunk import Chunk, Compute, chunked, simulate_chunk
+from jointplay.catalogue.building.executors import Executor, InProcess, LocalProcesses
+from jointplay.catalogue.errors import CatalogueMismatchError
+from jointplay.catalogue.plans.entry import Entry
+from jointplay.catalogue.storage.cross_power import pack
+from jointplay.catalogue.storage.feature_bands import LEAST_POWER
+from jointplay.catalogue.storage.manifest import package_versions, this_platform
+from jointplay.catalogue.storage.shard import Outcome
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["TOLERANCE_DB", "Compared", "RegenerateReport", "regenerate"]
 

@@ -14,15 +14,15 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from functools import partial
 
-from catalogue.building.chunk import Chunk, Compute
-from catalogue.building.executors import Executor
-from catalogue.building.tasks import Task, Work
-from catalogue.errors import BuildError, CatalogueError, CatalogueFileError
-from catalogue.storage.directory import CatalogueDirectory, publish, sha256_of
-from catalogue.storage.hdf5 import encode_shard
-from catalogue.storage.index import ChunkStatus, EntriesPresentError, Index
-from catalogue.storage.shard import OK, Outcome, Shard, ShardHeader
-from solver.errors import SolverError
+from jointplay.catalogue.building.chunk import Chunk, Compute
+from jointplay.catalogue.building.executors import Executor
+from jointplay.catalogue.building.tasks import Task, Work
+from jointplay.catalogue.errors import BuildError, CatalogueError, CatalogueFileError
+from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, sha256_of
+from jointplay.catalogue.storage.hdf5 import encode_shard
+from jointplay.catalogue.storage.index import ChunkStatus, EntriesPresentError, Index
+from jointplay.catalogue.storage.shard import OK, Outcome, Shard, ShardHeader
+from jointplay.solver.errors import SolverError
 
 __all__ = ["ATTEMPTS", "Scheduler", "Tally"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from catalogue.building.chunk import Chunk
-from catalogue.storage.shard import Outcome
+from jointplay.catalogue.building.chunk import Chunk
+from jointplay.catalogue.storage.shard import Outcome
 
 __all__ = ["Task", "Work"]
 

@@ -14,16 +14,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.diagnosing.baseline_fit import MOST_STEPS, Fit, fitted_numbers
-from catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
-from catalogue.diagnosing.healthy_machine import HealthyMachine
-from catalogue.diagnosing.tuning import quantities
-from catalogue.errors import DiagnosisError
-from catalogue.plans.entry import HEALTHY
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.suspension import with_filed_suspension
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import Machine
+from jointplay.catalogue.diagnosing.baseline_fit import MOST_STEPS, Fit, fitted_numbers
+from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
+from jointplay.catalogue.diagnosing.healthy_machine import HealthyMachine
+from jointplay.catalogue.diagnosing.tuning import quantities
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.plans.entry import HEALTHY
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.suspension import with_filed_suspension
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["Baseline", "Estimate", "fit_baseline"]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels
-from catalogue.diagnosing.healthy_machine import STEP, HealthyMachine, Motion
-from catalogue.errors import DiagnosisError
+from jointplay.catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels
+from jointplay.catalogue.diagnosing.healthy_machine import STEP, HealthyMachine, Motion
+from jointplay.catalogue.errors import DiagnosisError
 
 __all__ = ["MOST_STEPS", "Fit", "fitted_numbers"]
 

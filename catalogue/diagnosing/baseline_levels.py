@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.plans.parameters import MachineNumbers
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.storage.cross_power import unpack
-from catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.cross_power import unpack
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["LevelStatistics", "OrderLevels", "class_statistics", "share_beyond"]
 

@@ -1,7 +1,7 @@
 """Changes other than play that a machine may have, family by family, and what each makes of the frame's motion.
 
-A family changes what acts on the frame (:mod:`catalogue.diagnosing.cause_wrenches`) or the frame and its supports
-(mass, a mount, all mounts). Its members differ by a number or two.
+A family changes what acts on the frame (:mod:`jointplay.catalogue.diagnosing.cause_wrenches`) or the frame and its
+supports (mass, a mount, all mounts). Its members differ by a number or two.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.diagnosing.cause_wrenches import FamilyWrench, Wrench, family_wrenches
-from catalogue.signals.suspension import accelerance
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from solver.machines.machine import Machine
-from solver.machines.parts import Mount
+from jointplay.catalogue.diagnosing.cause_wrenches import FamilyWrench, Wrench, family_wrenches
+from jointplay.catalogue.signals.suspension import accelerance
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Mount
 
 __all__ = ["Family", "IdealFrame", "families_of", "power_of"]
 

@@ -9,8 +9,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
-from catalogue.diagnosing.cause_families import Family, IdealFrame, power_of
+from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
+from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, power_of
 
 __all__ = ["Misfit"]
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.diagnosing.frame_forces import MACHINES_KEPT, Revolution, pose_speed, wrench_orders
-from catalogue.plans.variants import output_load
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from solver.machines.joints import TurningJoint
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
+from jointplay.catalogue.diagnosing.frame_forces import MACHINES_KEPT, Revolution, pose_speed, wrench_orders
+from jointplay.catalogue.plans.variants import output_load
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["FamilyWrench", "Wrench", "family_wrenches"]
 

@@ -15,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import logsumexp
 
-from catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics, share_beyond
-from catalogue.diagnosing.cause_families import Family, IdealFrame, families_of
-from catalogue.diagnosing.cause_misfit import Misfit
-from catalogue.diagnosing.cause_search import least_of
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.suspension import on_mounts
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics, share_beyond
+from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, families_of
+from jointplay.catalogue.diagnosing.cause_misfit import Misfit
+from jointplay.catalogue.diagnosing.cause_search import least_of
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.suspension import on_mounts
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["NamedCause", "name_causes"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from catalogue.matching.coherence import ComplexArray, common_noise, pairs_of
-from catalogue.matching.matcher import BoolArray, FloatArray
-from catalogue.matching.observation import Sensing
-from catalogue.signals.features import PreparedMeasurement
+from jointplay.catalogue.matching.coherence import ComplexArray, common_noise, pairs_of
+from jointplay.catalogue.matching.matcher import BoolArray, FloatArray
+from jointplay.catalogue.matching.observation import Sensing
+from jointplay.catalogue.signals.features import PreparedMeasurement
 
 __all__ = ["exact_sensing", "measured_features", "watched"]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import get_args
 
-import solver
-from catalogue.diagnosing.answer import (
+import jointplay
+from jointplay.catalogue.diagnosing.answer import (
     Cause,
     Diagnosis,
     Effort,
@@ -24,10 +24,10 @@ from catalogue.diagnosing.answer import (
     Provenance,
     SensorFlaw,
 )
-from catalogue.diagnosing.baseline import fit_baseline
-from catalogue.diagnosing.causes import NamedCause
-from catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
-from catalogue.diagnosing.evidence import (
+from jointplay.catalogue.diagnosing.baseline import fit_baseline
+from jointplay.catalogue.diagnosing.causes import NamedCause
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
+from jointplay.catalogue.diagnosing.evidence import (
     evidence,
     hypothesis_shown,
     number_warnings,
@@ -35,24 +35,24 @@ from catalogue.diagnosing.evidence import (
     speed_warnings,
     suggestions_shown,
 )
-from catalogue.diagnosing.joint_states import edge_warnings, joint_states
-from catalogue.diagnosing.known_machine import KnownMachine
-from catalogue.diagnosing.separation import suggest
-from catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
-from catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
-from catalogue.errors import DiagnosisError
-from catalogue.matching.gaussian import GaussianAlongClearance
-from catalogue.matching.libraries import library_of
-from catalogue.matching.matcher import FloatArray, Matcher, MatchResult
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.matching.observation import Sensing
-from catalogue.matching.prior import Prior
-from catalogue.matching.threads import one_thread
-from catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from catalogue.measurements.measurement import Measurement
-from catalogue.signals.features import PreparedMeasurement, prepare
-from catalogue.signals.suspension import with_filed_suspension
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.separation import suggest
+from jointplay.catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
+from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
+from jointplay.catalogue.matching.libraries import library_of
+from jointplay.catalogue.matching.matcher import FloatArray, Matcher, MatchResult
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.observation import Sensing
+from jointplay.catalogue.matching.prior import Prior
+from jointplay.catalogue.matching.threads import one_thread
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.suspension import with_filed_suspension
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["Question", "answer", "diagnose"]
 
@@ -284,7 +284,7 @@ def answer(
         measurement_sha256=sha256,
         catalogue_sha256=catalogue.id,
         machine_sha256=catalogue.machine.content_key,
-        solver_version=solver.__version__,
+        solver_version=jointplay.__version__,
         catalogue_solver_version=catalogue.manifest.versions.get("jointplay", ""),
         matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,

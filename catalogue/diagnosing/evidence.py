@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import asdict
 
-from catalogue.diagnosing.answer import BandEvidence, Evidence, Hypothesis, JointClearance, SuggestionShown
-from catalogue.diagnosing.baseline import Baseline
-from catalogue.diagnosing.separation import Suggestion
-from catalogue.matching.matcher import FloatArray, HypothesisMatch, MatchResult
-from catalogue.signals.features import PreparedMeasurement
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, Hypothesis, JointClearance, SuggestionShown
+from jointplay.catalogue.diagnosing.baseline import Baseline
+from jointplay.catalogue.diagnosing.separation import Suggestion
+from jointplay.catalogue.matching.matcher import FloatArray, HypothesisMatch, MatchResult
+from jointplay.catalogue.signals.features import PreparedMeasurement
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = [
     "evidence",

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import DiagnosisError
-from catalogue.plans.parameters import DRIVE_SPEED
-from solver.cases.history import Case, Settings, Status
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
-from solver.simulation.simulate import simulate_batch
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.plans.parameters import DRIVE_SPEED
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.simulate import simulate_batch
 
 __all__ = ["MACHINES_KEPT", "Revolution", "pose_speed", "wrench_orders"]
 

@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit
 
-from catalogue.diagnosing.causes import LEAST_GAIN, NamedCause
-from catalogue.diagnosing.comparison import exact_sensing, measured_features
-from catalogue.matching.observation import Discrepancy, Sensing, observe
-from catalogue.matching.transfer import RandomTransfer
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.suspension import on_mounts
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing.causes import LEAST_GAIN, NamedCause
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
+from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.transfer import RandomTransfer
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.suspension import on_mounts
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["KnownLevels", "find_mode", "mode_of"]
 

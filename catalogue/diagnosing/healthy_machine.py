@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.diagnosing.tuning import Quantity
-from catalogue.errors import DiagnosisError
-from catalogue.plans.parameters import DRIVE_SPEED
-from catalogue.storage.store import Catalogue
-from solver.cases.history import Case, Settings, Status
-from solver.simulation.simulate import simulate_batch
-from solver.spectra.band_power import WINDOW_REVOLUTIONS, band_matrix
+from jointplay.catalogue.diagnosing.tuning import Quantity
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.plans.parameters import DRIVE_SPEED
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.simulation.simulate import simulate_batch
+from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, band_matrix
 
 __all__ = ["HealthyMachine", "Motion"]
 

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from catalogue.diagnosing.answer import Bound, Condition, JointState
-from catalogue.matching.joint_posterior import JointPosterior, joint_posteriors
-from catalogue.matching.matcher import HEALTHY, FloatArray, HypothesisMatch, MatchResult
-from catalogue.storage.store import Catalogue
-from solver.machines.joints import TurningJoint
+from jointplay.catalogue.diagnosing.answer import Bound, Condition, JointState
+from jointplay.catalogue.matching.joint_posterior import JointPosterior, joint_posteriors
+from jointplay.catalogue.matching.matcher import HEALTHY, FloatArray, HypothesisMatch, MatchResult
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.joints import TurningJoint
 
 __all__ = ["edge_warnings", "joint_states", "plays_of_fits"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.diagnosing.answer import BaselineShown, FittedNumber
-from catalogue.diagnosing.baseline import Baseline
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing.answer import BaselineShown, FittedNumber
+from jointplay.catalogue.diagnosing.baseline import Baseline
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["KnownMachine"]
 

@@ -18,16 +18,16 @@ import scipy.linalg
 import scipy.spatial
 import scipy.stats
 
-from catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
-from catalogue.matching.matcher import HypothesisMatch, MatchResult
-from catalogue.matching.observation import Discrepancy, Sensing, observe
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.sensors import free_motions
-from catalogue.storage.feature_bands import LEAST_POWER, joined
-from catalogue.storage.matrix import FeatureMatrix
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import Machine
-from solver.spectra.sensor import rigid_body, sensor_transform
+from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.sensors import free_motions
+from jointplay.catalogue.storage.feature_bands import LEAST_POWER, joined
+from jointplay.catalogue.storage.matrix import FeatureMatrix
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 
 __all__ = ["Suggestion", "suggest"]
 

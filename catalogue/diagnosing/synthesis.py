@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from catalogue.building.chunk import chunked, simulate_chunk
-from catalogue.diagnosing.answer import Mode
-from catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
-from catalogue.errors import DiagnosisError
-from catalogue.matching.coherence import compose
-from catalogue.matching.importance import weigh
-from catalogue.matching.matcher import (
+from jointplay.catalogue.building.chunk import chunked, simulate_chunk
+from jointplay.catalogue.diagnosing.answer import Mode
+from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.coherence import compose
+from jointplay.catalogue.matching.importance import weigh
+from jointplay.catalogue.matching.matcher import (
     NORMAL_90,
     ClearanceEstimate,
     FloatArray,
@@ -28,12 +28,12 @@ from catalogue.matching.matcher import (
     MatchResult,
     ranked,
 )
-from catalogue.matching.observation import grouped
-from catalogue.matching.population import Population
-from catalogue.plans.entry import Entry, Stratum
-from catalogue.plans.keys import seed_from
-from catalogue.storage.cross_power import pack
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.matching.observation import grouped
+from jointplay.catalogue.matching.population import Population
+from jointplay.catalogue.plans.entry import Entry, Stratum
+from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.storage.cross_power import pack
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["Recorded", "Refined", "Synthesis", "refine"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from catalogue.matching.matcher import FloatArray
-from catalogue.matching.observation import Sensing
+from jointplay.catalogue.matching.matcher import FloatArray
+from jointplay.catalogue.matching.observation import Sensing
 
 __all__ = ["Recorded", "Synthesis"]
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from catalogue.plans.parameters import MachineNumbers
-from solver.machines.machine import Machine
-from solver.machines.parts import Mount
+from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Mount
 
 __all__ = ["Quantity", "quantities"]
 

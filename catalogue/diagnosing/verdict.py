@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from catalogue.diagnosing.answer import Verdict
-from catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
-from catalogue.diagnosing.frame_modes import find_mode
-from catalogue.matching.matcher import HypothesisMatch, IntArray, MatchResult
-from catalogue.matching.model_library import DOUBTED_BELOW
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.sensor_flaws import SensorFlaw
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing.answer import Verdict
+from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
+from jointplay.catalogue.diagnosing.frame_modes import find_mode
+from jointplay.catalogue.matching.matcher import HypothesisMatch, IntArray, MatchResult
+from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["CHANGED_BELOW", "SURE_ABOVE", "UNKNOWN_BELOW", "find_causes", "judged", "needs_cause"]
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.diagnosing.frame_forces import Revolution
-from catalogue.evaluation.response import Response
-from catalogue.evaluation.truth import Truth, contact_of, drawn_contacts
-from catalogue.plans.keys import seed_from
-from catalogue.plans.parameters import MachineNumbers, nominal_drive_speed
-from catalogue.plans.variants import Variant, output_load
-from solver.machines.joints import SlidingJoint, TurningJoint
-from solver.machines.machine import Machine, parse_machine
+from jointplay.catalogue.diagnosing.frame_forces import Revolution
+from jointplay.catalogue.evaluation.response import Response
+from jointplay.catalogue.evaluation.truth import Truth, contact_of, drawn_contacts
+from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.parameters import MachineNumbers, nominal_drive_speed
+from jointplay.catalogue.plans.variants import Variant, output_load
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 __all__ = ["DIFFERENCES", "Difference", "with_differences"]
 

@@ -10,10 +10,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.signals.sensors import free_motions
-from catalogue.signals.suspension import accelerance, on_mounts
-from solver.machines.machine import Machine
-from solver.spectra.sensor import sensor_transform
+from jointplay.catalogue.signals.sensors import free_motions
+from jointplay.catalogue.signals.suspension import accelerance, on_mounts
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.sensor import sensor_transform
 
 __all__ = ["Blows", "Bursts", "Disturbance", "Tones", "transform_of"]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.evaluation.elsewhere import transform_of
-from catalogue.evaluation.protocols import Protocol
-from catalogue.evaluation.recordings import Recordings
-from catalogue.evaluation.truth import Truth
+from jointplay.catalogue.evaluation.elsewhere import transform_of
+from jointplay.catalogue.evaluation.protocols import Protocol
+from jointplay.catalogue.evaluation.recordings import Recordings
+from jointplay.catalogue.evaluation.truth import Truth
 
 __all__ = ["SEEN_FROM", "hidden"]
 

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 from scipy.stats import kstest
 
-from catalogue.diagnosing.answer import Bound, Condition, Diagnosis
-from catalogue.evaluation.truth import Truth
-from catalogue.matching.calibration import log_loss
-from catalogue.matching.matcher import ClearanceEstimate, MatchResult
-from catalogue.matching.sightings import SEEN_ABOVE, SEEN_SHARE
-from catalogue.plans.keys import seed_from
+from jointplay.catalogue.diagnosing.answer import Bound, Condition, Diagnosis
+from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.matching.calibration import log_loss
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
+from jointplay.catalogue.matching.sightings import SEEN_ABOVE, SEEN_SHARE
+from jointplay.catalogue.plans.keys import seed_from
 
 __all__ = [
     "JointAnswer",

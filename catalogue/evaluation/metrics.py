@@ -10,18 +10,18 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.diagnosing.answer import Diagnosis, Verdict
-from catalogue.evaluation.detection import auroc, rejected
-from catalogue.evaluation.joint_figures import (
+from jointplay.catalogue.diagnosing.answer import Diagnosis, Verdict
+from jointplay.catalogue.evaluation.detection import auroc, rejected
+from jointplay.catalogue.evaluation.joint_figures import (
     JointAnswer,
     JointFigures,
     credibility_of,
     joint_answers,
     joint_figures,
 )
-from catalogue.evaluation.truth import Truth
-from catalogue.matching.calibration import calibration_error, log_loss
-from catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.matching.calibration import calibration_error, log_loss
+from jointplay.catalogue.matching.matcher import MatchResult
 
 __all__ = ["Answered", "Figures", "JointScore", "ReliabilityBin", "figures", "joint_scores", "reliability"]
 
@@ -55,11 +55,12 @@ class Answered:
     simulations : int
         Cases simulated for it.
     hidden : bool
-        The recording cannot be told from one of the same machine in order, see :mod:`catalogue.evaluation.hidden`.
+        The recording cannot be told from one of the same machine in order, see
+        :mod:`jointplay.catalogue.evaluation.hidden`.
     joints : tuple of JointAnswer
         Every joint by itself.
     credibility : float or None
-        Of all clearances at once, see :func:`catalogue.evaluation.joint_figures.credibility_of`.
+        Of all clearances at once, see :func:`jointplay.catalogue.evaluation.joint_figures.credibility_of`.
     causes : tuple of str
         Causes other than play that are true, in the words of answers.
     cause : str

@@ -10,12 +10,12 @@ from typing import Literal
 
 import numpy as np
 
-from catalogue.errors import DiagnosisError
-from catalogue.evaluation.differences import DIFFERENCES
-from catalogue.evaluation.spoiling import SPOILINGS
-from catalogue.plans.entry import Hypothesis
-from catalogue.plans.keys import seed_from
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.evaluation.differences import DIFFERENCES
+from jointplay.catalogue.evaluation.spoiling import SPOILINGS
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "protocols_of", "with_noise"]
 
@@ -40,9 +40,11 @@ class Protocol:
         turn; two or three worn joints, or any sets of one to three, whether the catalogue holds such hypotheses or not.
         Every joint that is not worn has the play of a fit. Sets come in an order of the seed, and need not all come.
     differences : tuple of str
-        In what the machines differ from the model, names in :data:`catalogue.evaluation.differences.DIFFERENCES`.
+        In what the machines differ from the model, names in
+        :data:`jointplay.catalogue.evaluation.differences.DIFFERENCES`.
     spoiling : str
-        What spoils the recordings, a name in :data:`catalogue.evaluation.spoiling.SPOILINGS`; empty for nothing.
+        What spoils the recordings, a name in :data:`jointplay.catalogue.evaluation.spoiling.SPOILINGS`; empty for
+        nothing.
     foreign : bool
         True where no hypothesis is the truth, and "unknown" the right answer.
     unlisted : bool

@@ -17,19 +17,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import solver
-from catalogue.evaluation.elsewhere import transform_of
-from catalogue.evaluation.protocols import Protocol
-from catalogue.evaluation.truth import Truth
-from catalogue.measurements.measurement import Measurement, measurement_of
-from catalogue.measurements.readers import RawRecording
-from catalogue.measurements.readers.raw import RawColumn
-from catalogue.plans.keys import content_digest
-from solver.cases.history import Case, History, Settings, Status
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine
-from solver.simulation.simulate import simulate_batch
-from solver.spectra.sensor import sensor_signals
+from jointplay import solver
+from jointplay.catalogue.evaluation.elsewhere import transform_of
+from jointplay.catalogue.evaluation.protocols import Protocol
+from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.measurements.measurement import Measurement, measurement_of
+from jointplay.catalogue.measurements.readers import RawRecording
+from jointplay.catalogue.measurements.readers.raw import RawColumn
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.simulate import simulate_batch
+from jointplay.solver.spectra.sensor import sensor_signals
 
 __all__ = ["TOGETHER", "Recordings", "recorded"]
 

@@ -13,11 +13,11 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.errors import DiagnosisError
-from catalogue.evaluation.elsewhere import Blows, Bursts, Tones, Wrench
-from catalogue.evaluation.truth import Truth
-from catalogue.plans.keys import seed_from
-from solver.machines.machine import Machine
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.evaluation.elsewhere import Blows, Bursts, Tones, Wrench
+from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.plans.keys import seed_from
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["SPOILINGS", "Clipped", "DropOut", "Flaw", "FlawedSensors", "Spoiling", "with_spoiling"]
 

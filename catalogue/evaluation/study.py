@@ -11,26 +11,26 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.diagnosing.answer import Effort, ModeAsked
-from catalogue.diagnosing.diagnosis import Question, answer
-from catalogue.diagnosing.joint_states import plays_of_fits
-from catalogue.errors import DiagnosisError, MeasurementError
-from catalogue.evaluation.differences import with_differences
-from catalogue.evaluation.hidden import hidden
-from catalogue.evaluation.metrics import Answered, Figures, figures
-from catalogue.evaluation.protocols import Protocol, protocols_of
-from catalogue.evaluation.recordings import TOGETHER, Recordings, recorded
-from catalogue.evaluation.spoiling import with_spoiling
-from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.matching.cosine import CosineEntry
-from catalogue.matching.matcher import Matcher
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.matching.nearest import NearestEntry
-from catalogue.matching.network_shelf import NetworkShelf, own_sensing
-from catalogue.matching.trees import ExtraTrees
-from catalogue.plans.entry import Hypothesis
-from catalogue.signals.features import prepare
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
+from jointplay.catalogue.diagnosing.diagnosis import Question, answer
+from jointplay.catalogue.diagnosing.joint_states import plays_of_fits
+from jointplay.catalogue.errors import DiagnosisError, MeasurementError
+from jointplay.catalogue.evaluation.differences import with_differences
+from jointplay.catalogue.evaluation.hidden import hidden
+from jointplay.catalogue.evaluation.metrics import Answered, Figures, figures
+from jointplay.catalogue.evaluation.protocols import Protocol, protocols_of
+from jointplay.catalogue.evaluation.recordings import TOGETHER, Recordings, recorded
+from jointplay.catalogue.evaluation.spoiling import with_spoiling
+from jointplay.catalogue.evaluation.truth import Truth, draw_truth
+from jointplay.catalogue.matching.cosine import CosineEntry
+from jointplay.catalogue.matching.matcher import Matcher
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.nearest import NearestEntry
+from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
+from jointplay.catalogue.matching.trees import ExtraTrees
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["METHODS", "Row", "Setup", "Study", "evaluate", "setups_of"]
 
@@ -147,7 +147,7 @@ def evaluate(
     ----------
     catalogue : Catalogue
     protocols : sequence of str or Protocol
-        Names in :data:`catalogue.evaluation.protocols.PROTOCOLS`, groups of them, or conditions of one's own.
+        Names in :data:`jointplay.catalogue.evaluation.protocols.PROTOCOLS`, groups of them, or conditions of one's own.
     count : int
         Recordings a protocol, at least one a hypothesis; of sets of joints fewer.
     seed : int

@@ -11,19 +11,19 @@ from typing import cast
 
 import numpy as np
 
-import solver
-from catalogue.building.build import build
-from catalogue.errors import DiagnosisError
-from catalogue.evaluation.metrics import Figures
-from catalogue.evaluation.protocols import Protocol, protocols_of
-from catalogue.evaluation.recordings import Recordings
-from catalogue.evaluation.study import Setup, evaluate
-from catalogue.plans.keys import content_digest
-from catalogue.plans.plan import Plan
-from catalogue.storage.leases import ChunkStatus
-from catalogue.storage.location import IndexLocation
-from catalogue.storage.store import Catalogue
-from solver.cases.steps import Accuracy
+from jointplay import solver
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.evaluation.metrics import Figures
+from jointplay.catalogue.evaluation.protocols import Protocol, protocols_of
+from jointplay.catalogue.evaluation.recordings import Recordings
+from jointplay.catalogue.evaluation.study import Setup, evaluate
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.plan import Plan
+from jointplay.catalogue.storage.leases import ChunkStatus
+from jointplay.catalogue.storage.location import IndexLocation
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.cases.steps import Accuracy
 
 __all__ = ["Point", "Sweep", "trade_off"]
 
@@ -102,7 +102,7 @@ def trade_off(
     accuracies : sequence of str
         Of the solver; the same plan is built for those that the catalogue does not have.
     protocol, count, seed, setups, recordings
-        As for :func:`catalogue.evaluation.study.evaluate`.
+        As for :func:`jointplay.catalogue.evaluation.study.evaluate`.
     folder : Path, optional
         Where catalogues of other accuracies are kept; made anew each time without it.
     workers : int
@@ -113,7 +113,8 @@ def trade_off(
     Raises
     ------
     DiagnosisError
-        As for :func:`catalogue.evaluation.study.evaluate`, a group of protocols, or a number of draws below 3.
+        As for :func:`jointplay.catalogue.evaluation.study.evaluate`, a group of protocols, or a number of draws below
+        3.
     """
     conditions, *others = protocols_of([protocol])
     if others:

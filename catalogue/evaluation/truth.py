@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from catalogue.evaluation.response import Response
-from catalogue.plans.entry import Hypothesis
-from catalogue.plans.keys import seed_from
-from catalogue.plans.parameters import nominal_drive_speed
-from solver.machines.joints import Contact, TurningJoint
-from solver.machines.machine import Machine
+from jointplay.catalogue.evaluation.response import Response
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.solver.machines.joints import Contact, TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 if TYPE_CHECKING:
-    from catalogue.evaluation.elsewhere import Disturbance
-    from catalogue.evaluation.protocols import Protocol
-    from catalogue.evaluation.spoiling import Flaw
+    from jointplay.catalogue.evaluation.elsewhere import Disturbance
+    from jointplay.catalogue.evaluation.protocols import Protocol
+    from jointplay.catalogue.evaluation.spoiling import Flaw
 
 RESTITUTION = (0.5, 0.85)
 """Drawn restitutions, uniform."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
 
 __all__ = ["blended", "weight_as_filed"]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp, softmax
 
-from catalogue.matching.matcher import BoolArray, FloatArray, IntArray, TrainingSet
+from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, IntArray, TrainingSet
 
 TEMPERATURES = (0.5, 8.0)
 """Range in which a temperature is sought; 1 leaves probabilities as they are, more makes them less sure."""

@@ -2,7 +2,7 @@
 
 A level says how much a channel moves, a coherence whether two channels move together, and which of them leads. Real and
 imaginary part of the complex coherence X_ij / sqrt(P_i P_j) stand behind the levels, times :data:`SCALE`, and those of
-the cyclic coherences of every channel (:mod:`catalogue.matching.cyclic`) behind them.
+the cyclic coherences of every channel (:mod:`jointplay.catalogue.matching.cyclic`) behind them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.matching.cyclic import cyclic_bands
+from jointplay.catalogue.matching.cyclic import cyclic_bands
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -49,7 +49,7 @@ def compose(power: FloatArray, cross: ComplexArray | None = None, cyclic: Comple
     cross : ndarray of complex, shape (n, G, p), optional
         Cross-powers of the pairs.
     cyclic : ndarray of complex, shape (n, f, c), optional
-        Cyclic powers, see :class:`catalogue.matching.cyclic.CyclicBands`; only with `cross`.
+        Cyclic powers, see :class:`jointplay.catalogue.matching.cyclic.CyclicBands`; only with `cross`.
 
     Returns
     -------

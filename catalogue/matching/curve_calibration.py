@@ -9,12 +9,19 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
-from catalogue.matching.calibration import TEMPERATURES, Tail, fit_shares, fit_temperature, probabilities, row_weights
-from catalogue.matching.conformal import Conformal
-from catalogue.matching.curves import CurveModel, averaged
-from catalogue.matching.matcher import FloatArray, IntArray, TrainingSet
-from catalogue.matching.network import Opinion
-from catalogue.matching.sightings import Sightings
+from jointplay.catalogue.matching.calibration import (
+    TEMPERATURES,
+    Tail,
+    fit_shares,
+    fit_temperature,
+    probabilities,
+    row_weights,
+)
+from jointplay.catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.curves import CurveModel, averaged
+from jointplay.catalogue.matching.matcher import FloatArray, IntArray, TrainingSet
+from jointplay.catalogue.matching.network import Opinion
+from jointplay.catalogue.matching.sightings import Sightings
 
 
 @dataclass(frozen=True)

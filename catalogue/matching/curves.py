@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln
 
-from catalogue.matching.calibration import largest
-from catalogue.matching.log_sums import log_sum_exp
-from catalogue.matching.matcher import BoolArray, FloatArray, IntArray
-from catalogue.matching.tube import ClearanceGrid, Tube
+from jointplay.catalogue.matching.calibration import largest
+from jointplay.catalogue.matching.log_sums import log_sum_exp
+from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, IntArray
+from jointplay.catalogue.matching.tube import ClearanceGrid, Tube
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from solver.spectra.band_power import CYCLES
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.spectra.band_power import CYCLES
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -31,7 +31,7 @@ class CyclicBands:
     ----------
     band, other, cycle : ndarray of int, shape (f,)
         Feature band; the one that lines as many orders above it are in (itself, where bands are wide); place in
-        :data:`solver.spectra.band_power.CYCLES`.
+        :data:`jointplay.solver.spectra.band_power.CYCLES`.
     """
 
     band: NDArray[np.int64]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh
 
-from catalogue.matching.calibration import row_weights
-from catalogue.matching.matcher import FloatArray, IntArray, TrainingSet
+from jointplay.catalogue.matching.calibration import row_weights
+from jointplay.catalogue.matching.matcher import FloatArray, IntArray, TrainingSet
 
 
 def discriminant(training: TrainingSet, bins: tuple[int, ...], directions: int, shrinkage: float) -> FloatArray:

@@ -11,10 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
-from catalogue.errors import MatchingError
-from catalogue.matching.calibration import Tail, fit_temperature, folds, probabilities, row_weights
-from catalogue.matching.conformal import Conformal
-from catalogue.matching.matcher import (
+from jointplay.catalogue.errors import MatchingError
+from jointplay.catalogue.matching.calibration import Tail, fit_temperature, folds, probabilities, row_weights
+from jointplay.catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.matcher import (
     ClearanceEstimate,
     Draws,
     FloatArray,

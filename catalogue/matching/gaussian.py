@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from catalogue.errors import MatchingError
-from catalogue.matching.calibration import combined, folds, kept_apart, probabilities
-from catalogue.matching.curve_calibration import Calibration, calibrated
-from catalogue.matching.curves import Curve, CurveModel, averaged
-from catalogue.matching.discriminant import discriminant
-from catalogue.matching.log_sums import log_sum_exp
-from catalogue.matching.matcher import (
+from jointplay.catalogue.errors import MatchingError
+from jointplay.catalogue.matching.calibration import combined, folds, kept_apart, probabilities
+from jointplay.catalogue.matching.curve_calibration import Calibration, calibrated
+from jointplay.catalogue.matching.curves import Curve, CurveModel, averaged
+from jointplay.catalogue.matching.discriminant import discriminant
+from jointplay.catalogue.matching.log_sums import log_sum_exp
+from jointplay.catalogue.matching.matcher import (
     ClearanceEstimate,
     FloatArray,
     HypothesisMatch,
@@ -25,8 +25,8 @@ from catalogue.matching.matcher import (
     TrainingSet,
     ranked,
 )
-from catalogue.matching.network import Opinion
-from catalogue.matching.tube import ClearanceGrid, fit_tube
+from jointplay.catalogue.matching.network import Opinion
+from jointplay.catalogue.matching.tube import ClearanceGrid, fit_tube
 
 BROADBAND_SHARE = 0.8
 """Part of the false alarms left to the overall distance: what is broadband, as a second worn joint, shows there alone,
@@ -107,8 +107,8 @@ class GaussianAlongClearance:
         projection : ndarray, shape (d, r), optional
             Whitening found before; found anew unless given.
         opinion : Opinion, optional
-            Of a network that was trained without :func:`~catalogue.matching.calibration.held_out` entries. It counts
-            where there are many cases.
+            Of a network that was trained without :func:`~jointplay.catalogue.matching.calibration.held_out` entries. It
+            counts where there are many cases.
         witness : Opinion, optional
             Of a network of strata, trained so, too: a recording that it takes for one of a machine that differs from
             its file is not explained. It counts where there are many cases.

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import genpareto
 
-from catalogue.matching.matcher import FloatArray
+from jointplay.catalogue.matching.matcher import FloatArray
 
 __all__ = ["Weighed", "effective_size", "pareto_k", "weigh"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from catalogue.matching.matcher import FloatArray, MatchResult
+from jointplay.catalogue.matching.matcher import FloatArray, MatchResult
 
 __all__ = ["JointPosterior", "joint_posteriors"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.matching.network_shelf import NetworkShelf
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["library_of"]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from catalogue.errors import MatchingError
-from catalogue.matching.conformal import CandidateSet, Conformal
-from catalogue.matching.sightings import Sightings
+from jointplay.catalogue.errors import MatchingError
+from jointplay.catalogue.matching.conformal import CandidateSet, Conformal
+from jointplay.catalogue.matching.sightings import Sightings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -43,7 +43,7 @@ class Draws:
     joints : tuple of str
         Joints with clearance, in the order of the columns of `log_clearance`; empty for the healthy machine.
     features : ndarray, shape (n, d)
-        Band levels, dB, then coherences: :func:`catalogue.matching.coherence.compose`.
+        Band levels, dB, then coherences: :func:`jointplay.catalogue.matching.coherence.compose`.
     log_clearance : ndarray, shape (n, k)
         Natural logarithm of the radial clearances in m; k = len(joints), or 0 where the clearances of a hypothesis
         are not to be told apart.

@@ -10,20 +10,20 @@ from typing import Literal
 
 import numpy as np
 
-from catalogue.errors import DiagnosisError
-from catalogue.matching.blending import blended
-from catalogue.matching.coherence import with_more_noise
-from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
-from catalogue.matching.learning import Learning, rows_of, training_set
-from catalogue.matching.matcher import BoolArray, FittedMatcher, FloatArray, Matcher, MatchResult
-from catalogue.matching.modelfile import as_read, read_model, write_model, written
-from catalogue.matching.network import Network
-from catalogue.matching.network_shelf import NetworkShelf
-from catalogue.matching.observation import Sensing, rounded_sensing
-from catalogue.matching.refit import Refit, merged
-from catalogue.matching.spectra import Spectra, band_widths
-from catalogue.matching.threads import one_thread
-from catalogue.plans.keys import content_digest
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.blending import blended
+from jointplay.catalogue.matching.coherence import with_more_noise
+from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
+from jointplay.catalogue.matching.matcher import BoolArray, FittedMatcher, FloatArray, Matcher, MatchResult
+from jointplay.catalogue.matching.modelfile import as_read, read_model, write_model, written
+from jointplay.catalogue.matching.network import Network
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
+from jointplay.catalogue.matching.observation import Sensing, rounded_sensing
+from jointplay.catalogue.matching.refit import Refit, merged
+from jointplay.catalogue.matching.spectra import Spectra, band_widths
+from jointplay.catalogue.matching.threads import one_thread
+from jointplay.catalogue.plans.keys import content_digest
 
 Effort = Literal["fast", "standard", "thorough"]
 Choice = Literal["auto", "trusted", "robust"]

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.errors import CatalogueFileError
-from catalogue.matching.calibration import Tail
-from catalogue.matching.conformal import Conformal
-from catalogue.matching.curve_calibration import Calibration
-from catalogue.matching.curves import Curve, CurveModel
-from catalogue.matching.gaussian import FittedGaussian
-from catalogue.matching.network import Network, Opinion
-from catalogue.matching.sightings import Sightings
-from catalogue.matching.tube import ClearanceGrid, Tube
-from catalogue.storage.directory import publish
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.matching.calibration import Tail
+from jointplay.catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.curve_calibration import Calibration
+from jointplay.catalogue.matching.curves import Curve, CurveModel
+from jointplay.catalogue.matching.gaussian import FittedGaussian
+from jointplay.catalogue.matching.network import Network, Opinion
+from jointplay.catalogue.matching.sightings import Sightings
+from jointplay.catalogue.matching.tube import ClearanceGrid, Tube
+from jointplay.catalogue.storage.directory import publish
 
 FORMAT = 5
 """Of the files; others are fitted anew."""

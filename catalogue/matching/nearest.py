@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from catalogue.matching.entry_matcher import FittedEntries, fit_entries
-from catalogue.matching.matcher import FloatArray, TrainingSet
+from jointplay.catalogue.matching.entry_matcher import FittedEntries, fit_entries
+from jointplay.catalogue.matching.matcher import FloatArray, TrainingSet
 
 
 @dataclass(frozen=True)

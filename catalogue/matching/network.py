@@ -15,9 +15,9 @@ from functools import cached_property
 import numpy as np
 from scipy.special import log_softmax
 
-from catalogue.matching.coherence import with_more_noise
-from catalogue.matching.matcher import FloatArray
-from catalogue.matching.observation import Sensing
+from jointplay.catalogue.matching.coherence import with_more_noise
+from jointplay.catalogue.matching.matcher import FloatArray
+from jointplay.catalogue.matching.observation import Sensing
 
 __all__ = ["AS_FILED", "DIFFERS", "Network", "Opinion", "density_db"]
 

@@ -13,18 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-from catalogue.errors import CatalogueFileError
-from catalogue.matching.learning import Learning
-from catalogue.matching.matcher import FloatArray, Mode
-from catalogue.matching.modelfile import read_network, write_network
-from catalogue.matching.network import Network
-from catalogue.matching.network_training import NetworkTraining
-from catalogue.matching.observation import Sensing
-from catalogue.matching.spectra import Spectra
-from catalogue.plans.keys import content_digest
-from catalogue.signals.sensors import compared_channels, free_motions
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import Machine
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.matching.learning import Learning
+from jointplay.catalogue.matching.matcher import FloatArray, Mode
+from jointplay.catalogue.matching.modelfile import read_network, write_network
+from jointplay.catalogue.matching.network import Network
+from jointplay.catalogue.matching.network_training import NetworkTraining
+from jointplay.catalogue.matching.observation import Sensing
+from jointplay.catalogue.matching.spectra import Spectra
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.signals.sensors import compared_channels, free_motions
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["NetworkShelf", "own_sensing"]
 

@@ -15,13 +15,13 @@ import numpy as np
 from scipy.linalg import block_diag
 from threadpoolctl import threadpool_limits
 
-from catalogue.matching.calibration import held_out
-from catalogue.matching.learning import Learning, rows_of
-from catalogue.matching.matcher import FloatArray, IntArray
-from catalogue.matching.network import AS_FILED, DIFFERS, Network, density_db
-from catalogue.matching.observation import Sensing, observe
-from catalogue.matching.spectra import Spectra
-from catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.catalogue.matching.calibration import held_out
+from jointplay.catalogue.matching.learning import Learning, rows_of
+from jointplay.catalogue.matching.matcher import FloatArray, IntArray
+from jointplay.catalogue.matching.network import AS_FILED, DIFFERS, Network, density_db
+from jointplay.catalogue.matching.observation import Sensing, observe
+from jointplay.catalogue.matching.spectra import Spectra
+from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 
 __all__ = ["NetworkTraining"]
 

@@ -14,13 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.errors import DiagnosisError
-from catalogue.matching.coherence import ComplexArray, common_noise, compose, noise_alike, pair_scale, pairs_of
-from catalogue.matching.cyclic import CyclicBands, cyclic_bands
-from catalogue.matching.matcher import FloatArray, IntArray
-from catalogue.matching.transfer import RandomTransfer
-from catalogue.storage.cross_power import PACKED
-from solver.spectra.band_power import CYCLES
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.coherence import (
+    ComplexArray,
+    common_noise,
+    compose,
+    noise_alike,
+    pair_scale,
+    pairs_of,
+)
+from jointplay.catalogue.matching.cyclic import CyclicBands, cyclic_bands
+from jointplay.catalogue.matching.matcher import FloatArray, IntArray
+from jointplay.catalogue.matching.transfer import RandomTransfer
+from jointplay.catalogue.storage.cross_power import PACKED
+from jointplay.solver.spectra.band_power import CYCLES
 
 PackedArray = NDArray[np.float32] | NDArray[np.float64]
 
@@ -173,7 +180,8 @@ class Sensing:
         Parameters
         ----------
         packed : ndarray, shape (n, G or more, 9 or more)
-            Cross-powers of :func:`catalogue.storage.cross_power.pack`; bands beyond the compared ones are left out.
+            Cross-powers of :func:`jointplay.catalogue.storage.cross_power.pack`; bands beyond the compared ones are
+            left out.
         gains : ndarray, shape (n, s), optional
 
         Returns
@@ -293,7 +301,8 @@ def observe(
     Parameters
     ----------
     packed : ndarray, shape (n, G or more, 33)
-        Powers of the frame's motion in feature bands, :data:`catalogue.storage.cross_power.COLUMNS` numbers each.
+        Powers of the frame's motion in feature bands, :data:`jointplay.catalogue.storage.cross_power.COLUMNS` numbers
+        each.
     sensing : Sensing
     discrepancy : Discrepancy
     copies : ndarray of int, shape (n,)
@@ -306,7 +315,8 @@ def observe(
     Returns
     -------
     features : ndarray, shape (sum of copies, d)
-        Levels, and coherences and cyclic ones where phases are known: :func:`catalogue.matching.coherence.compose`.
+        Levels, and coherences and cyclic ones where phases are known:
+        :func:`jointplay.catalogue.matching.coherence.compose`.
     entry : ndarray of int, shape (sum of copies,)
         Row of `packed` each was made from.
 

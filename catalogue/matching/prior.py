@@ -7,10 +7,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from catalogue.errors import DiagnosisError
+from jointplay.catalogue.errors import DiagnosisError
 
 if TYPE_CHECKING:
-    from catalogue.matching.matcher import MatchResult
+    from jointplay.catalogue.matching.matcher import MatchResult
 
 __all__ = ["LARGEST", "Prior"]
 

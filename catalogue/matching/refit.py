@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
-from catalogue.matching.learning import Learning, rows_of, training_set
-from catalogue.matching.matcher import BoolArray, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
-from catalogue.matching.network import Network
-from catalogue.matching.observation import Sensing
-from catalogue.matching.spectra import Spectra, band_widths
+from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
+from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
+from jointplay.catalogue.matching.network import Network
+from jointplay.catalogue.matching.observation import Sensing
+from jointplay.catalogue.matching.spectra import Spectra, band_widths
 
 OPEN_ABOVE = 1e-4
 """Probability above which a hypothesis takes part in a refit."""

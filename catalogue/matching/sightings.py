@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.conformal import Conformal
 
 __all__ = ["SEEN_ABOVE", "SEEN_SHARE", "Sightings"]
 

@@ -6,13 +6,15 @@ from typing import Protocol
 
 import numpy as np
 
-from catalogue.matching.matcher import FloatArray, IntArray
-from catalogue.matching.observation import PackedArray
-from catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.catalogue.matching.matcher import FloatArray, IntArray
+from jointplay.catalogue.matching.observation import PackedArray
+from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 
 
 class Spectra(Protocol):
-    """What is learned from: :class:`catalogue.storage.matrix.FeatureMatrix`, or anything that answers like it."""
+    """What is learned from: :class:`jointplay.catalogue.storage.matrix.FeatureMatrix`, or anything that answers like
+    it.
+    """
 
     @property
     def id(self) -> str:
@@ -50,7 +52,7 @@ class Spectra(Protocol):
         """Rows of a hypothesis."""
 
     def packed(self, rows: IntArray) -> PackedArray:
-        """Spectra of rows, (m, G, 33): :data:`catalogue.storage.cross_power.COLUMNS`."""
+        """Spectra of rows, (m, G, 33): :data:`jointplay.catalogue.storage.cross_power.COLUMNS`."""
 
     def clearance(self, rows: IntArray) -> FloatArray:
         """Radial clearances of rows, (m, joints), m."""

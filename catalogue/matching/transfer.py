@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.matching.coherence import pairs_of
+from jointplay.catalogue.matching.coherence import pairs_of
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

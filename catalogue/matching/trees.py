@@ -11,11 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.matching.calibration import fit_temperature, folds, probabilities, row_weights
-from catalogue.matching.conformal import Conformal
-from catalogue.matching.entry_matcher import FittedEntries, fit_entries
-from catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult, TrainingSet, ranked
-from catalogue.matching.nearest import DecibelDistance
+from jointplay.catalogue.matching.calibration import fit_temperature, folds, probabilities, row_weights
+from jointplay.catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.entry_matcher import FittedEntries, fit_entries
+from jointplay.catalogue.matching.matcher import (
+    ClearanceEstimate,
+    FloatArray,
+    HypothesisMatch,
+    MatchResult,
+    TrainingSet,
+    ranked,
+)
+from jointplay.catalogue.matching.nearest import DecibelDistance
 
 LEAST_SHARE = 1e-3
 """Share of the trees' votes a hypothesis is taken to have at least: 300 trees cannot tell smaller ones."""

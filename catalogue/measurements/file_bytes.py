@@ -7,8 +7,8 @@ import io
 import zlib
 from pathlib import Path
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.raw import Limits
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.raw import Limits
 
 
 def file_bytes(path: Path, limits: Limits) -> bytes:

@@ -12,13 +12,19 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.channel_units import is_voltage, parse_sensitivity, parse_unit, split_label, volts_of
-from catalogue.measurements.measured_columns import ALL_OTHERS, is_spectrum, said_unit
-from catalogue.measurements.readers.raw import RawColumn, RawRecording, SpectrumForm
-from catalogue.measurements.tacho import turns_of
-from solver.errors import MachineError
-from solver.machines.yamlfile import read_tree
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.channel_units import (
+    is_voltage,
+    parse_sensitivity,
+    parse_unit,
+    split_label,
+    volts_of,
+)
+from jointplay.catalogue.measurements.measured_columns import ALL_OTHERS, is_spectrum, said_unit
+from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording, SpectrumForm
+from jointplay.catalogue.measurements.tacho import turns_of
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.yamlfile import read_tree
 
 __all__ = ["ImportProfile", "SpectrumSaid", "Tacho", "load_profile", "parse_profile", "profile_beside"]
 

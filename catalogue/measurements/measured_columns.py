@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.channel_units import ChannelUnit, is_voltage, parse_unit
-from catalogue.measurements.readers.raw import RawColumn, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.channel_units import ChannelUnit, is_voltage, parse_unit
+from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording
 
 TIME_NAMES = frozenset({"time", "t", "zeit", "temps", "tempo", "tiempo", "tijd", "tid", "czas"})
 #: Stands for all columns that name no unit, and are neither time nor frequency.

@@ -11,14 +11,14 @@ from typing import Literal, cast
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.channel_units import parse_unit
-from catalogue.measurements.import_profile import WINDOWS
-from catalogue.measurements.measured_columns import check_given, said_unit
-from catalogue.measurements.measurement import SI_UNITS, Channel
-from catalogue.measurements.readers import Limits, RawColumn, RawRecording, SpectrumForm
-from catalogue.measurements.readers.validity import LARGEST
-from solver.spectra.spectrum import Quantity
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.channel_units import parse_unit
+from jointplay.catalogue.measurements.import_profile import WINDOWS
+from jointplay.catalogue.measurements.measured_columns import check_given, said_unit
+from jointplay.catalogue.measurements.measurement import SI_UNITS, Channel
+from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, SpectrumForm
+from jointplay.catalogue.measurements.readers.validity import LARGEST
+from jointplay.solver.spectra.spectrum import Quantity
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,15 +12,15 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.channel_units import ChannelUnit
-from catalogue.measurements.file_bytes import decompressed, file_bytes
-from catalogue.measurements.import_profile import ImportProfile, profile_beside
-from catalogue.measurements.measured_columns import understood_columns
-from catalogue.measurements.readers import Limits, RawRecording, known_ending, read_raw
-from catalogue.measurements.time_base import TimeBase, even_time_base
-from catalogue.measurements.waveform import Flaw, inspect_waveform
-from solver.spectra.spectrum import Quantity
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.channel_units import ChannelUnit
+from jointplay.catalogue.measurements.file_bytes import decompressed, file_bytes
+from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
+from jointplay.catalogue.measurements.measured_columns import understood_columns
+from jointplay.catalogue.measurements.readers import Limits, RawRecording, known_ending, read_raw
+from jointplay.catalogue.measurements.time_base import TimeBase, even_time_base
+from jointplay.catalogue.measurements.waveform import Flaw, inspect_waveform
+from jointplay.solver.spectra.spectrum import Quantity
 
 SI_UNITS: dict[Quantity, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 

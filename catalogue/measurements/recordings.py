@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.import_profile import ImportProfile, profile_beside
-from catalogue.measurements.measured_columns import is_spectrum
-from catalogue.measurements.measured_spectrum import MeasuredSpectrum, spectrum_of
-from catalogue.measurements.measurement import Measurement, measurement_of, raw_of
-from catalogue.measurements.readers import Limits
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
+from jointplay.catalogue.measurements.measured_columns import is_spectrum
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum, spectrum_of
+from jointplay.catalogue.measurements.measurement import Measurement, measurement_of, raw_of
+from jointplay.catalogue.measurements.readers import Limits
 
 __all__ = ["read_recording"]
 
@@ -26,7 +26,7 @@ def read_recording(
 ) -> Measurement | MeasuredSpectrum:
     """Read a recording or a spectrum.
 
-    Parameters and errors are those of :func:`catalogue.measurements.measurement.read_measurement`.
+    Parameters and errors are those of :func:`jointplay.catalogue.measurements.measurement.read_measurement`.
 
     Returns
     -------

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
+from jointplay.catalogue.errors import MeasurementError
 
 #: Deviation of a sample interval from the mean up to which a recording counts as evenly sampled.
 JITTER = 0.01

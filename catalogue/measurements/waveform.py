@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
+from jointplay.catalogue.errors import MeasurementError
 
 #: A channel that keeps one value for so long [s], for so many samples, and for so many times as long as it usually does
 #: (coarse numbers stay the same for a while), has dropped out.

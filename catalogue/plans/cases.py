@@ -8,17 +8,17 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations
 from typing import TYPE_CHECKING
 
-from catalogue.errors import PlanError
-from catalogue.plans.draws import Distribution, log_uniform, unit_draws
-from catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
-from catalogue.plans.keys import seed_from
-from catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, load_order, ripple_order
-from catalogue.plans.variants import LawChoice, Variant, output_load
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine
+from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.draws import Distribution, log_uniform, unit_draws
+from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
+from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, load_order, ripple_order
+from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 if TYPE_CHECKING:
-    from catalogue.plans.plan import Plan
+    from jointplay.catalogue.plans.plan import Plan
 
 __all__ = ["cases_of", "hypotheses_of", "sequences_of", "travel"]
 
@@ -106,7 +106,9 @@ def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
 
 
 def cases_of(plan: Plan, machine: Machine, recipe: Recipe) -> Iterator[Entry]:
-    """Every case of a plan, sequence by sequence, then by draw; see :meth:`catalogue.plans.plan.Plan.entries`."""
+    """Every case of a plan, sequence by sequence, then by draw; see
+    :meth:`jointplay.catalogue.plans.plan.Plan.entries`.
+    """
     drawing = _Drawing(plan, machine, recipe)
     for sequence in sequences_of(plan, machine):
         yield from drawing.entries(sequence)

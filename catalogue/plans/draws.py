@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 from scipy.special import ndtri
 
-from solver.machines.fields import Quantity, RuleError, Vector
-from solver.machines.parts import Part
-from solver.machines.units import RATIO
+from jointplay.solver.machines.fields import Quantity, RuleError, Vector
+from jointplay.solver.machines.parts import Part
+from jointplay.solver.machines.units import RATIO
 
 __all__ = ["Distribution", "log_uniform", "unit_draws"]
 

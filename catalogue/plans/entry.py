@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self
 
-import solver
-from catalogue.errors import CatalogueMismatchError
-from catalogue.plans.keys import entry_key
-from catalogue.plans.variants import AS_FILED, Variant
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine
-from solver.spectra.bands import BandScheme
+from jointplay import solver
+from jointplay.catalogue.errors import CatalogueMismatchError
+from jointplay.catalogue.plans.keys import entry_key
+from jointplay.catalogue.plans.variants import AS_FILED, Variant
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.bands import BandScheme
 
 __all__ = ["HEALTHY", "Entry", "Hypothesis", "Recipe", "Stratum"]
 

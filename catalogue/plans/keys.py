@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from catalogue.errors import KeyContentError
+from jointplay.catalogue.errors import KeyContentError
 
 __all__ = ["canonical_json", "content_digest", "entry_key", "seed_from"]
 
@@ -90,7 +90,7 @@ def entry_key(
     settings : mapping
         Settings of the simulation and of the estimate made from it: accuracy, sample rate, revolutions, bands.
     numbers_version : int
-        :data:`solver.NUMBERS_VERSION`: of what the same case gives.
+        :data:`jointplay.solver.NUMBERS_VERSION`: of what the same case gives.
     variant : mapping, optional
         How the machine differs in kind from its file; nothing by default.
 

@@ -7,16 +7,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from catalogue.errors import PlanError
-from catalogue.plans.draws import Distribution
-from catalogue.plans.variants import output_load
-from solver.cases.parameters import SHORTHANDS
-from solver.equations.model import build_model
-from solver.errors import MachineError
-from solver.machines.drives import RotationDrive
-from solver.machines.fields import nearest
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine
+from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.draws import Distribution
+from jointplay.catalogue.plans.variants import output_load
+from jointplay.solver.cases.parameters import SHORTHANDS
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.drives import RotationDrive
+from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 __all__ = [
     "LOAD",

@@ -10,23 +10,23 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from catalogue.errors import PlanError
-from catalogue.plans.cases import cases_of
-from catalogue.plans.draws import Distribution
-from catalogue.plans.entry import Entry, Recipe, Stratum
-from catalogue.plans.keys import content_digest
-from catalogue.plans.parameters import check_drawable, nominal_drive_speed
-from catalogue.plans.plan_parts import Auto, Bands, ClearanceRange, Draws, Fits, Wide
-from catalogue.plans.ranges import default_laws, default_uncertain, default_wide
-from catalogue.plans.variants import LawChoice
-from solver.errors import MachineError
-from solver.machines.fields import Name, Quantity, RuleError, Title, nearest
-from solver.machines.machine import Machine
-from solver.machines.parts import Part
-from solver.machines.refusals import first_error
-from solver.machines.units import FREQUENCY, RATIO, TIME
-from solver.machines.yamlfile import read_tree
-from solver.spectra.sampling import PASS
+from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.cases import cases_of
+from jointplay.catalogue.plans.draws import Distribution
+from jointplay.catalogue.plans.entry import Entry, Recipe, Stratum
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.parameters import check_drawable, nominal_drive_speed
+from jointplay.catalogue.plans.plan_parts import Auto, Bands, ClearanceRange, Draws, Fits, Wide
+from jointplay.catalogue.plans.ranges import default_laws, default_uncertain, default_wide
+from jointplay.catalogue.plans.variants import LawChoice
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fields import Name, Quantity, RuleError, Title, nearest
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Part
+from jointplay.solver.machines.refusals import first_error
+from jointplay.solver.machines.units import FREQUENCY, RATIO, TIME
+from jointplay.solver.machines.yamlfile import read_tree
+from jointplay.solver.spectra.sampling import PASS
 
 __all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text", "resolve_plan"]
 
@@ -52,11 +52,11 @@ class Plan(Part):
         Play of the joints that are not worn.
     uncertain : mapping of str to Distribution, optional
         What is uncertain even of a machine whose data can be trusted, by path in the machine file or short path
-        (:class:`~catalogue.plans.parameters.MachineNumbers`); None, or "auto" in a file, is
-        :func:`~catalogue.plans.ranges.default_uncertain`.
+        (:class:`~jointplay.catalogue.plans.parameters.MachineNumbers`); None, or "auto" in a file, is
+        :func:`~jointplay.catalogue.plans.ranges.default_uncertain`.
     laws : mapping of {"own", "linear", "hertz"} to float, optional
         Weights of the contact laws that are drawn; None, or "auto" in a file, is
-        :func:`~catalogue.plans.ranges.default_laws`.
+        :func:`~jointplay.catalogue.plans.ranges.default_laws`.
     wide : Wide
         Draws of a machine whose own data are uncertain, too.
     speeds : tuple of float

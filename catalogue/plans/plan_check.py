@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from catalogue.errors import PlanError
-from catalogue.plans.plan import Plan
-from catalogue.plans.plan_parts import Draws
-from solver.machines.machine import Machine
+from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.plan import Plan
+from jointplay.catalogue.plans.plan_parts import Draws
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["check_plan"]
 
@@ -25,8 +25,8 @@ def check_plan(plan: Plan, machine: Machine, source: str = "plan") -> None:
     Raises
     ------
     PlanError
-        As :meth:`catalogue.plans.plan.Plan.entries`, with all of it: file, dotted path in the plan, what stands there,
-        rule.
+        As :meth:`jointplay.catalogue.plans.plan.Plan.entries`, with all of it: file, dotted path in the plan, what
+        stands there, rule.
     """
     plan = plan.resolved(machine)
     try:

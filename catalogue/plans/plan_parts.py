@@ -8,11 +8,11 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from catalogue.plans.draws import Distribution, log_uniform
-from solver.machines.fields import Quantity, RuleError
-from solver.machines.joints import TurningJoint
-from solver.machines.parts import Part
-from solver.machines.units import FREQUENCY, LENGTH
+from jointplay.catalogue.plans.draws import Distribution, log_uniform
+from jointplay.solver.machines.fields import Quantity, RuleError
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.parts import Part
+from jointplay.solver.machines.units import FREQUENCY, LENGTH
 
 __all__ = ["Auto", "Bands", "ClearanceRange", "Draws", "Fits", "Wide"]
 
@@ -96,7 +96,7 @@ class Wide(Part):
     """Further draws in which the machine's own data are uncertain, too: ``draws`` of them for each of the others.
 
     ``uncertain`` is what is uncertain besides, by path; None (``auto`` in a file) is
-    :func:`~catalogue.plans.ranges.default_wide`.
+    :func:`~jointplay.catalogue.plans.ranges.default_wide`.
     """
 
     draws: Share = 0.0

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from catalogue.plans.cases import sequences_of
-from catalogue.plans.plan import Plan
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine
+from jointplay.catalogue.plans.cases import sequences_of
+from jointplay.catalogue.plans.plan import Plan
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["plan_lines"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from catalogue.plans.draws import Distribution
-from catalogue.plans.variants import LawChoice, output_load
-from solver.machines.drives import RotationDrive
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine
-from solver.machines.parts import Damper, Mount, Spring
+from jointplay.catalogue.plans.draws import Distribution
+from jointplay.catalogue.plans.variants import LawChoice, output_load
+from jointplay.solver.machines.drives import RotationDrive
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Damper, Mount, Spring
 
 __all__ = ["default_laws", "default_uncertain", "default_wide"]
 
@@ -56,7 +56,7 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     Returns
     -------
     dict of str to Distribution
-        By path, see :class:`~catalogue.plans.parameters.MachineNumbers`.
+        By path, see :class:`~jointplay.catalogue.plans.parameters.MachineNumbers`.
     """
     turning = [joint.contact for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
     contacts = turning if "own" in laws else []  # any other law takes the place of the file's in every joint
@@ -90,7 +90,7 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
     Returns
     -------
     dict of str to Distribution
-        By path, see :class:`~catalogue.plans.parameters.MachineNumbers`.
+        By path, see :class:`~jointplay.catalogue.plans.parameters.MachineNumbers`.
     """
     factors = {
         "frame.mass": Distribution(factor_uniform=(0.8, 1.2)),

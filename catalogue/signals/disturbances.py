@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.measurements.drivespeed import SpeedTrack
+from jointplay.catalogue.measurements.drivespeed import SpeedTrack
 
 __all__ = ["Disturbance", "DisturbanceKind", "find_shocks", "patched", "stretches_of"]
 

@@ -9,26 +9,38 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_speed
-from catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from catalogue.measurements.measurement import Measurement
-from catalogue.measurements.tacho import track_of, usual_speed
-from catalogue.plans.parameters import nominal_drive_speed
-from catalogue.signals.hum import SteadyLine, hum_in_orders
-from catalogue.signals.noise import NoiseFloor, noise_floor
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.recipe_steps import RecipeStep
-from catalogue.signals.resampling import WANDER, at_mean_speed, samples_at_mean_speed
-from catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
-from catalogue.signals.sensors import SensorMap, map_sensors, without_columns
-from catalogue.signals.spectrum_features import prepare_spectrum
-from catalogue.signals.steadiness import KEPT, LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
-from catalogue.signals.undisturbed import flawed_samples, lines_of, undisturbed, undisturbed_bands, without_lines
-from catalogue.storage.feature_bands import FEATURE_ORDERS, FeatureAxis, feature_axes, feature_vector, usable_cuts
-from solver.machines.machine import Machine
-from solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_speed
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.measurements.tacho import track_of, usual_speed
+from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
+from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.resampling import WANDER, at_mean_speed, samples_at_mean_speed
+from jointplay.catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
+from jointplay.catalogue.signals.sensors import SensorMap, map_sensors, without_columns
+from jointplay.catalogue.signals.spectrum_features import prepare_spectrum
+from jointplay.catalogue.signals.steadiness import KEPT, LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
+from jointplay.catalogue.signals.undisturbed import (
+    flawed_samples,
+    lines_of,
+    undisturbed,
+    undisturbed_bands,
+    without_lines,
+)
+from jointplay.catalogue.storage.feature_bands import (
+    FEATURE_ORDERS,
+    FeatureAxis,
+    feature_axes,
+    feature_vector,
+    usable_cuts,
+)
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS
+from jointplay.solver.spectra.bands import BandScheme
 
 __all__ = [
     "FEATURE_ORDERS",

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from catalogue.measurements.drivespeed import SpeedTrack
-from solver.spectra.segments import hann
+from jointplay.catalogue.measurements.drivespeed import SpeedTrack
+from jointplay.solver.spectra.segments import hann
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from catalogue.errors import MeasurementError
-from solver.spectra.segments import hann
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.solver.spectra.segments import hann
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -14,17 +14,17 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.drivespeed import SpeedEstimate
-from catalogue.signals.disturbances import Disturbance
-from catalogue.signals.hum import SteadyLine
-from catalogue.signals.noise import NoiseFloor
-from catalogue.signals.recipe_steps import RecipeStep
-from catalogue.signals.sensor_flaws import SensorFlaw
-from catalogue.signals.sensors import SensorMap
-from catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, joined
-from solver.spectra.band_power import BandMatrix, transform_power
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.drivespeed import SpeedEstimate
+from jointplay.catalogue.signals.disturbances import Disturbance
+from jointplay.catalogue.signals.hum import SteadyLine
+from jointplay.catalogue.signals.noise import NoiseFloor
+from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.signals.sensors import SensorMap
+from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, joined
+from jointplay.solver.spectra.band_power import BandMatrix, transform_power
+from jointplay.solver.spectra.bands import BandScheme
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 import scipy.fft
 import scipy.ndimage
 
-from catalogue.measurements.drivespeed import SpeedTrack
-from solver.compiler.compiled import compiled
+from jointplay.catalogue.measurements.drivespeed import SpeedTrack
+from jointplay.solver.compiler.compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
 

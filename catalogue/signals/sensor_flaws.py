@@ -16,11 +16,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.signals.hum import MAINS, MULTIPLES
-from catalogue.signals.noise import NoiseFloor
-from catalogue.signals.sensors import SensorMap
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from solver.spectra.band_power import BandMatrix
+from jointplay.catalogue.signals.hum import MAINS, MULTIPLES
+from jointplay.catalogue.signals.noise import NoiseFloor
+from jointplay.catalogue.signals.sensors import SensorMap
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.spectra.band_power import BandMatrix
 
 __all__ = ["FlawKind", "SensorFlaw", "find_sensor_flaws"]
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from catalogue.measurements.measurement import Measurement
-from solver.machines.machine import Machine
-from solver.spectra.sensor import rigid_body, sensor_transform
-from solver.spectra.spectrum import DERIVATIVES
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
+from jointplay.solver.spectra.spectrum import DERIVATIVES
 
 MOTIONS = ("x", "y", "theta")
 

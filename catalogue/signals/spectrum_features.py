@@ -1,4 +1,4 @@
-"""From a spectrum to what is compared, as :mod:`catalogue.signals.features` does it with recordings."""
+"""From a spectrum to what is compared, as :mod:`jointplay.catalogue.signals.features` does it with recordings."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.drivespeed import COMB_CONTRAST_DB, SEARCH_RANGE, SpeedEstimate
-from catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from catalogue.plans.parameters import nominal_drive_speed
-from catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LINES_TOGETHER, NoiseFloor
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.recipe_steps import RecipeStep
-from catalogue.signals.sensors import map_sensors, sensors_one_by_one
-from catalogue.storage.feature_bands import FEATURE_ORDERS, usable_cuts
-from solver.machines.machine import Machine
-from solver.spectra.band_power import BandMatrix
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, SEARCH_RANGE, SpeedEstimate
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LINES_TOGETHER, NoiseFloor
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.sensors import map_sensors, sensors_one_by_one
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, usable_cuts
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.band_power import BandMatrix
+from jointplay.solver.spectra.bands import BandScheme
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -36,7 +36,9 @@ def prepare_spectrum(
     speed: float | None = None,
     scheme: BandScheme | None = None,
 ) -> PreparedMeasurement:
-    """Make a spectrum ready to be compared; parameters and errors as for :func:`catalogue.signals.features.prepare`."""
+    """Make a spectrum ready to be compared; parameters and errors as for
+    :func:`jointplay.catalogue.signals.features.prepare`.
+    """
     nominal = nominal_drive_speed(machine)
     if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):
         raise MeasurementError(spectrum.name, value=speed, rule="drive speed must be finite and not zero")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.measurements.drivespeed import comb_speed, thinned
+from jointplay.catalogue.measurements.drivespeed import comb_speed, thinned
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

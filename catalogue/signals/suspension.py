@@ -9,13 +9,13 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.signals.prepared import PreparedMeasurement
-from catalogue.signals.recipe_steps import RecipeStep
-from catalogue.signals.sensors import MOTIONS
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from solver.machines.machine import Machine
-from solver.machines.parts import Mount
-from solver.spectra.band_power import CYCLES, transform_power
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.sensors import MOTIONS
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Mount
+from jointplay.solver.spectra.band_power import CYCLES, transform_power
 
 __all__ = ["accelerance", "suspension_change", "with_filed_suspension"]
 

@@ -10,22 +10,22 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.drivespeed import SpeedTrack, rough_track
-from catalogue.measurements.measurement import Measurement
-from catalogue.measurements.waveform import clipped_samples
-from catalogue.signals.disturbances import (
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.drivespeed import SpeedTrack, rough_track
+from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.measurements.waveform import clipped_samples
+from jointplay.catalogue.signals.disturbances import (
     Disturbance,
     DisturbanceKind,
     find_shocks,
     patched,
     stretches_of,
 )
-from catalogue.signals.hum import Cleaned, remove_hum
-from catalogue.signals.sensors import SensorMap
-from catalogue.storage.feature_bands import usable_cuts
-from solver.spectra.band_power import WINDOW_REVOLUTIONS, BandMatrix, band_matrix
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.signals.hum import Cleaned, remove_hum
+from jointplay.catalogue.signals.sensors import SensorMap
+from jointplay.catalogue.storage.feature_bands import usable_cuts
+from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, BandMatrix, band_matrix
+from jointplay.solver.spectra.bands import BandScheme
 
 __all__ = ["Undisturbed", "flawed_samples", "lines_of", "undisturbed", "undisturbed_bands", "without_lines"]
 

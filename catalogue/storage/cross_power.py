@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.spectra.band_power import CYCLES
+from jointplay.solver.spectra.band_power import CYCLES
 
 __all__ = ["CHANNELS", "COLUMNS", "CYCLIC", "PACKED", "UNITS", "pack", "pack_cyclic", "unpack", "unpack_cyclic"]
 
@@ -91,7 +91,7 @@ def pack_cyclic(cyclic: NDArray[np.complexfloating]) -> NDArray[np.float32]:
     Parameters
     ----------
     cyclic : ndarray of complex, shape (..., k, 3, 3)
-        Symmetric; one matrix for each of :data:`solver.spectra.band_power.CYCLES`.
+        Symmetric; one matrix for each of :data:`jointplay.solver.spectra.band_power.CYCLES`.
 
     Returns
     -------

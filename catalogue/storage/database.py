@@ -11,12 +11,12 @@ from sqlalchemy import Connection, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, InterfaceError, NoSuchModuleError
 
-from catalogue.errors import CatalogueFileError
+from jointplay.catalogue.errors import CatalogueFileError
 
 __all__ = ["REVISION", "Database", "database_url"]
 
 REVISION = "0001"
-"""The newest revision in :mod:`catalogue.migrations`."""
+"""The newest revision in :mod:`jointplay.catalogue.migrations`."""
 
 VERSION_TABLE = "index_revision"
 """Where Alembic notes the revision; a name of its own, because the database may be shared with other programs."""
@@ -56,7 +56,7 @@ def database_url(source: Path | str) -> URL:
 
 
 class Database:
-    """Connections to one database, whose tables are those of :mod:`catalogue.storage.tables`.
+    """Connections to one database, whose tables are those of :mod:`jointplay.catalogue.storage.tables`.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Database:
         from alembic.util.exc import CommandError
 
         config = Config()
-        config.set_main_option("script_location", "catalogue:migrations")
+        config.set_main_option("script_location", "jointplay.catalogue:migrations")
         config.attributes.update(connection=connection, version_table=VERSION_TABLE)
         try:
             command.upgrade(config, "head")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from catalogue.errors import CatalogueBusyError, CatalogueFileError
+from jointplay.catalogue.errors import CatalogueBusyError, CatalogueFileError
 
 __all__ = ["CatalogueDirectory", "publish", "replacing", "sha256_of", "sync_folder"]
 

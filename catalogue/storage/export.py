@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.errors import EntryNotFoundError
-from catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED
-from catalogue.storage.directory import replacing
-from catalogue.storage.feature_bands import LEAST_POWER
-from catalogue.storage.hdf5 import write_growing
-from catalogue.storage.store import Catalogue
-from catalogue.storage.table import EntryTable
+from jointplay.catalogue.errors import EntryNotFoundError
+from jointplay.catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED
+from jointplay.catalogue.storage.directory import replacing
+from jointplay.catalogue.storage.feature_bands import LEAST_POWER
+from jointplay.catalogue.storage.hdf5 import write_growing
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.table import EntryTable
 
 __all__ = ["ENDINGS", "export"]
 

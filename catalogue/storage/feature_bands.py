@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.bands import BandScheme
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,14 +10,14 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.plans.entry import HEALTHY, Hypothesis
-from catalogue.plans.parameters import MachineNumbers
-from catalogue.storage.cross_power import COLUMNS
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from catalogue.storage.matrix_header import LAWS, STRATA, Block, MatrixHeader
-from catalogue.storage.shard import OK, Shard
-from solver.machines.machine import Machine
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.plans.entry import HEALTHY, Hypothesis
+from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.catalogue.storage.cross_power import COLUMNS
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Block, MatrixHeader
+from jointplay.catalogue.storage.shard import OK, Shard
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.bands import BandScheme
 
 __all__ = ["BLOCK_ROWS", "Gathered", "Numbers", "gather"]
 

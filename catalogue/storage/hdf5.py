@@ -15,13 +15,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.errors import CatalogueFileError, CatalogueMismatchError
-from catalogue.plans.entry import Hypothesis, Recipe, Stratum
-from catalogue.plans.keys import canonical_json
-from catalogue.plans.variants import Variant
-from catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED, UNITS
-from catalogue.storage.directory import publish
-from catalogue.storage.shard import Shard, ShardHeader
+from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError
+from jointplay.catalogue.plans.entry import Hypothesis, Recipe, Stratum
+from jointplay.catalogue.plans.keys import canonical_json
+from jointplay.catalogue.plans.variants import Variant
+from jointplay.catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED, UNITS
+from jointplay.catalogue.storage.directory import publish
+from jointplay.catalogue.storage.shard import Shard, ShardHeader
 
 __all__ = [
     "SCHEMA_VERSION",

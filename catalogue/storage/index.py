@@ -14,10 +14,10 @@ from typing import Self, TypeVarTuple
 from sqlalchemy import Connection, Select, delete, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
-from catalogue.storage.database import Database
-from catalogue.storage.leases import ChunkRow, ChunkStatus, Leases, finish_chunk
-from catalogue.storage.shard import Shard
-from catalogue.storage.tables import CATALOGUES, ENTRIES, SHARDS
+from jointplay.catalogue.storage.database import Database
+from jointplay.catalogue.storage.leases import ChunkRow, ChunkStatus, Leases, finish_chunk
+from jointplay.catalogue.storage.shard import Shard
+from jointplay.catalogue.storage.tables import CATALOGUES, ENTRIES, SHARDS
 
 __all__ = ["ChunkRow", "ChunkStatus", "EntriesPresentError", "Index", "ShardRow"]
 

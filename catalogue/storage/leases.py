@@ -15,8 +15,8 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Double, and_, bindparam, cast, delete, func, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from catalogue.storage.database import Database
-from catalogue.storage.tables import CHUNKS
+from jointplay.catalogue.storage.database import Database
+from jointplay.catalogue.storage.tables import CHUNKS
 
 __all__ = ["ChunkRow", "ChunkStatus", "Leases", "finish_chunk"]
 

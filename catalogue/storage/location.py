@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-from catalogue.errors import CatalogueFileError
-from catalogue.storage.database import database_url
-from catalogue.storage.directory import CatalogueDirectory, publish
-from catalogue.storage.index import LOCAL, Index
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.storage.database import database_url
+from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
+from jointplay.catalogue.storage.index import LOCAL, Index
 
 __all__ = ["IndexLocation"]
 
@@ -99,7 +99,7 @@ class IndexLocation:
         Raises
         ------
         CatalogueFileError
-            As :class:`~catalogue.storage.index.Index`.
+            As :class:`~jointplay.catalogue.storage.index.Index`.
         """
         if self.password is None or isinstance(self.source, Path):
             return Index(self.source, self.instance)

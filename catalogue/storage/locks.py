@@ -10,8 +10,8 @@ from typing import Self
 
 from filelock import FileLock, Timeout
 
-from catalogue.errors import CatalogueBusyError, CatalogueFileError
-from catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.errors import CatalogueBusyError, CatalogueFileError
+from jointplay.catalogue.storage.directory import CatalogueDirectory
 
 __all__ = ["BuilderLock"]
 

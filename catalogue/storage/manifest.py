@@ -12,18 +12,19 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Self
 
-import solver
-from catalogue.errors import CatalogueFileError, CatalogueMismatchError, PlanError
-from catalogue.plans.entry import Recipe
-from catalogue.plans.keys import content_digest
-from catalogue.plans.parameters import MachineNumbers
-from catalogue.plans.plan import Plan, parse_plan
-from catalogue.storage.directory import CatalogueDirectory, publish
-from catalogue.storage.hdf5 import SCHEMA_VERSION
-from catalogue.storage.seal import Seal, root_hash
-from catalogue.storage.shard import ShardHeader
-from solver.errors import MachineError
-from solver.machines.machine import Machine, parse_machine
+import jointplay
+from jointplay import solver
+from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError, PlanError
+from jointplay.catalogue.plans.entry import Recipe
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.catalogue.plans.plan import Plan, parse_plan
+from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
+from jointplay.catalogue.storage.hdf5 import SCHEMA_VERSION
+from jointplay.catalogue.storage.seal import Seal, root_hash
+from jointplay.catalogue.storage.shard import ShardHeader
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 __all__ = ["Manifest", "package_versions", "this_platform"]
 
@@ -33,7 +34,7 @@ _PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
 
 def package_versions() -> dict[str, str]:
     """Versions of Python, of this program, and of the packages that shape simulated numbers."""
-    own = {"python": platform.python_version(), "jointplay": solver.__version__}
+    own = {"python": platform.python_version(), "jointplay": jointplay.__version__}
     return {**own, **{name: metadata.version(name) for name in _PACKAGES}}
 
 
@@ -57,7 +58,7 @@ class Manifest:
     plan : Plan
         The plan that last added to the catalogue.
     numbers_version : int
-        :data:`solver.NUMBERS_VERSION` of the program that began it; no other may add to it.
+        :data:`jointplay.solver.NUMBERS_VERSION` of the program that began it; no other may add to it.
     versions : mapping of str to str
         Python, this program and packages at the first build.
     platform : str
@@ -79,7 +80,7 @@ class Manifest:
 
     @classmethod
     def of(cls, machine: Machine, plan: Plan) -> Self:
-        """The manifest of a new catalogue, see :meth:`catalogue.plans.plan.Plan.recipe`."""
+        """The manifest of a new catalogue, see :meth:`jointplay.catalogue.plans.plan.Plan.recipe`."""
         return cls(
             machine_content=machine.canonical_json(),
             recipe=plan.recipe(machine),

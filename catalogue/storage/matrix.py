@@ -16,17 +16,17 @@ from typing import IO, TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.plans.entry import Hypothesis, Stratum
-from catalogue.storage.cross_power import unpack
-from catalogue.storage.gathering import Gathered, Numbers, gather
-from catalogue.storage.matrix_columns import Columns, IntArray, MemoryColumns, hexadecimal
-from catalogue.storage.matrix_files import MappedColumns, write_matrix
-from catalogue.storage.matrix_header import LAWS, STRATA, Guard, MatrixHeader, Ranges
-from catalogue.storage.shard import OK
-from catalogue.storage.table import EntryTable
+from jointplay.catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.catalogue.storage.cross_power import unpack
+from jointplay.catalogue.storage.gathering import Gathered, Numbers, gather
+from jointplay.catalogue.storage.matrix_columns import Columns, IntArray, MemoryColumns, hexadecimal
+from jointplay.catalogue.storage.matrix_files import MappedColumns, write_matrix
+from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Guard, MatrixHeader, Ranges
+from jointplay.catalogue.storage.shard import OK
+from jointplay.catalogue.storage.table import EntryTable
 
 if TYPE_CHECKING:
-    from catalogue.storage.store import Catalogue
+    from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["FeatureMatrix", "Guard", "Ranges"]
 
@@ -198,7 +198,7 @@ class FeatureMatrix:
 
     def packed(self, rows: IntArray) -> NDArray[np.float32]:
         """Spectra of some rows as they are stored, (m, G, 33): cross-powers, then cyclic ones, as
-        :func:`catalogue.storage.cross_power.pack` and `pack_cyclic` have them.
+        :func:`jointplay.catalogue.storage.cross_power.pack` and `pack_cyclic` have them.
 
         Raises
         ------

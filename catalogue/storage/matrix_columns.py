@@ -9,8 +9,8 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.storage.cross_power import COLUMNS
-from catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
+from jointplay.catalogue.storage.cross_power import COLUMNS
+from jointplay.catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
 
 __all__ = ["Columns", "IntArray", "MemoryColumns", "hexadecimal"]
 

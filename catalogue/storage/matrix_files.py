@@ -12,11 +12,11 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.errors import CatalogueFileError
-from catalogue.storage.cross_power import COLUMNS
-from catalogue.storage.directory import CatalogueDirectory, sha256_of, sync_folder
-from catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
-from catalogue.storage.matrix_header import ColumnFile, MatrixHeader, OtherVersionError
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.storage.cross_power import COLUMNS
+from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of, sync_folder
+from jointplay.catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
+from jointplay.catalogue.storage.matrix_header import ColumnFile, MatrixHeader, OtherVersionError
 
 __all__ = ["MappedColumns", "write_matrix"]
 

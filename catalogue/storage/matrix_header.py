@@ -11,9 +11,9 @@ from typing import Any, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.plans.entry import Hypothesis, Stratum
-from catalogue.plans.keys import content_digest
-from catalogue.plans.variants import LawChoice
+from jointplay.catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.variants import LawChoice
 
 __all__ = ["LAWS", "STRATA", "Block", "ColumnFile", "Guard", "MatrixHeader", "OtherVersionError", "Ranges"]
 
@@ -101,7 +101,7 @@ class MatrixHeader:
     Parameters
     ----------
     id : str
-        Of the catalogue, see :attr:`catalogue.storage.store.Catalogue.id`.
+        Of the catalogue, see :attr:`jointplay.catalogue.storage.store.Catalogue.id`.
     content : str
         SHA-256 over all entries with their spectra, however they are divided into shards.
     edges : tuple of float, (B + 1,)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from catalogue.errors import CatalogueFileError
-from catalogue.storage.directory import CatalogueDirectory, sha256_of
-from catalogue.storage.hdf5 import decode_shard
-from catalogue.storage.index import EntriesPresentError, Index
-from catalogue.storage.location import IndexLocation
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
+from jointplay.catalogue.storage.hdf5 import decode_shard
+from jointplay.catalogue.storage.index import EntriesPresentError, Index
+from jointplay.catalogue.storage.location import IndexLocation
 
 __all__ = ["adopt", "match_files", "open_index"]
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.keys import content_digest
 
 __all__ = ["Seal", "SealedShard", "root_hash"]
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.matrix import FeatureMatrix
-from catalogue.storage.seal import Seal, SealedShard
-from catalogue.storage.shard import OK
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.matrix import FeatureMatrix
+from jointplay.catalogue.storage.seal import Seal, SealedShard
+from jointplay.catalogue.storage.shard import OK
+from jointplay.catalogue.storage.store import Catalogue
 
 __all__ = ["seal"]
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
-from catalogue.plans.variants import Variant
-from catalogue.storage.cross_power import CYCLIC, pack, pack_cyclic, unpack, unpack_cyclic
-from catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
+from jointplay.catalogue.plans.variants import Variant
+from jointplay.catalogue.storage.cross_power import CYCLIC, pack, pack_cyclic, unpack, unpack_cyclic
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 
 __all__ = ["OK", "Outcome", "Shard", "ShardHeader"]
 
@@ -75,7 +75,7 @@ class ShardHeader:
     plan : mapping
         The plan that asked for them, as plain data.
     numbers_version : int
-        :data:`solver.NUMBERS_VERSION` of the program that computed them.
+        :data:`jointplay.solver.NUMBERS_VERSION` of the program that computed them.
     versions : mapping of str to str
         Versions of Python, of this program and of the packages that shape the numbers.
     """
@@ -114,10 +114,10 @@ class Shard:
     drive_speed, transient, guard_db : ndarray, shape (n,)
         rad/s; s; dB, NaN for a case that was not computed twice.
     power : ndarray of float32, shape (m, B, 9)
-        Packed by :func:`catalogue.storage.cross_power.pack`.
+        Packed by :func:`jointplay.catalogue.storage.cross_power.pack`.
     spread_db : ndarray of float32, shape (m, B, 3)
     cyclic : ndarray of float32, shape (m, G, 24)
-        Packed by :func:`catalogue.storage.cross_power.pack_cyclic`.
+        Packed by :func:`jointplay.catalogue.storage.cross_power.pack_cyclic`.
     """
 
     header: ShardHeader

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from catalogue.errors import CatalogueError, CatalogueFileError
-from catalogue.plans.entry import Entry
-from catalogue.plans.keys import entry_key
-from catalogue.storage.cross_power import CYCLIC, pack, unpack
-from catalogue.storage.feature_bands import FEATURE_ORDERS
-from catalogue.storage.shard import OK, Shard
-from solver.errors import MachineError
-from solver.machines.machine import parse_machine
+from jointplay.catalogue.errors import CatalogueError, CatalogueFileError
+from jointplay.catalogue.plans.entry import Entry
+from jointplay.catalogue.plans.keys import entry_key
+from jointplay.catalogue.storage.cross_power import CYCLIC, pack, unpack
+from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.catalogue.storage.shard import OK, Shard
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.machine import parse_machine
 
 __all__ = ["check_shard"]
 

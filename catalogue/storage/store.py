@@ -12,19 +12,19 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.errors import CatalogueFileError, EntryNotFoundError
-from catalogue.plans.entry import Entry, Recipe
-from catalogue.plans.plan import Plan
-from catalogue.storage.cross_power import unpack
-from catalogue.storage.directory import CatalogueDirectory, sha256_of
-from catalogue.storage.hdf5 import decode_shard
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.matrix import FeatureMatrix
-from catalogue.storage.shard import Outcome, Shard
-from catalogue.storage.stored_entry import StoredEntry
-from catalogue.storage.table import EntryTable
-from solver.machines.machine import Machine
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.errors import CatalogueFileError, EntryNotFoundError
+from jointplay.catalogue.plans.entry import Entry, Recipe
+from jointplay.catalogue.plans.plan import Plan
+from jointplay.catalogue.storage.cross_power import unpack
+from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
+from jointplay.catalogue.storage.hdf5 import decode_shard
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.matrix import FeatureMatrix
+from jointplay.catalogue.storage.shard import Outcome, Shard
+from jointplay.catalogue.storage.stored_entry import StoredEntry
+from jointplay.catalogue.storage.table import EntryTable
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.bands import BandScheme
 
 __all__ = ["Catalogue", "EntryTable", "StoredEntry"]
 

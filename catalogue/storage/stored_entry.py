@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.bands import BandScheme
 
 __all__ = ["StoredEntry"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.plans.entry import Hypothesis
 
 __all__ = ["EntryTable"]
 

@@ -1,4 +1,4 @@
-"""Tables of the index, as the newest revision in :mod:`catalogue.migrations` makes them."""
+"""Tables of the index, as the newest revision in :mod:`jointplay.catalogue.migrations` makes them."""
 
 from __future__ import annotations
 

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from catalogue.errors import CatalogueFileError, CatalogueMismatchError
-from catalogue.storage.directory import CatalogueDirectory, sha256_of
-from catalogue.storage.hdf5 import decode_shard
-from catalogue.storage.index import EntriesPresentError, Index
-from catalogue.storage.location import IndexLocation
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.matrix_files import MappedColumns
-from catalogue.storage.sealing import seal
-from catalogue.storage.shard import OK, Shard, ShardHeader
-from catalogue.storage.shard_checks import check_shard
+from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError
+from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
+from jointplay.catalogue.storage.hdf5 import decode_shard
+from jointplay.catalogue.storage.index import EntriesPresentError, Index
+from jointplay.catalogue.storage.location import IndexLocation
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.matrix_files import MappedColumns
+from jointplay.catalogue.storage.sealing import seal
+from jointplay.catalogue.storage.shard import OK, Shard, ShardHeader
+from jointplay.catalogue.storage.shard_checks import check_shard
 
 __all__ = ["Finding", "VerifyReport", "reindex", "verify"]
 
@@ -61,7 +61,8 @@ class VerifyReport:
         Entries that the index knew and no sound shard holds; building again computes them.
     other_numbers : str
         That it holds other numbers than this program computes, in words, see
-        :attr:`catalogue.storage.manifest.Manifest.other_numbers`: nothing is wrong with it, but no build goes on there.
+        :attr:`jointplay.catalogue.storage.manifest.Manifest.other_numbers`: nothing is wrong with it, but no build goes
+        on there.
     """
 
     shards: int

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.equations.evaluation import evaluate
-from solver.equations.model import Model
-from solver.errors import AssemblyError
-from solver.machines.drives import RotationDrive, TranslationDrive
-from solver.machines.joints import TurningJoint
+from jointplay.solver.equations.evaluation import evaluate
+from jointplay.solver.equations.model import Model
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
+from jointplay.solver.machines.joints import TurningJoint
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from solver.equations.contact_laws import SLOWEST_APPROACH
-from solver.equations.numbers import contact_path
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine
-from solver.machines.restitution import HYSTERESIS, hysteresis_factor
+from jointplay.solver.equations.contact_laws import SLOWEST_APPROACH
+from jointplay.solver.equations.numbers import contact_path
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
 
 #: Velocity (m/s) at which surfaces are taken to meet at least. The frequency follows its fifth root (n = 1.5).
 _LEAST_IMPACT = 1.0

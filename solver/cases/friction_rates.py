@@ -12,13 +12,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.assembly import inner_coordinates
-from solver.cases.contact_rates import deepest_point
-from solver.equations.evaluation import evaluate
-from solver.equations.model import Model
-from solver.equations.numbers import contact_path
-from solver.machines.joints import SlidingJoint, TurningJoint
-from solver.machines.machine import Machine
+from jointplay.solver.cases.assembly import inner_coordinates
+from jointplay.solver.cases.contact_rates import deepest_point
+from jointplay.solver.equations.evaluation import evaluate
+from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.numbers import contact_path
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

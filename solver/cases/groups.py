@@ -6,15 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from solver.cases.history import Case, Settings
-from solver.cases.parameters import full_paths
-from solver.cases.preparation import Prepared, model_of, prepare
-from solver.cases.steps import Accuracy
-from solver.equations.model import Model
-from solver.equations.numbers import contact_paths
-from solver.errors import AssemblyError
-from solver.machines.fault import check_fault
-from solver.machines.machine import Machine
+from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.parameters import full_paths
+from jointplay.solver.cases.preparation import Prepared, model_of, prepare
+from jointplay.solver.cases.steps import Accuracy
+from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.numbers import contact_paths
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.fault import check_fault
+from jointplay.solver.machines.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ def groups(
     Parameters
     ----------
     machine, cases, settings, accuracies
-        As :func:`solver.simulation.simulate.simulate_batch`.
+        As :func:`jointplay.solver.simulation.simulate.simulate_batch`.
 
     Raises
     ------
     MachineError, SettingsError
-        As :func:`solver.simulation.simulate.simulate_batch`.
+        As :func:`jointplay.solver.simulation.simulate.simulate_batch`.
     """
     members: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple[int, dict[str, float]]]] = defaultdict(list)
     for index, case in enumerate(cases):

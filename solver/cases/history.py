@@ -12,11 +12,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.start import Start
-from solver.cases.steps import STEP_RULES, Accuracy
-from solver.equations.links import LinkMotion
-from solver.errors import SettingsError
-from solver.machines.fault import HEALTHY, FaultState
+from jointplay.solver.cases.start import Start
+from jointplay.solver.cases.steps import STEP_RULES, Accuracy
+from jointplay.solver.equations.links import LinkMotion
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.fault import HEALTHY, FaultState
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,8 @@ class Settings:
         Give the samples before the end of the start-up transient too.
     settled : bool
         Start worn machines with the frame moving as the healthy machine's does after its transient, where there is
-        such a steady state and no `duration` is given (:mod:`solver.simulation.settling`): the transient is shorter.
+        such a steady state and no `duration` is given (:mod:`jointplay.solver.simulation.settling`): the transient is
+        shorter.
     most_trials : int or None
         Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
     device : str

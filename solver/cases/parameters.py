@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from solver.cases.history import Case
-from solver.equations.numbers import CONTACT_NUMBERS, contact_path
-from solver.errors import MachineError
-from solver.machines.fields import nearest
-from solver.machines.joints import LEAST_RESTITUTION, TurningJoint
-from solver.machines.machine import Machine
+from jointplay.solver.cases.history import Case
+from jointplay.solver.equations.numbers import CONTACT_NUMBERS, contact_path
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.joints import LEAST_RESTITUTION, TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 _CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
 #: Shorthand for all joints with clearance.

@@ -9,16 +9,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.assembly import follow, walk
-from solver.cases.friction_rates import friction_rate
-from solver.cases.steps import contact_mobility
-from solver.equations.drive import travel_range
-from solver.equations.evaluation import evaluate
-from solver.equations.model import MODELS_KEPT, Model, build_model
-from solver.machines.drives import RotationDrive, TranslationDrive
-from solver.machines.joints import Contact, TurningJoint
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
+from jointplay.solver.cases.assembly import follow, walk
+from jointplay.solver.cases.friction_rates import friction_rate
+from jointplay.solver.cases.steps import contact_mobility
+from jointplay.solver.equations.drive import travel_range
+from jointplay.solver.equations.evaluation import evaluate
+from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
+from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
+from jointplay.solver.machines.joints import Contact, TurningJoint
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def rubbing_rate(
     joints : tuple of str
         Those with clearance.
     varying : tuple of str
-        As :func:`solver.cases.preparation.model_of`.
+        As :func:`jointplay.solver.cases.preparation.model_of`.
     values : mapping of str to float
         All lane parameters by path.
     mobility : mapping of str to float

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.assembly import check_closures
-from solver.cases.contact_rates import contact_rates
-from solver.cases.friction_rates import without_sliding_friction
-from solver.cases.history import Settings
-from solver.cases.positions import check_travel, mobility_of, rubbing_rate
-from solver.cases.scales import pace_of
-from solver.cases.start import start_pose, start_velocity
-from solver.cases.steps import (
+from jointplay.solver.cases.assembly import check_closures
+from jointplay.solver.cases.contact_rates import contact_rates
+from jointplay.solver.cases.friction_rates import without_sliding_friction
+from jointplay.solver.cases.history import Settings
+from jointplay.solver.cases.positions import check_travel, mobility_of, rubbing_rate
+from jointplay.solver.cases.scales import pace_of
+from jointplay.solver.cases.start import start_pose, start_velocity
+from jointplay.solver.cases.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
     Accuracy,
@@ -25,13 +25,13 @@ from solver.cases.steps import (
     suspension_modes,
     transient_time,
 )
-from solver.equations.drive import drive_rates
-from solver.equations.model import MODELS_KEPT, Model, build_model
-from solver.errors import AssemblyError, MachineError, SettingsError
-from solver.machines.contact_rules import restitution_remarks
-from solver.machines.drives import RotationDrive, TranslationDrive
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
+from jointplay.solver.equations.drive import drive_rates
+from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
+from jointplay.solver.errors import AssemblyError, MachineError, SettingsError
+from jointplay.solver.machines.contact_rules import restitution_remarks
+from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class Prepared:
     z, v : (n,) arrays
         Start.
     memory : (m,) array
-        What contacts remember at the start, see :mod:`solver.equations.contact_laws`.
+        What contacts remember at the start, see :mod:`jointplay.solver.equations.contact_laws`.
     begin : float
         Time of the start, s.
     speed : float
@@ -68,13 +68,14 @@ class Prepared:
     sprung : bool
         Whether supports hold the frame in all its motions, each a damped swing.
     response : float
-        How far the frame moves against what it would at a fast drive, see :func:`solver.cases.steps.response`.
+        How far the frame moves against what it would at a fast drive, see
+        :func:`jointplay.solver.cases.steps.response`.
     pace : float
-        Time in which the machine moves by its own size, see :func:`solver.cases.scales.pace_of`.
+        Time in which the machine moves by its own size, see :func:`jointplay.solver.cases.scales.pace_of`.
     accuracy : str
         How finely it is resolved.
     longest_step : float
-        What the rules of :mod:`solver.cases.steps` allow at that accuracy, s.
+        What the rules of :mod:`jointplay.solver.cases.steps` allow at that accuracy, s.
     smooth_step : float
         Longest step that resolves suspension and drive, contacts apart, s.
     spent : float

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from solver.cases.contact_rates import extent_of
-from solver.equations.model import Model
-from solver.machines.drives import RotationDrive, TranslationDrive
-from solver.machines.machine import Machine
+from jointplay.solver.cases.contact_rates import extent_of
+from jointplay.solver.equations.model import Model
+from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
+from jointplay.solver.machines.machine import Machine
 
 
 def error_scales(machine: Machine, model: Model) -> list[float]:

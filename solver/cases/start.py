@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.assembly import CLOSED, NEWTON_STEPS, close, inner_coordinates
-from solver.equations.evaluation import evaluate
-from solver.equations.model import Model
-from solver.errors import AssemblyError
+from jointplay.solver.cases.assembly import CLOSED, NEWTON_STEPS, close, inner_coordinates
+from jointplay.solver.equations.evaluation import evaluate
+from jointplay.solver.equations.model import Model
+from jointplay.solver.errors import AssemblyError
 
 Array = NDArray[np.float64]
 

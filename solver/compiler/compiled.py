@@ -16,7 +16,7 @@ import numba
 from numba import njit
 from numba.core import config
 
-from solver.compiler.native import cache_directory
+from jointplay.solver.compiler.native import cache_directory
 
 _config: Any = config
 #: What every compiled function has in common: numbers that are none stay what they are, and other threads may run.

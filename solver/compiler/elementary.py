@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from solver.compiler.ir import Block
+from jointplay.solver.compiler.ir import Block
 
 #: pi/2 in three parts for the argument reduction; products of k < 2^24 with the first are exact.
 _HALF_PI = (1.5707963109016418, 1.5893254712295857e-08, 6.123233995736766e-17)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from solver.compiler.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
-from solver.compiler.ir import DECLARATIONS, LANES, Block
+from jointplay.solver.compiler.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
+from jointplay.solver.compiler.ir import DECLARATIONS, LANES, Block
 
 _ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul"}
 _COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "one"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from solver.compiler.ir import LANES
+from jointplay.solver.compiler.ir import LANES
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Layout:
 
     @property
     def memory(self) -> int:
-        """What contacts remember, see :mod:`solver.equations.contact_laws`."""
+        """What contacts remember, see :mod:`jointplay.solver.equations.contact_laws`."""
         return self._row(2 + 5 * self.size + self.extra + self.parameters)
 
     @property

@@ -15,7 +15,7 @@ import llvmlite
 import llvmlite.binding as llvm
 import platformdirs
 
-from solver.errors import SettingsError
+from jointplay.solver.errors import SettingsError
 
 _DIGEST = hashlib.sha256().digest_size
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from solver.compiler.emit import Dialect
-from solver.compiler.ir import Block
+from jointplay.solver.compiler.emit import Dialect
+from jointplay.solver.compiler.ir import Block
 
 _BINARY = {"fadd": "+", "fsub": "-", "fmul": "*", "fdiv": "/"}
 _CALLS = {"fabs": "abs", "maxnum": "max", "minnum": "min"}

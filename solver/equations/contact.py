@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from solver.equations.contact_laws import NormalForce
-from solver.equations.numbers import Number
-from solver.equations.vectors import Complex
+from jointplay.solver.equations.contact_laws import NormalForce
+from jointplay.solver.equations.numbers import Number
+from jointplay.solver.equations.vectors import Complex
 
 #: Squared eccentricity (m2) below which the contact normal has no meaning; there is no force there anyway (e <= c).
 TINY = 1e-60
@@ -27,7 +27,7 @@ class ContactNumbers:
     pin_radius: Number
 
 
-#: (penetration, approach) -> normal force: a law of :mod:`solver.equations.contact_laws` with its numbers.
+#: (penetration, approach) -> normal force: a law of :mod:`jointplay.solver.equations.contact_laws` with its numbers.
 NormalLaw: TypeAlias = Callable[[ca.SX, ca.SX], NormalForce]
 
 

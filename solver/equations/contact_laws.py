@@ -1,9 +1,9 @@
 """Normal force of a contact: the paper's linear impact pair, or K d^n with hysteresis (d the penetration).
 
 The laws that take a restitution remember v0, the velocity of approach when the contact began. That memory is a part of
-the state: 0 while the surfaces are apart, and set when a step is accepted (see :mod:`solver.integrators.control`) that
-has brought them together; it stays until the penetration is gone, also where the force vanishes before. Within the step
-that begins a contact the present velocity stands for it.
+the state: 0 while the surfaces are apart, and set when a step is accepted (see
+:mod:`jointplay.solver.integrators.control`) that has brought them together; it stays until the penetration is gone,
+also where the force vanishes before. Within the step that begins a contact the present velocity stands for it.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from solver.equations.numbers import Number
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine
-from solver.machines.restitution import HYSTERESIS, hysteresis_factor
+from jointplay.solver.equations.numbers import Number
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
 
 #: Least velocity of approach (m/s) that counts as v0: hysteresis c/v0 would grow without bound where a contact begins
 #: at a creep, and be stiff for nothing. Impacts slower than this lose less than the law says; measured in
@@ -27,7 +27,7 @@ _LEAST = 1e-30
 
 @dataclass(frozen=True)
 class NormalForce:
-    """Force along the normal, N, and the switch of :class:`solver.equations.contact.ContactForce`, m."""
+    """Force along the normal, N, and the switch of :class:`jointplay.solver.equations.contact.ContactForce`, m."""
 
     elastic: ca.SX
     switch: ca.SX

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from solver.equations.harmonics import Harmonics
-from solver.equations.numbers import Number, Numbers
-from solver.equations.tables import linear, linear_integral
-from solver.errors import SettingsError
-from solver.machines.drives import ForceDrive, Ripple, RotationDrive, TorqueDrive, TranslationDrive
-from solver.machines.machine import Machine
+from jointplay.solver.equations.harmonics import Harmonics
+from jointplay.solver.equations.numbers import Number, Numbers
+from jointplay.solver.equations.tables import linear, linear_integral
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.drives import ForceDrive, Ripple, RotationDrive, TorqueDrive, TranslationDrive
+from jointplay.solver.machines.machine import Machine
 
 #: Orders that are this far from a whole number count as one.
 _WHOLE = 1e-6

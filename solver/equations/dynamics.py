@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from solver.equations.forces import Scene
-from solver.equations.vectors import GROUND, ONE, Complex, Terms
+from jointplay.solver.equations.forces import Scene
+from jointplay.solver.equations.vectors import GROUND, ONE, Complex, Terms
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ def evaluate(function: ca.Function, *arguments: ArrayLike) -> list[Array]:
     Parameters
     ----------
     function : casadi.Function
-        Such as those of :class:`~solver.equations.model_functions.ModelFunctions`.
+        Such as those of :class:`~jointplay.solver.equations.model_functions.ModelFunctions`.
     arguments : array_like
         Vectors or numbers.
 

@@ -10,17 +10,17 @@ from dataclasses import dataclass, fields
 
 import casadi as ca
 
-from solver.equations import contact_laws
-from solver.equations.contact import ContactForce, ContactNumbers, NormalLaw, impact_pair
-from solver.equations.drive import known_effort
-from solver.equations.harmonics import Harmonics
-from solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
-from solver.equations.poses import Kinematics
-from solver.equations.tables import linear, periodic
-from solver.equations.vectors import Complex, Vector, constant
-from solver.machines.joints import Contact, SlidingJoint, TurningJoint
-from solver.machines.machine import Machine
-from solver.machines.parts import Mount, Spring
+from jointplay.solver.equations import contact_laws
+from jointplay.solver.equations.contact import ContactForce, ContactNumbers, NormalLaw, impact_pair
+from jointplay.solver.equations.drive import known_effort
+from jointplay.solver.equations.harmonics import Harmonics
+from jointplay.solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
+from jointplay.solver.equations.poses import Kinematics
+from jointplay.solver.equations.tables import linear, periodic
+from jointplay.solver.equations.vectors import Complex, Vector, constant
+from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Mount, Spring
 
 #: Length (m) below which a spring has no direction; it pulls with its force along nothing.
 SHORTEST = 1e-9
@@ -249,7 +249,7 @@ def viscous_joints(scene: Scene, open_joints: frozenset[str]) -> None:
 def contact(scene: Scene, name: str, touching: ca.SX, memory: ca.SX) -> tuple[ca.SX, ContactForce]:
     """Contact of one clearance joint: the vector from socket to pin centre (m), and the force on the pin.
 
-    `memory` is what a law that takes a restitution remembers, see :mod:`solver.equations.contact_laws`.
+    `memory` is what a law that takes a restitution remembers, see :mod:`jointplay.solver.equations.contact_laws`.
     """
     joint = scene.machine.joints[name]
     assert isinstance(joint, TurningJoint)

@@ -12,13 +12,13 @@ from collections.abc import Iterator
 
 import casadi as ca
 
-from solver.equations.drive import PrescribedMotion
-from solver.equations.numbers import Number
-from solver.equations.poses import Closure, Kinematics, slide
-from solver.equations.tree import Tree
-from solver.equations.vectors import constant
-from solver.machines.joints import SlidingJoint, TurningJoint
-from solver.machines.machine import Machine
+from jointplay.solver.equations.drive import PrescribedMotion
+from jointplay.solver.equations.numbers import Number
+from jointplay.solver.equations.poses import Closure, Kinematics, slide
+from jointplay.solver.equations.tree import Tree
+from jointplay.solver.equations.vectors import constant
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 
 def _closures(tree: Tree) -> Iterator[Closure]:

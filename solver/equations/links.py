@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.equations.model import Model, build_model
-from solver.equations.numbers import contact_paths
-from solver.equations.vectors import Complex
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
+from jointplay.solver.equations.model import Model, build_model
+from jointplay.solver.equations.numbers import contact_paths
+from jointplay.solver.equations.vectors import Complex
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

@@ -11,18 +11,18 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from solver.equations import drive, forces
-from solver.equations.contact import ContactForce
-from solver.equations.contact_laws import remembers
-from solver.equations.dynamics import Solver, constrained_solver, inertia
-from solver.equations.kinematics import kinematics
-from solver.equations.model_functions import ModelFunctions, with_contacts_decided
-from solver.equations.numbers import Numbers, contact_paths
-from solver.equations.poses import Kinematics
-from solver.equations.rubbing import Rubbing, rubbing_joints, solve_with_friction
-from solver.errors import MachineError
-from solver.machines.joints import SlidingJoint
-from solver.machines.machine import Machine
+from jointplay.solver.equations import drive, forces
+from jointplay.solver.equations.contact import ContactForce
+from jointplay.solver.equations.contact_laws import remembers
+from jointplay.solver.equations.dynamics import Solver, constrained_solver, inertia
+from jointplay.solver.equations.kinematics import kinematics
+from jointplay.solver.equations.model_functions import ModelFunctions, with_contacts_decided
+from jointplay.solver.equations.numbers import Numbers, contact_paths
+from jointplay.solver.equations.poses import Kinematics
+from jointplay.solver.equations.rubbing import Rubbing, rubbing_joints, solve_with_friction
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.machine import Machine
 
 #: Models that are kept, with what is made of each: a catalogue's pairs of joints under two contact laws, once more with
 #: other numbers drawn, come by in turns; what was forgotten costs as much as a dozen cases, what is kept some 4 MB.
@@ -65,7 +65,7 @@ class Model(ModelFunctions):
     jam : casadi.SX
         1 where they jam: accelerations and reactions have no meaning there; else 0.
     remembering : tuple of int
-        Clearance joints (as in `contacts`) whose law remembers, see :mod:`solver.equations.contact_laws`.
+        Clearance joints (as in `contacts`) whose law remembers, see :mod:`jointplay.solver.equations.contact_laws`.
     memory : casadi.SX
         What they remember, m/s, a symbol each; 0 while the surfaces are apart.
     """
@@ -141,7 +141,7 @@ def build_model(
         Numbers of the machine file, by path, that become lane parameters besides the contact numbers of the clearance
         joints and the drive speed.
     expanded : bool
-        See :func:`solver.equations.kinematics.kinematics`; slower, and every reaction is there.
+        See :func:`jointplay.solver.equations.kinematics.kinematics`; slower, and every reaction is there.
 
     Raises
     ------

@@ -7,15 +7,16 @@ from functools import cached_property
 
 import casadi as ca
 
-from solver.equations.contact import ContactForce
-from solver.equations.dynamics import Solver
-from solver.equations.poses import Kinematics
-from solver.equations.rubbing import Rubbing
-from solver.machines.machine import Machine
+from jointplay.solver.equations.contact import ContactForce
+from jointplay.solver.equations.dynamics import Solver
+from jointplay.solver.equations.poses import Kinematics
+from jointplay.solver.equations.rubbing import Rubbing
+from jointplay.solver.machines.machine import Machine
 
 
 class ModelFunctions:
-    """What :class:`~solver.equations.model.Model` can be asked for in numbers; its attributes are described there.
+    """What :class:`~jointplay.solver.equations.model.Model` can be asked for in numbers; its attributes are described
+    there.
 
     Making a function costs milliseconds, calling it microseconds, and cases by the thousand share a model.
     """
@@ -67,7 +68,9 @@ class ModelFunctions:
 
     @cached_property
     def rubbing_state(self) -> ca.Function:
-        """(t, z, v, p) -> numbers of rubbing joints as in :class:`~solver.equations.rubbing.Rubbing`, but for `jam`."""
+        """(t, z, v, p) -> numbers of rubbing joints as in :class:`~jointplay.solver.equations.rubbing.Rubbing`, but for
+        `jam`.
+        """
         rubbing = self.rubbing
         assert rubbing is not None
         switch = ca.vertcat(*(contact.switch for contact in self.contacts))

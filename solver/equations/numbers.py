@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import casadi as ca
 
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 Number = ca.SX | float
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from solver.equations.vectors import Terms, Vector
-from solver.machines.joints import SlidingJoint
+from jointplay.solver.equations.vectors import Terms, Vector
+from jointplay.solver.machines.joints import SlidingJoint
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ from functools import reduce
 
 import casadi as ca
 
-from solver.equations.dynamics import Solver
-from solver.equations.forces import Scene
-from solver.equations.numbers import Numbers
-from solver.errors import MachineError
-from solver.machines.joints import SlidingJoint
-from solver.machines.machine import Machine
+from jointplay.solver.equations.dynamics import Solver
+from jointplay.solver.equations.forces import Scene
+from jointplay.solver.equations.numbers import Numbers
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.machine import Machine
 
 #: Sliding joints with friction that a machine may have: the choices of signs double with each.
 MOST = 6

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import casadi as ca
 
-from solver.equations.numbers import Number
+from jointplay.solver.equations.numbers import Number
 
 
 def linear(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:

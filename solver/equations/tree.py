@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from solver.equations.drive import PrescribedMotion
-from solver.equations.numbers import Number
-from solver.equations.poses import Pose
-from solver.equations.vectors import FRAME, GROUND, ONE, ZERO, Complex, I, Term, Terms, Vector, constant
-from solver.errors import AssemblyError
-from solver.machines.joints import SlidingJoint, TurningJoint
-from solver.machines.machine import Machine
+from jointplay.solver.equations.drive import PrescribedMotion
+from jointplay.solver.equations.numbers import Number
+from jointplay.solver.equations.poses import Pose
+from jointplay.solver.equations.vectors import FRAME, GROUND, ONE, ZERO, Complex, I, Term, Terms, Vector, constant
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 #: Joints from the frame after which a link gets coordinates of its own: the mass matrix stays sparse in long chains.
 MAX_DEPTH = 6
@@ -210,7 +210,7 @@ class Tree:
         )
 
     def axes(self) -> ca.SX:
-        """Rotation of accelerations, see :class:`~solver.equations.poses.Kinematics`."""
+        """Rotation of accelerations, see :class:`~jointplay.solver.equations.poses.Kinematics`."""
         turned = ca.SX.eye(len(self.z))
         rotation = self.terms.frame_rotation
         for x, y in self.origin_pairs:

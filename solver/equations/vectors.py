@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from solver.equations.numbers import Number
+from jointplay.solver.equations.numbers import Number
 
 #: Coefficients smaller than this (m) are rounding left over where two constants cancel.
 NOTHING = 1e-14

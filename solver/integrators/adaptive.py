@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.compiler.compiled import compiled, inlined
-from solver.compiler.ir import LANES
-from solver.integrators.control import (
+from jointplay.solver.compiler.compiled import compiled, inlined
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.integrators.control import (
     DIVERGING,
     JAMMED,
     OK,
@@ -29,10 +29,10 @@ from solver.integrators.control import (
     shortened,
     switch_part,
 )
-from solver.integrators.dense import record, samples_until
-from solver.integrators.gill import DIVERGED, PATIENCE, call
-from solver.integrators.lane_work import load, put_away, restore_closures
-from solver.integrators.lanes import BUSY, NEXT, STALE, Lanes, Queue, Records, Rows
+from jointplay.solver.integrators.dense import record, samples_until
+from jointplay.solver.integrators.gill import DIVERGED, PATIENCE, call
+from jointplay.solver.integrators.lane_work import load, put_away, restore_closures
+from jointplay.solver.integrators.lanes import BUSY, NEXT, STALE, Lanes, Queue, Records, Rows
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

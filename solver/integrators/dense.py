@@ -11,9 +11,9 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from solver.compiler.compiled import compiled, inlined
-from solver.compiler.ir import LANES
-from solver.integrators.lanes import GROUP, PHASES
+from jointplay.solver.compiler.compiled import compiled, inlined
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.integrators.lanes import GROUP, PHASES
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -161,8 +161,8 @@ def record(
     memory : int
         Row of the first contact's memory.
     channels, interval, head, velocities, coordinates, accelerations, memories
-        See :class:`solver.integrators.lanes.Records`; one by one, because compiled code counts references of every
-        array it takes out of a tuple.
+        See :class:`jointplay.solver.integrators.lanes.Records`; one by one, because compiled code counts references of
+        every array it takes out of a tuple.
     """
     count = channels.size
     scale = 1.0 / step

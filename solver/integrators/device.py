@@ -15,15 +15,15 @@ import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
-from solver.compiler.scalar import SCALAR
-from solver.equations.model import Model
-from solver.errors import SettingsError
-from solver.integrators import stepper
-from solver.integrators.control import DIVERGING, RUNNING
-from solver.integrators.dopri import StepRows
-from solver.integrators.gill import PATIENCE
-from solver.integrators.kernel import KernelCode, adaptive_code
-from solver.integrators.lanes import Queue
+from jointplay.solver.compiler.scalar import SCALAR
+from jointplay.solver.equations.model import Model
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.integrators import stepper
+from jointplay.solver.integrators.control import DIVERGING, RUNNING
+from jointplay.solver.integrators.dopri import StepRows
+from jointplay.solver.integrators.gill import PATIENCE
+from jointplay.solver.integrators.kernel import KernelCode, adaptive_code
+from jointplay.solver.integrators.lanes import Queue
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -133,7 +133,7 @@ class Ends:
     Attributes
     ----------
     outcome, reached, accepted : (cases,) arrays of int
-        See :mod:`solver.integrators.control`; samples recorded; accepted steps.
+        See :mod:`jointplay.solver.integrators.control`; samples recorded; accepted steps.
     finals : (cases, 1 + 2 n + m) array
         Time, coordinates, velocities and memories.
     """
@@ -214,7 +214,7 @@ class DeviceKernel:
 
 
 def compile_device(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> DeviceKernel:
-    """Compile a model for the device; parameters as :func:`solver.integrators.kernel.adaptive_code`.
+    """Compile a model for the device; parameters as :func:`jointplay.solver.integrators.kernel.adaptive_code`.
 
     The compiler itself runs at the first launch.
     """

@@ -5,7 +5,7 @@ S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., II
 
 Every lane has its own time and step. A step starts from rows that the last accepted step left and writes to others, so
 that nothing of a rejected step survives. Which contacts push is held over the step: the right-hand side stays smooth,
-and the driver (:mod:`solver.integrators.adaptive`) looks for the switch afterwards.
+and the driver (:mod:`jointplay.solver.integrators.adaptive`) looks for the switch afterwards.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from solver.compiler.ir import Block
-from solver.compiler.layout import Layout
-from solver.integrators.control import SAFETY
+from jointplay.solver.compiler.ir import Block
+from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.integrators.control import SAFETY
 
 _NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
 _STAGES = (
@@ -43,7 +43,8 @@ DENSE_ROWS = 4
 
 @dataclass(frozen=True)
 class StepRows:
-    """Rows that the error-controlled step needs in the extra space of a :class:`~solver.compiler.layout.Layout`.
+    """Rows that the error-controlled step needs in the extra space of a
+    :class:`~jointplay.solver.compiler.layout.Layout`.
 
     Attributes
     ----------

@@ -19,10 +19,10 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from solver.compiler.compiled import compiled
-from solver.compiler.ir import LANES, Block
-from solver.compiler.layout import Layout
-from solver.integrators.control import remember
+from jointplay.solver.compiler.compiled import compiled
+from jointplay.solver.compiler.ir import LANES, Block
+from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.integrators.control import remember
 
 #: Sum of coordinates and velocities (absolute, SI) beyond which a case counts as diverged: no machine is that fast.
 DIVERGED = 1e8

@@ -9,12 +9,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.compiler import native
-from solver.compiler.emit import VECTOR, Dialect, straight_line
-from solver.compiler.layout import Layout
-from solver.equations.model import Model
-from solver.integrators.dopri import StepRows, dopri_step
-from solver.integrators.gill import gill_step
+from jointplay.solver.compiler import native
+from jointplay.solver.compiler.emit import VECTOR, Dialect, straight_line
+from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.equations.model import Model
+from jointplay.solver.integrators.dopri import StepRows, dopri_step
+from jointplay.solver.integrators.gill import gill_step
 
 _ALIGNMENT = 64  # bytes: a row never straddles two cache lines
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from solver.integrators.kernel import KernelCode
+from jointplay.solver.integrators.kernel import KernelCode
 
 Function = Callable[..., Any]
 #: A compiler: takes a function and returns one that can be called in its place.

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.compiler.compiled import compiled, inlined
-from solver.compiler.ir import LANES
-from solver.integrators.control import (
+from jointplay.solver.compiler.compiled import compiled, inlined
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.integrators.control import (
     CAUTION,
     PROJECT_EVERY,
 )
-from solver.integrators.gill import LOST, call
-from solver.integrators.lanes import BUSY, ENDED, FREE, NEXT, Rows
+from jointplay.solver.integrators.gill import LOST, call
+from jointplay.solver.integrators.lanes import BUSY, ENDED, FREE, NEXT, Rows
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.compiler.ir import LANES
+from jointplay.solver.compiler.ir import LANES
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -54,7 +54,9 @@ LANE = np.dtype(
 
 
 class Rows(NamedTuple):
-    """Rows of the work array, see :class:`~solver.integrators.dopri.StepRows`; `jam` is -1 where no joint rubs."""
+    """Rows of the work array, see :class:`~jointplay.solver.integrators.dopri.StepRows`; `jam` is -1 where no joint
+    rubs.
+    """
 
     kept: int
     touching: int
@@ -104,7 +106,7 @@ class Records(NamedTuple):
     head : int
         Places left free before the first velocity of each phase.
     velocities : (slots, r, PHASES, head + reduced samples + GROUP) array
-        By phase, see :func:`solver.spectra.sampling.phases`.
+        By phase, see :func:`jointplay.solver.spectra.sampling.phases`.
     coordinates, accelerations : (slots, r, reduced samples + GROUP) arrays
         With no slots where they are not wanted.
     memories : (slots, m, reduced samples + GROUP) array

@@ -1,8 +1,8 @@
 """Error-controlled integration of one case, for compilers of Python: what ``adaptive.py`` does to a lane.
 
-The functions are bound to a kernel in scalar Python (:mod:`solver.compiler.scalar`) by whatever compiles both: Numba
-for a CUDA device, or nothing at all. What is kept between two trial steps is in two arrays, so that a run can be left
-after any trial step and taken up again.
+The functions are bound to a kernel in scalar Python (:mod:`jointplay.solver.compiler.scalar`) by whatever compiles
+both: Numba for a CUDA device, or nothing at all. What is kept between two trial steps is in two arrays, so that a run
+can be left after any trial step and taken up again.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.integrators.control import (
+from jointplay.solver.integrators.control import (
     CAUTION,
     DIVERGING,
     JAMMED,
@@ -28,10 +28,10 @@ from solver.integrators.control import (
     shortened,
     switch_part,
 )
-from solver.integrators.dopri import DENSE_ROWS, StepRows
-from solver.integrators.gill import DIVERGED, LOST, PATIENCE
-from solver.integrators.kernel import KernelCode
-from solver.integrators.kernel_functions import Compile, Function, kernel_functions
+from jointplay.solver.integrators.dopri import DENSE_ROWS, StepRows
+from jointplay.solver.integrators.gill import DIVERGED, LOST, PATIENCE
+from jointplay.solver.integrators.kernel import KernelCode
+from jointplay.solver.integrators.kernel_functions import Compile, Function, kernel_functions
 
 #: Places in the state of a case. Given: time of the first sample, bound of the scaled error of a step, time in which
 #: the machine moves by its own size, first and longest step, samples wanted, trial steps after which it counts as
@@ -79,8 +79,8 @@ def case_functions(
     advance : callable
         ``advance(w, s, count, interval, oversampling, places, coordinates, velocities,
         accelerations, memories)``: at most `count` trial steps, until ``s[OUTCOME]`` is no longer ``RUNNING``. `places`
-        are the recorded coordinates; the others are as in :meth:`solver.integrators.device.DeviceKernel.integrate`, of
-        one case.
+        are the recorded coordinates; the others are as in
+        :meth:`jointplay.solver.integrators.device.DeviceKernel.integrate`, of one case.
     """
     functions = kernel_functions(code, compiled)
     prepare, held, dopri, project = (functions[name] for name in ("prepare", "held", "dopri", "project"))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from solver.machines.fields import RuleError
-from solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact
-from solver.machines.restitution import remark
+from jointplay.solver.machines.fields import RuleError
+from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact
+from jointplay.solver.machines.restitution import remark
 
 if TYPE_CHECKING:
-    from solver.machines.machine import Machine
+    from jointplay.solver.machines.machine import Machine
 
 __all__ = ["contact_breaches", "refuse_units_of_another_law", "restitution_remarks"]
 

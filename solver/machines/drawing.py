@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from typing import TypeAlias
 
-from solver.errors import MachineError
-from solver.machines.fields import nearest
-from solver.machines.labels import place_labels
-from solver.machines.machine import Machine
-from solver.machines.shapes import Arrow, JointMark, LinkShape, MachineShapes, SupportMark, machine_shapes
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.labels import place_labels
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.shapes import Arrow, JointMark, LinkShape, MachineShapes, SupportMark, machine_shapes
 
 __all__ = ["Sheet", "machine_svg", "svg_class"]
 

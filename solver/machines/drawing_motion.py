@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.machines.drawing import MARGIN, Sheet, svg_class
-from solver.machines.machine import Machine
-from solver.machines.shapes import JointMark, machine_shapes
+from jointplay.solver.machines.drawing import MARGIN, Sheet, svg_class
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.shapes import JointMark, machine_shapes
 
 __all__ = ["MovingDrawing", "moving_drawing"]
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MovingDrawing:
-    """What moves in the drawing of :func:`solver.machines.drawing.machine_svg`.
+    """What moves in the drawing of :func:`jointplay.solver.machines.drawing.machine_svg`.
 
     Attributes
     ----------

@@ -6,9 +6,9 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from solver.machines import units
-from solver.machines.fields import Name, NumberOrTable, Quantity, Table
-from solver.machines.parts import Angle, Length, Part, Torque
+from jointplay.solver.machines import units
+from jointplay.solver.machines.fields import Name, NumberOrTable, Quantity, Table
+from jointplay.solver.machines.parts import Angle, Length, Part, Torque
 
 Curve: TypeAlias = tuple[tuple[float, float], ...]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from solver.errors import MachineError
-from solver.machines import units
-from solver.machines.fields import nearest
-from solver.machines.machine import Machine
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines import units
+from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.machine import Machine
 
 
 class FaultState(Mapping[str, float]):

@@ -16,8 +16,8 @@ from typing import Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from solver.machines import units
-from solver.machines.units import Dimension
+from jointplay.solver.machines import units
+from jointplay.solver.machines.units import Dimension
 
 __all__ = [
     "Direction",

@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from solver.machines import units
-from solver.machines.fields import MISSING, Marker, Quantity, RuleError, Vector, nearest
-from solver.machines.iso286 import FitClass
+from jointplay.solver.machines import units
+from jointplay.solver.machines.fields import MISSING, Marker, Quantity, RuleError, Vector, nearest
+from jointplay.solver.machines.iso286 import FitClass
 
 __all__ = ["DEFAULT_PLAY", "LIMIT_FACTOR", "ClassFit", "Fit", "FitMarker", "FitSaid", "in_um", "new_fit"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from solver.machines.fields import RuleError
+from jointplay.solver.machines.fields import RuleError
 
 __all__ = ["FitClass", "ToleranceClass"]
 

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from solver.machines import units
-from solver.machines.fields import Direction, Name, Point, Quantity, RuleError, no_default
-from solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
-from solver.machines.parts import Damping, Part
-from solver.machines.restitution import HYSTERESIS, ContactLaw
+from jointplay.solver.machines import units
+from jointplay.solver.machines.fields import Direction, Name, Point, Quantity, RuleError, no_default
+from jointplay.solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
+from jointplay.solver.machines.parts import Damping, Part
+from jointplay.solver.machines.restitution import HYSTERESIS, ContactLaw
 
 FrictionCoefficient = Annotated[float, Quantity(units.RATIO, at_least=0)]
 FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]

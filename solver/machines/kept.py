@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, TypeVar, cast
 
-from solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["kept"]
 

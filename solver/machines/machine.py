@@ -16,15 +16,15 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from solver.errors import MachineError
-from solver.machines import contact_rules, rules, units
-from solver.machines.drives import Drive
-from solver.machines.fields import Name, Quantity, Title, nearest, no_default
-from solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
-from solver.machines.matrix import read_matrix_form
-from solver.machines.parts import Damper, Initial, Link, Load, Mount, Part, Sensor, Spring, Support
-from solver.machines.refusals import first_error
-from solver.machines.yamlfile import read_tree
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines import contact_rules, rules, units
+from jointplay.solver.machines.drives import Drive
+from jointplay.solver.machines.fields import Name, Quantity, Title, nearest, no_default
+from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
+from jointplay.solver.machines.matrix import read_matrix_form
+from jointplay.solver.machines.parts import Damper, Initial, Link, Load, Mount, Part, Sensor, Spring, Support
+from jointplay.solver.machines.refusals import first_error
+from jointplay.solver.machines.yamlfile import read_tree
 
 
 class Machine(Part):
@@ -116,7 +116,8 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine") 
     Returns
     -------
     Machine
-        Complete and checked. Whether it can be assembled and driven is for :mod:`solver.cases.assembly` to say.
+        Complete and checked. Whether it can be assembled and driven is for :mod:`jointplay.solver.cases.assembly` to
+        say.
 
     Raises
     ------
@@ -155,7 +156,7 @@ def load_machine(path: str | Path) -> Machine:
 
 
 def _shipped() -> dict[str, Any]:
-    folder = resources.files("solver.machines") / "shipped"
+    folder = resources.files("jointplay.solver.machines") / "shipped"
     return {file.name.removesuffix(".yaml"): file for file in folder.iterdir() if file.name.endswith(".yaml")}
 
 

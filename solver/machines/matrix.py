@@ -14,10 +14,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from solver.errors import MachineError
+from jointplay.solver.errors import MachineError
 
 if TYPE_CHECKING:
-    from solver.machines.machine import Machine
+    from jointplay.solver.machines.machine import Machine
 
 __all__ = ["MatrixForm", "MechanismMatrix", "matrix_tree", "read_matrix_form"]
 
@@ -266,7 +266,8 @@ def _joint(key: str, data: object, links: tuple[str, str], symbol: str, source: 
 
 
 def matrix_tree(machine: Machine, clearance_joints: Iterable[str] = ()) -> dict[str, Any]:
-    """Return a machine as a file's content in matrix form, as :func:`~solver.machines.machine.parse_machine` reads.
+    """Return a machine as a file's content in matrix form, as :func:`~jointplay.solver.machines.machine.parse_machine`
+    reads.
 
     Raises
     ------

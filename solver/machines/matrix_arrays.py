@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from solver.machines.matrix import MechanismMatrix
+from jointplay.solver.machines.matrix import MechanismMatrix
 
 __all__ = ["SELECTIONS", "MatrixArrays", "matrix_arrays"]
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
 
-from solver.machines import units
-from solver.machines.fields import Direction, Name, Point, Quantity, RuleError, Table, Vector, nearest
+from jointplay.solver.machines import units
+from jointplay.solver.machines.fields import Direction, Name, Point, Quantity, RuleError, Table, Vector, nearest
 
 Stiffness = Annotated[float, Quantity(units.STIFFNESS, at_least=0)]
 Damping = Annotated[float, Quantity(units.DAMPING, at_least=0)]

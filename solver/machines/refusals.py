@@ -9,8 +9,8 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from solver.errors import MachineError
-from solver.machines.fields import MISSING, nearest
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fields import MISSING, nearest
 
 __all__ = ["first_error", "shown"]
 

@@ -7,16 +7,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from solver.errors import MachineError
-from solver.machines.contact_rules import contact_breaches
-from solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive
-from solver.machines.fields import nearest
-from solver.machines.joints import TurningJoint
-from solver.machines.parts import Damper, Spring
-from solver.machines.refusals import shown
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.contact_rules import contact_breaches
+from jointplay.solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive
+from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.parts import Damper, Spring
+from jointplay.solver.machines.refusals import shown
 
 if TYPE_CHECKING:
-    from solver.machines.machine import Machine
+    from jointplay.solver.machines.machine import Machine
 
 __all__ = ["check"]
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from solver.machines.joints import SlidingJoint
-from solver.machines.machine import Machine
-from solver.machines.parts import Load, Mount, Spring, Support
+from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Load, Mount, Spring, Support
 
 __all__ = ["Arrow", "JointMark", "LinkShape", "MachineShapes", "SupportMark", "machine_shapes"]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
-from solver.errors import UnitError
+from jointplay.solver.errors import UnitError
 
 __all__ = [
     "ACCELERATION",

@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from solver.errors import MachineError
+from jointplay.solver.errors import MachineError
 
 __all__ = ["Tree", "read_tree"]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from solver.equations.drive import prescribes_motion
-from solver.equations.model import Model, build_model
-from solver.integrators.kernel import kernel_code
-from solver.machines.drives import TranslationDrive
-from solver.machines.fault import FaultState, check_fault
-from solver.machines.joints import SlidingJoint, TurningJoint
-from solver.machines.machine import Machine
+from jointplay.solver.equations.drive import prescribes_motion
+from jointplay.solver.equations.model import Model, build_model
+from jointplay.solver.integrators.kernel import kernel_code
+from jointplay.solver.machines.drives import TranslationDrive
+from jointplay.solver.machines.fault import FaultState, check_fault
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def account(machine: Machine, fault: FaultState) -> Account:
     Raises
     ------
     MachineError
-        As :func:`solver.equations.model.build_model`.
+        As :func:`jointplay.solver.equations.model.build_model`.
     """
     check_fault(fault, machine)
     model = build_model(machine, fault.joints)

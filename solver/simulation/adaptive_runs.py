@@ -8,15 +8,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.history import Settings, Status
-from solver.cases.preparation import Prepared, model_of
-from solver.cases.scales import error_scales
-from solver.compiler.ir import LANES
-from solver.equations.model import MODELS_KEPT, Model
-from solver.integrators import adaptive, control
-from solver.integrators.dopri import StepRows
-from solver.integrators.kernel import Kernel, compile_adaptive
-from solver.integrators.lanes import (
+from jointplay.solver.cases.history import Settings, Status
+from jointplay.solver.cases.preparation import Prepared, model_of
+from jointplay.solver.cases.scales import error_scales
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.equations.model import MODELS_KEPT, Model
+from jointplay.solver.integrators import adaptive, control
+from jointplay.solver.integrators.dopri import StepRows
+from jointplay.solver.integrators.kernel import Kernel, compile_adaptive
+from jointplay.solver.integrators.lanes import (
     BUSY,
     CASE,
     ENDED,
@@ -29,11 +29,11 @@ from solver.integrators.lanes import (
     empty_records,
     idle_lanes,
 )
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
-from solver.simulation.jamming import failure_remark, hold_remark, jam_message
-from solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
-from solver.spectra import sampling
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
+from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
+from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
@@ -157,7 +157,7 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reach
     model : Model
     case : Prepared
     outcome : int
-        See :mod:`solver.integrators.control`.
+        See :mod:`jointplay.solver.integrators.control`.
     final : (1 + 2 n + m,) array
         Time, coordinates, velocities and memories with which it ended.
     reached : float

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from solver.simulation.blocks import MOTIONS, BlockSpectra
-from solver.spectra.harmonics import FLOOR_DB
-from solver.spectra.segments import FloatArray
+from jointplay.solver.simulation.blocks import MOTIONS, BlockSpectra
+from jointplay.solver.spectra.harmonics import FLOOR_DB
+from jointplay.solver.spectra.segments import FloatArray
 
 #: dB per part by which a power changes.
 _DB_PER_PART = 10 / math.log(10)
@@ -51,7 +51,7 @@ def standard_error_db(power: FloatArray) -> FloatArray:
 def overall(values_db: FloatArray, power: FloatArray) -> float:
     """Root mean square over bands (k, c) of the channel in which it is largest, dB; 0 where nothing moves.
 
-    Bands far below the strongest of their channel are left out, as in :mod:`solver.spectra.harmonics`.
+    Bands far below the strongest of their channel are left out, as in :mod:`jointplay.solver.spectra.harmonics`.
     """
     largest = 0.0
     for column, levels in zip(values_db.T, power.T, strict=True):

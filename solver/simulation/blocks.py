@@ -9,25 +9,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from solver.cases.history import Case, History, Settings, Status
-from solver.cases.start import Start
-from solver.compiler.ir import LANES
-from solver.errors import SettingsError
-from solver.machines.machine import Machine
-from solver.simulation.simulate import simulate_batch
-from solver.spectra.band_power import band_matrix
-from solver.spectra.bands import BandScheme
-from solver.spectra.sampling import PASS
-from solver.spectra.segments import FloatArray, revolution_segments
-from solver.spectra.sensor import sensor_signals
-from solver.spectra.spectrum import frame_units
+from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.start import Start
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.simulate import simulate_batch
+from jointplay.solver.spectra.band_power import band_matrix
+from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.sampling import PASS
+from jointplay.solver.spectra.segments import FloatArray, revolution_segments
+from jointplay.solver.spectra.sensor import sensor_signals
+from jointplay.solver.spectra.spectrum import frame_units
 
 MOTIONS = ("x", "y", "theta")
 #: Highest order with a band of its own, if the sample rate allows.
 HIGHEST_ORDER = 200
 #: Revolutions from one block to the next, and those that a block looks at: four windows of three, two of four.
 BLOCK, SEEN = 4, 6
-#: Windows may be a little longer than their revolutions, see :data:`solver.spectra.segments.LENGTH_TOLERANCE`.
+#: Windows may be a little longer than their revolutions:
+#: :data:`jointplay.solver.spectra.segments.LENGTH_TOLERANCE`.
 _SLACK = 0.02
 _WINDOW = 4.0
 #: Memory for histories at once and for the densities of one block, bytes: sums, spreads and the block that waits hold

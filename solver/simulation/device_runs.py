@@ -8,16 +8,16 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 
-from solver.cases.history import Settings
-from solver.cases.preparation import Prepared, model_of
-from solver.cases.scales import error_scales
-from solver.equations.model import Model
-from solver.integrators.device import DeviceKernel, Records, compile_device, memory
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
-from solver.simulation.adaptive_runs import how_it_ended, queue_of
-from solver.simulation.recorded import OVERSAMPLING, Run, samples_of
-from solver.spectra import sampling
+from jointplay.solver.cases.history import Settings
+from jointplay.solver.cases.preparation import Prepared, model_of
+from jointplay.solver.cases.scales import error_scales
+from jointplay.solver.equations.model import Model
+from jointplay.solver.integrators.device import DeviceKernel, Records, compile_device, memory
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.adaptive_runs import how_it_ended, queue_of
+from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, samples_of
+from jointplay.solver.spectra import sampling
 
 #: Cases that run side by side are bounded by the memory of their records, bytes: here and on the device.
 _RECORD_BYTES = 4e9
@@ -36,7 +36,7 @@ def device_runs(
     settings: Settings,
 ) -> Iterator[Run]:  # fmt: skip
     """Dormand-Prince steps under error control, one case a thread; parameters as
-    :func:`solver.simulation.gill_runs.gill_runs`.
+    :func:`jointplay.solver.simulation.gill_runs.gill_runs`.
     """
     kernel = _kernel(machine, model.clearance_joints, varying, tuple(recorded))
     room = min(_RECORD_BYTES, 0.5 * memory())

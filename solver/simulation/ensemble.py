@@ -10,18 +10,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from solver.cases.contact_rates import extent_of
-from solver.cases.groups import groups
-from solver.cases.history import Case, Settings, Status
-from solver.cases.start import Start
-from solver.cases.steps import SETTLING_REVOLUTIONS
-from solver.equations.drive import repeating_frequency
-from solver.errors import SettingsError
-from solver.machines.machine import Machine
-from solver.simulation.averages import Average, spread_db, standard_error_db
-from solver.simulation.blocks import BLOCK, SEEN, Members, check_memory
-from solver.simulation.ensemble_result import FEWEST, Ensemble, EnsembleResult, Kind, Member
-from solver.simulation.steady import PHASES, healthy_revolution, starts_at
+from jointplay.solver.cases.contact_rates import extent_of
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.start import Start
+from jointplay.solver.cases.steps import SETTLING_REVOLUTIONS
+from jointplay.solver.equations.drive import repeating_frequency
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.averages import Average, spread_db, standard_error_db
+from jointplay.solver.simulation.blocks import BLOCK, SEEN, Members, check_memory
+from jointplay.solver.simulation.ensemble_result import FEWEST, Ensemble, EnsembleResult, Kind, Member
+from jointplay.solver.simulation.steady import PHASES, healthy_revolution, starts_at
 
 __all__ = ["Ensemble", "EnsembleResult", "Kind", "Member", "simulate_ensemble"]
 
@@ -57,7 +57,7 @@ def simulate_ensemble(
         A drive without a constant speed or a load that does not repeat, so that there is no steady state; a frame that
         cannot move; fewer revolutions allowed than the transient takes; spectra that no memory would hold.
     AssemblyError, MachineError
-        As :func:`solver.simulation.simulate.start_of`.
+        As :func:`jointplay.solver.simulation.simulate.start_of`.
     """
     case, ensemble, settings = case or Case(), ensemble or Ensemble(), settings or Settings()
     if settings.device != "cpu":

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from solver.cases.history import Case, Status
-from solver.cases.steps import SETTLING_REVOLUTIONS
-from solver.errors import SettingsError
-from solver.simulation.averages import overall
-from solver.simulation.blocks import BLOCK, MOTIONS, SEEN
-from solver.spectra.segments import FloatArray
+from jointplay.solver.cases.history import Case, Status
+from jointplay.solver.cases.steps import SETTLING_REVOLUTIONS
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.simulation.averages import overall
+from jointplay.solver.simulation.blocks import BLOCK, MOTIONS, SEEN
+from jointplay.solver.spectra.segments import FloatArray
 
 Kind = Literal["perturbation", "phase"]
 #: Blocks that are the least to judge by.

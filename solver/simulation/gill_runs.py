@@ -10,17 +10,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.history import Settings, Status
-from solver.cases.preparation import Prepared, model_of
-from solver.compiler.ir import LANES
-from solver.equations.model import Model
-from solver.integrators import gill
-from solver.integrators.kernel import Kernel, compile_model
-from solver.machines.kept import kept
-from solver.machines.machine import Machine
-from solver.simulation.jamming import failure_remark, hold_remark, jam_message
-from solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
-from solver.spectra import sampling
+from jointplay.solver.cases.history import Settings, Status
+from jointplay.solver.cases.preparation import Prepared, model_of
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.equations.model import Model
+from jointplay.solver.integrators import gill
+from jointplay.solver.integrators.kernel import Kernel, compile_model
+from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
+from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
+from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def gill_runs(
     Parameters
     ----------
     machine, model, varying
-        As :func:`solver.cases.preparation.model_of`.
+        As :func:`jointplay.solver.cases.preparation.model_of`.
     prepared : sequence of Prepared
     recorded : sequence of int
         Coordinates to record.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.history import Settings, Status
-from solver.cases.preparation import Prepared
-from solver.integrators.lanes import PHASES
-from solver.spectra import sampling
+from jointplay.solver.cases.history import Settings, Status
+from jointplay.solver.cases.preparation import Prepared
+from jointplay.solver.integrators.lanes import PHASES
+from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,8 @@ class Run:
         Recorded coordinates and accelerations at the sample rate, where motion is wanted. Of a case that failed, the
         samples before.
     v : (r, OVERSAMPLING, head + k) array
-        Velocities at :data:`OVERSAMPLING` times the sample rate, by phase (:func:`solver.spectra.sampling.phases`).
+        Velocities at :data:`OVERSAMPLING` times the sample rate, by phase
+        (:func:`jointplay.solver.spectra.sampling.phases`).
     samples : int
         Velocities that there are.
     memory : (m, samples) array or None

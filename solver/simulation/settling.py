@@ -14,18 +14,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.groups import groups
-from solver.cases.history import Case, Settings, Status
-from solver.cases.preparation import Prepared
-from solver.cases.start import start_with_frame
-from solver.equations.drive import repeating_frequency
-from solver.equations.model import Model
-from solver.errors import AssemblyError, SettingsError
-from solver.machines.drives import RotationDrive
-from solver.machines.fault import HEALTHY
-from solver.machines.machine import Machine
-from solver.simulation.recorded import OVERSAMPLING, Run
-from solver.spectra import sampling
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.preparation import Prepared
+from jointplay.solver.cases.start import start_with_frame
+from jointplay.solver.equations.drive import repeating_frequency
+from jointplay.solver.equations.model import Model
+from jointplay.solver.errors import AssemblyError, SettingsError
+from jointplay.solver.machines.drives import RotationDrive
+from jointplay.solver.machines.fault import HEALTHY
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.recorded import OVERSAMPLING, Run
+from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def settled(
         Of one model.
     settings : Settings
     runs : callable
-        What integrates cases of one model, :func:`solver.simulation.adaptive_runs.adaptive_runs` or another.
+        What integrates cases of one model, :func:`jointplay.solver.simulation.adaptive_runs.adaptive_runs` or another.
     """
     given = {case.index: case for case in ready}
     worn = [case for case in ready if _gains(machine, model, cases[case.index], case, settings)]

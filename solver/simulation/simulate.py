@@ -9,21 +9,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.groups import groups
-from solver.cases.history import Case, History, Settings, Status
-from solver.cases.positions import mobility_of
-from solver.cases.preparation import Prepared
-from solver.cases.start import Start
-from solver.cases.steps import Accuracy
-from solver.equations.links import link_motion
-from solver.equations.model import Model
-from solver.errors import SettingsError
-from solver.machines.machine import Machine
-from solver.simulation.adaptive_runs import adaptive_runs
-from solver.simulation.gill_runs import gill_runs
-from solver.simulation.recorded import OVERSAMPLING, Run
-from solver.simulation.settling import settled
-from solver.spectra import sampling
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.positions import mobility_of
+from jointplay.solver.cases.preparation import Prepared
+from jointplay.solver.cases.start import Start
+from jointplay.solver.cases.steps import Accuracy
+from jointplay.solver.equations.links import link_motion
+from jointplay.solver.equations.model import Model
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.adaptive_runs import adaptive_runs
+from jointplay.solver.simulation.gill_runs import gill_runs
+from jointplay.solver.simulation.recorded import OVERSAMPLING, Run
+from jointplay.solver.simulation.settling import settled
+from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
@@ -46,8 +46,8 @@ def _runs(settings: Settings) -> Callable[..., Iterator[Run]]:
     if settings.device == "cpu":
         return gill_runs if settings.integrator == "gill" else adaptive_runs
     try:
-        from solver.integrators.device import check_device
-        from solver.simulation.device_runs import device_runs
+        from jointplay.solver.integrators.device import check_device
+        from jointplay.solver.simulation.device_runs import device_runs
     except ImportError as error:
         raise SettingsError("device: cuda: Numba has no CUDA here; install the extra jointplay[cuda]") from error
     check_device()

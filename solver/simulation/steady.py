@@ -10,15 +10,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from solver.cases.assembly import walk
-from solver.cases.groups import groups
-from solver.cases.history import Case, History, Settings, Status
-from solver.cases.start import Start, start_with_frame
-from solver.equations.drive import repeating_frequency
-from solver.machines.fault import HEALTHY
-from solver.machines.machine import Machine
-from solver.simulation.simulate import simulate
-from solver.spectra.segments import FloatArray
+from jointplay.solver.cases.assembly import walk
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.start import Start, start_with_frame
+from jointplay.solver.equations.drive import repeating_frequency
+from jointplay.solver.machines.fault import HEALTHY
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.simulate import simulate
+from jointplay.solver.spectra.segments import FloatArray
 
 #: Samples of the healthy machine in a revolution: phases are met to a degree.
 PHASES = 360

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solver.cases.history import Case, History, Settings, Status
-from solver.compiler.ir import LANES
-from solver.compiler.native import processor
-from solver.machines.machine import Machine
-from solver.simulation.workbench import MOTIONS, REFERENCES, Point, bench_of, middle
-from solver.spectra.harmonics import compared, mean_difference_db
+from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.compiler.native import processor
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.workbench import MOTIONS, REFERENCES, Point, bench_of, middle
+from jointplay.solver.spectra.harmonics import compared, mean_difference_db
 
 __all__ = ["Point", "Recommendation", "TradeOff", "computer", "measure"]
 
@@ -158,7 +158,7 @@ def measure(
     SettingsError
         A frame that cannot move, or a drive without a constant speed: then there are no harmonics.
     AssemblyError, MachineError
-        As :func:`solver.simulation.simulate.simulate_batch`.
+        As :func:`jointplay.solver.simulation.simulate.simulate_batch`.
     """
     case = case or Case()
     bench, preparation = bench_of(machine, case)

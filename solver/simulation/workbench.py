@@ -1,4 +1,6 @@
-"""Eight runs of one case, a rounding apart, under one setting: what :mod:`solver.simulation.tradeoff` measures."""
+"""Eight runs of one case, a rounding apart, under one setting: what :mod:`jointplay.solver.simulation.tradeoff`
+measures.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +11,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from solver.cases.contact_rates import extent_of
-from solver.cases.history import Case, History, Settings, Status
-from solver.cases.preparation import model_of
-from solver.cases.start import Start
-from solver.compiler.ir import LANES
-from solver.equations.drive import repeating_frequency
-from solver.errors import SettingsError
-from solver.machines.machine import Machine
-from solver.simulation.adaptive_runs import TOLERANCES
-from solver.simulation.simulate import simulate_batch, start_of
-from solver.spectra.harmonics import compared, harmonic_levels, mean_difference_db, order_band_levels, whole_rate
-from solver.spectra.segments import FloatArray
+from jointplay.solver.cases.contact_rates import extent_of
+from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.preparation import model_of
+from jointplay.solver.cases.start import Start
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.equations.drive import repeating_frequency
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.adaptive_runs import TOLERANCES
+from jointplay.solver.simulation.simulate import simulate_batch, start_of
+from jointplay.solver.spectra.harmonics import (
+    compared,
+    harmonic_levels,
+    mean_difference_db,
+    order_band_levels,
+    whole_rate,
+)
+from jointplay.solver.spectra.segments import FloatArray
 
 #: Tolerances of ``adaptive`` that are measured, and those that may serve as the reference, the tightest first.
 RUNGS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)

@@ -14,10 +14,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from solver.compiler.compiled import compiled
-from solver.errors import SettingsError
-from solver.spectra.bands import BandScheme
-from solver.spectra.segments import ComplexArray, FloatArray, Segmentation, revolution_segments
+from jointplay.solver.compiler.compiled import compiled
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.segments import ComplexArray, FloatArray, Segmentation, revolution_segments
 
 #: Window of the band estimator in drive revolutions, and the step from one window to the next.
 WINDOW_REVOLUTIONS = 3.0
@@ -111,7 +111,7 @@ def band_matrix(
         The channels of the result are these combinations of the (differentiated) channels.
     sample_mean : bool
         True when every sample is the mean over its sample interval (alias-free output of the simulator); the known loss
-        of such a mean is then undone, see :func:`solver.spectra.welch.undo_sample_mean`.
+        of such a mean is then undone, see :func:`jointplay.solver.spectra.welch.undo_sample_mean`.
     window_revolutions : float
         Window in drive revolutions.
     cuts : sequence of int, (G + 1,)
@@ -181,7 +181,7 @@ def transform_power(power: npt.ArrayLike, transform: npt.ArrayLike) -> ComplexAr
     ----------
     power : (..., B, c, c) array
     transform : (s, c) array
-        For instance of :func:`solver.spectra.sensor.sensor_transform`.
+        For instance of :func:`jointplay.solver.spectra.sensor.sensor_transform`.
 
     Returns
     -------

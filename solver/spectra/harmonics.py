@@ -11,10 +11,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from solver.errors import SettingsError
-from solver.spectra.band_power import band_matrix
-from solver.spectra.bands import BandScheme
-from solver.spectra.segments import FloatArray
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.spectra.band_power import band_matrix
+from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.segments import FloatArray
 
 #: Multiples of the drive's frequency that are compared, and the highest frequency among them, Hz.
 HARMONICS = 200

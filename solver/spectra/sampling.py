@@ -16,7 +16,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.compiler.compiled import compiled
+from jointplay.solver.compiler.compiled import compiled
 
 Array = NDArray[np.float64]
 

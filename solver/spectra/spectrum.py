@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from solver.errors import SettingsError
-from solver.spectra.segments import ComplexArray, FloatArray
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.spectra.segments import ComplexArray, FloatArray
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
 Scaling = Literal["psd", "rms", "peak"]

@@ -8,9 +8,9 @@ import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from app.jobs.build_process import Order, Told
-from app.jobs.workers import prepare
-from app.logs import LogSettings
+from jointplay.app.jobs.build_process import Order, Told
+from jointplay.app.jobs.workers import prepare
+from jointplay.app.logs import LogSettings
 
 
 def note(order: Order) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from click.testing import CliRunner, Result
 
-from app.cli import main
+from jointplay.app.cli import main
 
-JOINTPLAY = [sys.executable, "-m", "app.cli"]
+JOINTPLAY = [sys.executable, "-m", "jointplay.app.cli"]
 
 
 def invoke(*arguments: str | Path) -> Result:

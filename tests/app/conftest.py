@@ -13,15 +13,15 @@ from filelock import FileLock
 from http_answers import send
 from playwright.sync_api import Browser
 from real_browser import running
-from recordings import unpacked
 from small_service import PLAN, serving
 from webhook_listener import Listener, listening
 
-from app.settings import Settings
-from app.storage.store import Store
-from catalogue.building.build import build
-from catalogue.plans.plan import parse_plan
-from solver.machines.machine import shipped_machine
+from jointplay.app.settings import Settings
+from jointplay.app.storage.store import Store
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.solver.machines.machine import shipped_machine
+from recordings import unpacked
 
 
 @pytest.fixture

@@ -14,15 +14,15 @@ import httpx
 from small_service import serving
 from sqlalchemy import update
 
-from app.errors import BusyError, DatabaseGoneError, KeyInUseError, TimeLimitError, WorkerDiedError
-from app.http import examples
-from app.http.gate import Gate
-from app.jobs.webhook_sender import WebhookSender
-from app.settings import Settings
-from app.storage.build_queue import BuildRow
-from app.storage.store import Store
-from catalogue.errors import CatalogueFileError, CatalogueMismatchError
-from catalogue.storage.store import Catalogue
+from jointplay.app.errors import BusyError, DatabaseGoneError, KeyInUseError, TimeLimitError, WorkerDiedError
+from jointplay.app.http import examples
+from jointplay.app.http.gate import Gate
+from jointplay.app.jobs.webhook_sender import WebhookSender
+from jointplay.app.settings import Settings
+from jointplay.app.storage.build_queue import BuildRow
+from jointplay.app.storage.store import Store
+from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError
+from jointplay.catalogue.storage.store import Catalogue
 
 UPLOAD_MB = 3.0
 MULTIPART = "multipart/form-data"

@@ -11,8 +11,8 @@ import httpx
 import uvicorn
 from fastapi import FastAPI
 
-from app.main import create_app
-from app.settings import Settings
+from jointplay.app.main import create_app
+from jointplay.app.settings import Settings
 
 PLAN = {
     "name": "tests",

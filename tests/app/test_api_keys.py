@@ -13,11 +13,11 @@ import pytest
 from command_line import invoke
 from small_service import serving
 
-from app.errors import UnauthorizedError, UnknownKeyError
-from app.scopes import Scope, scope_of
-from app.settings import Settings
-from app.storage.keys import Keys
-from app.storage.store import Store
+from jointplay.app.errors import UnauthorizedError, UnknownKeyError
+from jointplay.app.scopes import Scope, scope_of
+from jointplay.app.settings import Settings
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.store import Store
 
 API = "/api/v1"
 

@@ -11,9 +11,9 @@ from typing import Any
 import httpx
 import pytest
 
-from app.pages.history import chart, history
-from app.storage.assets import FindingRow
-from app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.app.pages.history import chart, history
+from jointplay.app.storage.assets import FindingRow
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
 
 API = "/api/v1"
 

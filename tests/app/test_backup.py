@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import databases
 import httpx
 import pytest
 from command_line import assert_refused, invoke
 from small_service import serving
 
-from app.http.examples import MACHINE_FILE
-from app.settings import Settings
+import databases
+from jointplay.app.http.examples import MACHINE_FILE
+from jointplay.app.settings import Settings
 
 API = "/api/v1"
 DIAGNOSE = {"catalogue": "slider-crank", "effort": "fast"}

@@ -12,10 +12,10 @@ from playwright.sync_api import Browser, Page, Route, expect
 from real_browser import SCREENS, SECONDS, Visit, has_drawn, is_within_screen, serious, visiting
 from small_service import serving, spoiled
 
-from app.scopes import Scope
-from app.settings import Settings
-from app.storage.keys import Keys
-from app.storage.store import Store
+from jointplay.app.scopes import Scope
+from jointplay.app.settings import Settings
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.store import Store
 
 
 @pytest.fixture(params=SCREENS, ids=["wide", "narrow"])

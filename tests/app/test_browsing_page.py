@@ -11,7 +11,7 @@ import httpx
 import numpy as np
 import pytest
 
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.store import Catalogue
 
 
 def charts(text: str) -> list[dict[str, list[float]]]:

@@ -11,11 +11,11 @@ import pytest
 from command_line import assert_refused, invoke
 from small_service import PLAN, serving
 
-from app.settings import Settings
-from catalogue.building.build import build
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import shipped_machine
+from jointplay.app.settings import Settings
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
 
 API = "/api/v1"
 TINY = {**PLAN, "draws": {"healthy": 3, "single": 4}, "guard": 0}

@@ -13,13 +13,13 @@ import pytest
 import troubled_catalogue
 from small_service import asking, serving
 
-from app.pages.build_view import PLANS, build_view, duration_text
-from app.scopes import Scope
-from app.settings import Settings
-from app.storage.build_queue import BuildQueue, BuildRow
-from app.storage.keys import Keys
-from app.storage.store import Store
-from catalogue.plans.plan import preset_names
+from jointplay.app.pages.build_view import PLANS, build_view, duration_text
+from jointplay.app.scopes import Scope
+from jointplay.app.settings import Settings
+from jointplay.app.storage.build_queue import BuildQueue, BuildRow
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.store import Store
+from jointplay.catalogue.plans.plan import preset_names
 
 FORM = {"machine": "slider-crank", "plan": "quick", "catalogue": "mine"}
 HTML = {"Accept": "text/html"}

@@ -14,10 +14,10 @@ import build_tasks
 import pytest
 from sqlalchemy import update
 
-from app.errors import BuildEndedError, UnknownBuildError
-from app.jobs.build_runner import BuildRunner
-from app.storage.build_queue import ATTEMPTS, BuildQueue, BuildRow
-from app.storage.store import Store
+from jointplay.app.errors import BuildEndedError, UnknownBuildError
+from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.storage.build_queue import ATTEMPTS, BuildQueue, BuildRow
+from jointplay.app.storage.store import Store
 
 
 class Server:

@@ -17,13 +17,13 @@ import httpx
 import pytest
 from small_service import PLAN, asking
 
-from app.settings import Settings
-from catalogue.building.build import build
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import shipped_machine
+from jointplay.app.settings import Settings
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
 
 API = "/api/v1"
 TINY = {**PLAN, "draws": {"healthy": 3, "single": 70}, "guard": 0}
@@ -132,7 +132,7 @@ def command(folder: Path) -> Iterator[tuple[subprocess.Popen[str], httpx.Client]
     """``jointplay serve`` as its users start it."""
     arguments = ["--port", "0", "--workers", "1", "--catalogues", str(folder / "catalogues")]
     with subprocess.Popen(
-        [sys.executable, "-m", "app.cli", "serve", *arguments, "--data", str(folder / "data")],
+        [sys.executable, "-m", "jointplay.app.cli", "serve", *arguments, "--data", str(folder / "data")],
         env={**os.environ, "JOINTPLAY_BUILD_LEASE_S": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
         stderr=subprocess.PIPE,
         text=True,

@@ -15,9 +15,9 @@ from playwright.sync_api import Browser, Page, expect
 from real_browser import SCREENS, Visit, is_within_screen, serious, visiting
 from small_service import serving
 
-from app.settings import Settings
-from app.storage.build_queue import BuildQueue
-from app.storage.store import Store
+from jointplay.app.settings import Settings
+from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.store import Store
 
 LONG = f"mine-{'x' * 59}"  # as long as a name may be, without a place to break it
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from command_line import assert_refused, invoke
 
-import solver
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.store import Catalogue
+from jointplay import solver
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.store import Catalogue
 
 
 @pytest.fixture

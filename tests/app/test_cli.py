@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from command_line import JOINTPLAY, assert_refused, invoke
 
-from app.cli import COMMANDS
-from app.commands.progress import clock
-from catalogue.storage.hdf5 import read_arrays
-from solver.machines.machine import parse_machine
+from jointplay.app.cli import COMMANDS
+from jointplay.app.commands.progress import clock
+from jointplay.catalogue.storage.hdf5 import read_arrays
+from jointplay.solver.machines.machine import parse_machine
 
 
 def unpacked(path: Path) -> dict[str, np.ndarray]:
@@ -34,7 +34,7 @@ def test_help_lists_every_command() -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "scipy", "casadi", "numba", "matplotlib", "fastapi", "sqlalchemy", "pydantic", "h5py")
-    code = f"import sys, app.cli; print([name for name in {heavy!r} if name in sys.modules])"
+    code = f"import sys, jointplay.app.cli; print([name for name in {heavy!r} if name in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
 
 
@@ -295,7 +295,7 @@ def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
 
 
 def test_a_closed_pipe_is_no_error() -> None:
-    command = f"{sys.executable} -m app.cli machines quick-return | head -n 1"
+    command = f"{sys.executable} -m jointplay.app.cli machines quick-return | head -n 1"
     result = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)
     assert len(result.stdout.splitlines()) == 1
     assert result.stderr == ""

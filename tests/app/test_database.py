@@ -15,13 +15,13 @@ from alembic.migration import MigrationContext
 from sqlalchemy import event, text
 from uploaded import SHA256, SIZE, uploaded
 
-from app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
-from app.storage.assets import Assets
-from app.storage.build_queue import BuildQueue
-from app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
-from app.storage.keys import Keys
-from app.storage.store import Base, NewDiagnosis, Store, aware, measurement_key
-from app.storage.told import Told
+from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
+from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.store import Base, NewDiagnosis, Store, aware, measurement_key
+from jointplay.app.storage.told import Told
 
 
 def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> None:

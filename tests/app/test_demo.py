@@ -6,9 +6,9 @@ from importlib import resources
 
 import pytest
 
-from app.demo.__main__ import content_of, recordings, truth_sentence
-from catalogue.measurements.measurement import read_measurement
-from solver.machines.machine import shipped_machine
+from jointplay.app.demo.__main__ import content_of, recordings, truth_sentence
+from jointplay.catalogue.measurements.measurement import read_measurement
+from jointplay.solver.machines.machine import shipped_machine
 
 NAMES = sorted(recordings())
 
@@ -23,7 +23,7 @@ def test_a_recording_fits_the_machine(name: str) -> None:
 
 
 def test_every_file_is_described() -> None:
-    folder = resources.files("app.demo") / "recordings"
+    folder = resources.files("jointplay.app.demo") / "recordings"
     files = {entry.name for entry in folder.iterdir() if entry.name.endswith(".csv.gz")}
     assert files == {f"{name}.csv.gz" for name in NAMES}
     described = (folder / "README.md").read_text(encoding="utf-8")

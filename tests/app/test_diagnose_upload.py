@@ -10,20 +10,20 @@ from typing import Any, cast
 
 import pytest
 
-from app.errors import AppError, BadFieldError, TimeLimitError, UnknownCatalogueError, WorkerDiedError
-from app.http.metrics import Metrics
-from app.jobs import tasks
-from app.jobs.build_runner import BuildRunner
-from app.jobs.workers import TaskFailedError, WorkerPool, attempt
-from app.schemas.resources import DiagnosisRequest
-from app.service import Service
-from app.settings import Settings
-from app.shelves.catalogues import CatalogueShelf
-from app.storage.build_queue import BuildQueue
-from app.storage.machine_store import MachineStore
-from app.storage.store import DiagnosisRow, Store, measurement_key
-from app.storage.told import Told
-from catalogue.measurements.measurement import Measurement
+from jointplay.app.errors import AppError, BadFieldError, TimeLimitError, UnknownCatalogueError, WorkerDiedError
+from jointplay.app.http.metrics import Metrics
+from jointplay.app.jobs import tasks
+from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.workers import TaskFailedError, WorkerPool, attempt
+from jointplay.app.schemas.resources import DiagnosisRequest
+from jointplay.app.service import Service
+from jointplay.app.settings import Settings
+from jointplay.app.shelves.catalogues import CatalogueShelf
+from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.store import DiagnosisRow, Store, measurement_key
+from jointplay.app.storage.told import Told
+from jointplay.catalogue.measurements.measurement import Measurement
 
 
 class Here:

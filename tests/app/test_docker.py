@@ -15,7 +15,7 @@ from command_line import invoke
 from distributed.cli import dask_scheduler, dask_worker
 from ruamel.yaml import YAML
 
-from app.settings import SECRETS, Settings
+from jointplay.app.settings import SECRETS, Settings
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docker"

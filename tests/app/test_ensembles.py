@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli import main
-from catalogue.storage.hdf5 import read_arrays
-from solver.simulation import averages
+from jointplay.app.cli import main
+from jointplay.catalogue.storage.hdf5 import read_arrays
+from jointplay.solver.simulation import averages
 
 PAGE = Path(__file__).parents[2] / "docs" / "solver.md"
 WORN = ("slider-crank", "--fault", "B=0.2mm", "--sample-rate", "5 kHz")

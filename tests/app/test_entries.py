@@ -14,14 +14,14 @@ import pytest
 from small_service import asking
 from starlette.requests import Request
 
-import catalogue.storage.store
-from app.errors import NotAcceptableError
-from app.http.negotiation import chosen_type
-from app.schemas.entries import EntryFilter
-from app.settings import Settings
-from app.shelves.entries import EntryShelf, fits
-from catalogue.storage.hdf5 import read_arrays
-from catalogue.storage.store import Catalogue
+import jointplay.catalogue.storage.store
+from jointplay.app.errors import NotAcceptableError
+from jointplay.app.http.negotiation import chosen_type
+from jointplay.app.schemas.entries import EntryFilter
+from jointplay.app.settings import Settings
+from jointplay.app.shelves.entries import EntryShelf, fits
+from jointplay.catalogue.storage.hdf5 import read_arrays
+from jointplay.catalogue.storage.store import Catalogue
 
 ENTRIES = "/api/v1/catalogues/slider-crank/entries"
 HDF5, NPY, CSV = "application/x-hdf5", "application/x-npy", "text/csv"
@@ -190,7 +190,7 @@ def test_entity_tags_need_no_shard(
         assert [answer.content for answer in again.values()] == [answer.content for answer in forms.values()]
         assert {answer.headers["etag"] for answer in again.values()} == tags
     with asking(settings) as other:
-        monkeypatch.setattr(catalogue.storage.store, "decode_shard", refused)
+        monkeypatch.setattr(jointplay.catalogue.storage.store, "decode_shard", refused)
         for kind, answer in forms.items():
             headers = {"Accept": kind, "If-None-Match": answer.headers["etag"]}
             held = other.get(f"{ENTRIES}/{key}", headers=headers)
@@ -200,9 +200,9 @@ def test_entity_tags_need_no_shard(
 
 
 def test_bodies_in_memory_are_bounded(settings: Settings, stored: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
-    from app.shelves.catalogues import CatalogueShelf
+    from jointplay.app.shelves.catalogues import CatalogueShelf
 
-    monkeypatch.setattr("app.shelves.entries.KEPT_BYTES", 100_000)
+    monkeypatch.setattr("jointplay.app.shelves.entries.KEPT_BYTES", 100_000)
     entries, offer = EntryShelf(), CatalogueShelf(settings.catalogues).find("slider-crank")
     keys = stored.entries.key.tolist()[:8]
     bodies = [entries.whole(offer, key, NPY).body for key in keys]

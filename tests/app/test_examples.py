@@ -13,8 +13,8 @@ import jsonschema
 import pytest
 from example_calls import BINARY, Answered, ExampleService, shown
 
-from app.http import examples
-from app.problems import MEDIA_TYPE
+from jointplay.app.http import examples
+from jointplay.app.problems import MEDIA_TYPE
 
 OPERATIONS_AT_LEAST = 34
 #: Not in any document: the file of a form.

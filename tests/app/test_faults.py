@@ -14,7 +14,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import databases
 import httpx
 import pytest
 from small_service import PLAN, asking
@@ -23,12 +22,13 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
 from starlette.datastructures import UploadFile
 
-from app.failures import foreseen
-from app.problems import problem_of
-from app.settings import Settings
-from app.storage.store import ABANDONED_S, PARTIAL, Store
-from catalogue.errors import CatalogueFileError
-from catalogue.storage.directory import publish
+import databases
+from jointplay.app.failures import foreseen
+from jointplay.app.problems import problem_of
+from jointplay.app.settings import Settings
+from jointplay.app.storage.store import ABANDONED_S, PARTIAL, Store
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.storage.directory import publish
 
 API = "/api/v1"
 ASKED = {"machine": "slider-crank", "plan": PLAN, "catalogue": "made"}

@@ -10,9 +10,9 @@ import httpx
 import pytest
 from small_service import serving
 
-from app.commands.serve import answering, loopback
-from app.http.rates import KEPT, TokenBuckets
-from app.settings import Settings
+from jointplay.app.commands.serve import answering, loopback
+from jointplay.app.http.rates import KEPT, TokenBuckets
+from jointplay.app.settings import Settings
 
 API = "/api/v1"
 

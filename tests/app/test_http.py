@@ -12,10 +12,10 @@ import pytest
 from http_answers import API, assert_problem, assert_time, send
 from small_service import serving, spoiled
 
-from app.jobs import tasks
-from app.settings import Settings
-from app.shelves.catalogues import stamp_of
-from catalogue.matching.prior import Prior
+from jointplay.app.jobs import tasks
+from jointplay.app.settings import Settings
+from jointplay.app.shelves.catalogues import stamp_of
+from jointplay.catalogue.matching.prior import Prior
 
 
 @pytest.fixture(scope="module")

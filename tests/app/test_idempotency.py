@@ -11,10 +11,10 @@ import pytest
 from starlette.requests import Request
 from starlette.responses import Response
 
-import app.storage.idempotency
-from app.errors import KeyInUseError, KeyReusedError
-from app.storage.idempotency import KEPT, LEASE, forget, once, reserve, settle
-from app.storage.store import Store, now
+import jointplay.app.storage.idempotency
+from jointplay.app.errors import KeyInUseError, KeyReusedError
+from jointplay.app.storage.idempotency import KEPT, LEASE, forget, once, reserve, settle
+from jointplay.app.storage.store import Store, now
 
 API = "/api/v1"
 
@@ -82,7 +82,7 @@ def test_keys_end(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     work = Work()
     ask(store, work)
     for later, done in ((KEPT - timedelta(seconds=60), 1), (KEPT + timedelta(seconds=60), 2)):
-        monkeypatch.setattr(app.storage.idempotency, "now", lambda later=later: now() + later)
+        monkeypatch.setattr(jointplay.app.storage.idempotency, "now", lambda later=later: now() + later)
         ask(store, work)
         assert work.done == done
 

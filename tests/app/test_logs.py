@@ -20,12 +20,12 @@ from small_service import PLAN
 from sqlalchemy import text
 from starlette.datastructures import Headers
 
-from app import logs
-from app.http.request_log import Templates, identity_of
-from app.jobs.workers import WorkerPool
-from app.scopes import Scope
-from app.storage.keys import Keys
-from app.storage.store import Store
+from jointplay.app import logs
+from jointplay.app.http.request_log import Templates, identity_of
+from jointplay.app.jobs.workers import WorkerPool
+from jointplay.app.scopes import Scope
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.store import Store
 
 API = "/api/v1"
 TOKEN = "jp_0123456789ab_" + "s3cret-" * 6
@@ -190,7 +190,7 @@ def test_a_whole_service_logs_json_and_no_secret(
     for each in (secret, session, hook["secret"], "t0ken"):
         assert each not in whole
     entries = running.entries()
-    requests = [entry for entry in entries if entry["logger"] == "app.http.request_log"]
+    requests = [entry for entry in entries if entry["logger"] == "jointplay.app.http.request_log"]
     shown = [(entry["method"], entry["route"], entry["status"], entry["key"]) for entry in requests]
     assert shown[:3] == [
         ("GET", f"{API}/machines", 401, None),
@@ -200,9 +200,9 @@ def test_a_whole_service_logs_json_and_no_secret(
     assert ("POST", f"{API}/diagnoses", 201, key.id) in shown
     assert all(entry["duration_ms"] >= 0 and entry["request_id"] for entry in requests)
     assert requests[0]["problem"] == "unauthorized"
-    workers = [entry for entry in entries if entry["logger"] == "app.jobs.workers"]
+    workers = [entry for entry in entries if entry["logger"] == "jointplay.app.jobs.workers"]
     assert {entry["request_id"] for entry in workers if "diagnose" in entry["message"]} == {"diagnosis-1"}
-    for logger in ("app.jobs.build_runner", "app.jobs.build_process"):
+    for logger in ("jointplay.app.jobs.build_runner", "jointplay.app.jobs.build_process"):
         assert {entry["request_id"] for entry in entries if entry["logger"] == logger} == {"build-1"}
 
 

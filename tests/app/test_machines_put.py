@@ -12,10 +12,10 @@ import httpx
 import pytest
 from small_service import asking
 
-from app.etags import Conditions
-from app.settings import Settings
-from app.storage.machine_store import MachineStore
-from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
+from jointplay.app.etags import Conditions
+from jointplay.app.settings import Settings
+from jointplay.app.storage.machine_store import MachineStore
+from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 
 MACHINES = "/api/v1/machines"
 TEXT = shipped_machine_text("slider-crank")
@@ -121,7 +121,7 @@ def test_of_many_first_writers_one_wins(tmp_path: Path) -> None:
     contents = [parse_machine(changed(gravity=float(number))).canonical_json() for number in range(8)]
 
     def first(content: str) -> bool:
-        from app.errors import PreconditionError
+        from jointplay.app.errors import PreconditionError
 
         try:
             return MachineStore(tmp_path).put("press", content, Conditions(none_match=("*",)))[1]

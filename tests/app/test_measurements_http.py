@@ -13,8 +13,8 @@ import pytest
 from http_answers import API, assert_problem, assert_time, send
 from small_service import spoiled
 
-from app.settings import Settings
-from app.storage.store import Store
+from jointplay.app.settings import Settings
+from jointplay.app.storage.store import Store
 
 
 def test_a_measurement_is_stored_by_content(client: httpx.Client, measurement: dict[str, Any], worn: bytes) -> None:

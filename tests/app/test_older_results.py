@@ -13,17 +13,17 @@ from small_service import asking
 from sqlalchemy import text
 from uploaded import uploaded
 
-from app import words
-from app.pages.views import view
-from app.reports.content import report_of
-from app.reports.figures import figures_of
-from app.reports.html import html
-from app.reports.pdf import pdf
-from app.settings import Settings
-from app.storage.older_results import in_present_form
-from app.storage.results import DiagnosisOut, diagnosis_out
-from app.storage.store import MeasurementRow, NewDiagnosis, Store
-from solver.machines.machine import shipped_machine
+from jointplay.app import words
+from jointplay.app.pages.views import view
+from jointplay.app.reports.content import report_of
+from jointplay.app.reports.figures import figures_of
+from jointplay.app.reports.html import html
+from jointplay.app.reports.pdf import pdf
+from jointplay.app.settings import Settings
+from jointplay.app.storage.older_results import in_present_form
+from jointplay.app.storage.results import DiagnosisOut, diagnosis_out
+from jointplay.app.storage.store import MeasurementRow, NewDiagnosis, Store
+from jointplay.solver.machines.machine import shipped_machine
 
 STORED = Path(__file__).parents[1] / "data" / "answers" / "answer-1.24.json"
 MACHINE: dict[str, Any] = shipped_machine("slider-crank").model_dump(mode="json")

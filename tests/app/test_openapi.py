@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from app.http.openapi import REFERENCE
-from app.main import create_app
-from app.problems import MEDIA_TYPE
-from app.settings import Settings
+from jointplay.app.http.openapi import REFERENCE
+from jointplay.app.main import create_app
+from jointplay.app.problems import MEDIA_TYPE
+from jointplay.app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
 OF_VERSION = ("2.3.0", "470a126f22f09d4c")
@@ -28,7 +28,7 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_the_committed_document_is_up_to_date(document: dict[str, Any]) -> None:
     written = json.loads(COMMITTED.read_text(encoding="utf-8"))
     assert written == document, (
-        "run `python -m app.http.openapi > docs/openapi.json`, and raise API_VERSION if it changed"
+        "run `python -m jointplay.app.http.openapi > docs/openapi.json`, and raise API_VERSION if it changed"
     )
 
 

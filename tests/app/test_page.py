@@ -12,8 +12,8 @@ import httpx
 import pytest
 from small_service import spoiled
 
-from app import main
-from app.storage.told import TOLD
+from jointplay.app import main
+from jointplay.app.storage.told import TOLD
 
 VENDOR = main.STATIC / "vendor"
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.errors import BadCursorError
-from app.http import paging
+from jointplay.app.errors import BadCursorError
+from jointplay.app.http import paging
 
 
 @given(st.text())

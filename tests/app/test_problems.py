@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import pytest
 
-import app.errors
-import catalogue.errors
-import solver.errors
-from app import problems
+import jointplay.app.errors
+import jointplay.catalogue.errors
+import jointplay.solver.errors
+from jointplay.app import problems
 
 
 def tree(root: type[Exception]) -> Iterator[type[Exception]]:
@@ -18,7 +18,7 @@ def tree(root: type[Exception]) -> Iterator[type[Exception]]:
         yield from tree(child)
 
 
-ROOTS = (app.errors.AppError, catalogue.errors.CatalogueError, solver.errors.SolverError)
+ROOTS = (jointplay.app.errors.AppError, jointplay.catalogue.errors.CatalogueError, jointplay.solver.errors.SolverError)
 CLASSES = sorted({cls for root in ROOTS for cls in tree(root)}, key=lambda cls: cls.__qualname__)
 
 
@@ -41,7 +41,7 @@ def test_an_unforeseen_exception_tells_nothing_of_itself() -> None:
 
 
 def test_a_field_is_named() -> None:
-    problem = problems.problem_of(app.errors.BadFieldError("speed: 0: must be greater than 0", field="speed"))
+    problem = problems.problem_of(jointplay.app.errors.BadFieldError("speed: 0: must be greater than 0", field="speed"))
     assert problem.document("/api/v1/diagnoses") == {
         "type": "urn:jointplay:problem:invalid-field",
         "title": "A field breaks a rule",
@@ -53,21 +53,21 @@ def test_a_field_is_named() -> None:
 
 
 def test_what_cannot_be_sent_is_written_out() -> None:
-    problem = problems.problem_of(app.errors.BadFieldError("name: \ud800\n: is odd", field="name"))
+    problem = problems.problem_of(jointplay.app.errors.BadFieldError("name: \ud800\n: is odd", field="name"))
     assert problem.detail == problem.errors[0]["message"] == "name: \\ud800 : is odd"
 
 
 def test_a_busy_service_says_when_to_come_back() -> None:
-    assert problems.problem_of(app.errors.BusyError("busy")).headers == {"Retry-After": "5"}
+    assert problems.problem_of(jointplay.app.errors.BusyError("busy")).headers == {"Retry-After": "5"}
 
 
 @pytest.mark.parametrize(
     ("error", "status"),
     [
-        (solver.errors.MachineError("m.yaml", "links", None, "is missing"), 2),
-        (catalogue.errors.CatalogueBusyError("somewhere"), 1),
-        (app.errors.SimulationFailedError("diverged"), 1),
-        (app.errors.OutputError("x.txt: must end in .h5"), 2),
+        (jointplay.solver.errors.MachineError("m.yaml", "links", None, "is missing"), 2),
+        (jointplay.catalogue.errors.CatalogueBusyError("somewhere"), 1),
+        (jointplay.app.errors.SimulationFailedError("diverged"), 1),
+        (jointplay.app.errors.OutputError("x.txt: must end in .h5"), 2),
     ],
 )
 def test_exit_status(error: Exception, status: int) -> None:

@@ -15,15 +15,15 @@ from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 from webhook_listener import listening, tell
 
-from app.http.metrics import Metrics
-from app.jobs.webhook_sender import WebhookSender
-from app.main import create_app
-from app.scopes import Scope
-from app.settings import Settings
-from app.storage.build_queue import BuildQueue
-from app.storage.keys import Keys
-from app.storage.store import Store
-from app.storage.webhooks import WAITS, Webhooks
+from jointplay.app.http.metrics import Metrics
+from jointplay.app.jobs.webhook_sender import WebhookSender
+from jointplay.app.main import create_app
+from jointplay.app.scopes import Scope
+from jointplay.app.settings import Settings
+from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.store import Store
+from jointplay.app.storage.webhooks import WAITS, Webhooks
 
 API = "/api/v1"
 

@@ -14,8 +14,8 @@ import pytest
 from fastapi import FastAPI
 from small_service import running
 
-from app.main import create_app
-from app.settings import Settings
+from jointplay.app.main import create_app
+from jointplay.app.settings import Settings
 
 
 @pytest.fixture

@@ -13,14 +13,14 @@ import httpx
 import pytest
 from pypdf import PdfReader
 
-from app import words
-from app.figures.spectra import Band, Comparison
-from app.reports.content import NO_ZONE, Report, report_of
-from app.reports.figures import figures_of, spectrum
-from app.reports.html import html
-from app.reports.pdf import pdf
-from app.settings import Settings
-from app.storage.store import DiagnosisRow, MeasurementRow, Store
+from jointplay.app import words
+from jointplay.app.figures.spectra import Band, Comparison
+from jointplay.app.reports.content import NO_ZONE, Report, report_of
+from jointplay.app.reports.figures import figures_of, spectrum
+from jointplay.app.reports.html import html
+from jointplay.app.reports.pdf import pdf
+from jointplay.app.settings import Settings
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, Store
 
 API = "/api/v1"
 NAME = "press <7> & 'co'.csv"

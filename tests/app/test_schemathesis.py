@@ -7,8 +7,8 @@ from pathlib import Path
 
 from small_service import serving
 
-from app.settings import Settings
 from benchmarks.api_fuzz import Found, run
+from jointplay.app.settings import Settings
 
 
 def test_every_operation_answers_as_documented(shelf: Path, tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 import httpx
 import pytest
 
-from app.http.limits import RECORDING_BYTES
-from app.settings import Settings
-from catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.app.http.limits import RECORDING_BYTES
+from jointplay.app.settings import Settings
+from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
 
 API = "/api/v1"
 PLAIN = [math.sin(0.3 * k) for k in range(300)]

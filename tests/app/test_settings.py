@@ -10,7 +10,7 @@ import pytest
 from command_line import assert_refused, invoke
 from pydantic_core import PydanticUndefined
 
-from app.settings import Settings
+from jointplay.app.settings import Settings
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "service.md"
 

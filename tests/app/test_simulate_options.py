@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli import main
-from solver.cases.history import Settings
-from solver.machines.machine import shipped_machine
-from solver.simulation.simulate import simulate
+from jointplay.app.cli import main
+from jointplay.solver.cases.history import Settings
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.simulation.simulate import simulate
 
 SHORT = ("--duration", "20 ms", "--sample-rate", "5 kHz")
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import soundfile
 
-from app.errors import BadFieldError
-from app.storage.told import TOLD, Told, told_of
-from catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.app.errors import BadFieldError
+from jointplay.app.storage.told import TOLD, Told, told_of
+from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
 
 API = "/api/v1"
 PROFILE = "units: {a: g, b: g}\nsensors: {a: s1-x, b: s1-y}\n"

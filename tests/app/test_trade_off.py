@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from app.cli import main
-from app.commands.trade_off import document, option_of, report
-from app.figures.tradeoff_plot import plot_trade_off
-from solver.cases.history import Case, Settings
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, shipped_machine
-from solver.simulation.tradeoff import TradeOff, measure
+from jointplay.app.cli import main
+from jointplay.app.commands.trade_off import document, option_of, report
+from jointplay.app.figures.tradeoff_plot import plot_trade_off
+from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.simulation.tradeoff import TradeOff, measure
 
 PAGE = Path(__file__).parents[2] / "docs" / "solver.md"
 

@@ -15,12 +15,12 @@ import pytest
 from uploaded import uploaded
 from webhook_listener import Listener, state, tell
 
-import app.storage.webhooks
-from app.jobs.webhook_sender import WebhookSender
-from app.schemas.assets import AssetIn, FindingIn
-from app.storage.assets import Assets
-from app.storage.store import NewDiagnosis, Store, now
-from app.storage.webhooks import LEASE, Taken, Webhooks
+import jointplay.app.storage.webhooks
+from jointplay.app.jobs.webhook_sender import WebhookSender
+from jointplay.app.schemas.assets import AssetIn, FindingIn
+from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.store import NewDiagnosis, Store, now
+from jointplay.app.storage.webhooks import LEASE, Taken, Webhooks
 
 SERVERS = 2
 DELIVERIES = 12
@@ -112,7 +112,7 @@ def test_a_webhook_that_is_forgotten_while_something_is_told(
             wait(removals, timeout=1.0)  # it has to wait for the transaction that is under way
             return now()
 
-        monkeypatch.setattr(app.storage.webhooks, "now", between)
+        monkeypatch.setattr(jointplay.app.storage.webhooks, "now", between)
         tell(first)
         for removal in removals:
             removal.result(timeout=300)

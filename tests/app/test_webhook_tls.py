@@ -10,9 +10,9 @@ import pytest
 import trustme
 from webhook_listener import Listener, listening
 
-from app.jobs import webhook_sender
-from app.jobs.webhook_sender import NotDeliveredError, send
-from app.storage.webhooks import Taken
+from jointplay.app.jobs import webhook_sender
+from jointplay.app.jobs.webhook_sender import NotDeliveredError, send
+from jointplay.app.storage.webhooks import Taken
 
 NAME = "hooks.example"
 

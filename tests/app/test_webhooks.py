@@ -15,12 +15,12 @@ import pytest
 from small_service import serving
 from webhook_listener import Listener, state, tell
 
-from app.errors import BadFieldError
-from app.jobs import webhook_sender
-from app.jobs.webhook_sender import NotDeliveredError, WebhookSender, address_of, checked_url, is_public
-from app.settings import Settings
-from app.storage.store import Store, now
-from app.storage.webhooks import LEASE, WAITS, Taken, Webhooks
+from jointplay.app.errors import BadFieldError
+from jointplay.app.jobs import webhook_sender
+from jointplay.app.jobs.webhook_sender import NotDeliveredError, WebhookSender, address_of, checked_url, is_public
+from jointplay.app.settings import Settings
+from jointplay.app.storage.store import Store, now
+from jointplay.app.storage.webhooks import LEASE, WAITS, Taken, Webhooks
 
 API = "/api/v1"
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from app import words
+from jointplay.app import words
 
 
 def hypothesis(label: str, probability: float, **joints: float) -> dict[str, Any]:

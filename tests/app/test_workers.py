@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import BusyError, TimeLimitError, WorkerDiedError
-from app.jobs.workers import TaskFailedError, WorkerPool
-from solver.errors import MachineError
+from jointplay.app.errors import BusyError, TimeLimitError, WorkerDiedError
+from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
+from jointplay.solver.errors import MachineError
 
 
 def double(value: int) -> int:

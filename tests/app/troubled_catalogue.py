@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from catalogue.building.build import build
-from catalogue.building.chunk import Chunk
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.shard import OK, Outcome
-from solver.machines.machine import shipped_machine
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.building.chunk import Chunk
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.spectra.bands import BandScheme
 
 PLAN = parse_plan({"name": "made up", "draws": {"healthy": 6, "single": 12}, "fits": {"silent": 0}, "laws": {"own": 1}})
 MESSAGE = "left <the range> at t = 0.1 s"

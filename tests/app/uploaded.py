@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.storage.store import Store, Upload
+from jointplay.app.storage.store import Store, Upload
 
 SHA256 = "a" * 64
 SIZE = 5_000_000_000

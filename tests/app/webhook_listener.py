@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from app.storage.webhooks import WebhookRow, Webhooks, announce
+from jointplay.app.storage.webhooks import WebhookRow, Webhooks, announce
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from benchmarks.comparison import Point, cost_at
 from benchmarks.problem import from_equations
 from benchmarks.scenes import p1
 from benchmarks.throughput import busy_part
-from solver.equations.model import build_model
+from jointplay.solver.equations.model import build_model
 
 
 def test_cost_at_equal_error_lies_between_two_settings() -> None:

@@ -9,10 +9,10 @@ import fake_simulator
 import numpy as np
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
-from catalogue.building.build import BuildReport, build
-from catalogue.plans.plan import Plan, parse_plan
-from catalogue.storage.store import Catalogue
-from catalogue.storage.verify import verify
+from jointplay.catalogue.building.build import BuildReport, build
+from jointplay.catalogue.plans.plan import Plan, parse_plan
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.verify import verify
 
 KEYS = [entry.key for entry in PLAN.entries(MACHINE)]
 FAILING = {key for key in KEYS if diverges(key)}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from filelock import FileLock
 
-from catalogue.building.build import build
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import shipped_machine
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
 
 PLAN = {
     "name": "tests",

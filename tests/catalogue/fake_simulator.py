@@ -18,13 +18,13 @@ import time
 import fake_simulator
 import numpy as np
 
-from catalogue.building.build import Progress, build
-from catalogue.building.chunk import Chunk
-from catalogue.building.cluster import DaskCluster
-from catalogue.plans.plan import Plan, parse_plan
-from catalogue.storage.shard import OK, Outcome
-from solver.machines.machine import shipped_machine
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.building.build import Progress, build
+from jointplay.catalogue.building.chunk import Chunk
+from jointplay.catalogue.building.cluster import DaskCluster
+from jointplay.catalogue.plans.plan import Plan, parse_plan
+from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.spectra.bands import BandScheme
 
 MACHINE = shipped_machine("slider-crank")
 

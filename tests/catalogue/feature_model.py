@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from catalogue.matching.matcher import Draws, TrainingSet
+from jointplay.catalogue.matching.matcher import Draws, TrainingSet
 
 FloatArray = NDArray[np.float64]
 

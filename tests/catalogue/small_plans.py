@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from catalogue.plans.entry import Entry
-from catalogue.plans.parameters import MachineNumbers
-from catalogue.plans.plan import Plan, parse_plan
-from solver.machines.machine import Machine, shipped_machine
+from jointplay.catalogue.plans.entry import Entry
+from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.catalogue.plans.plan import Plan, parse_plan
+from jointplay.solver.machines.machine import Machine, shipped_machine
 
 QUICK_RETURN = shipped_machine("quick-return")
 MOUNTS = {

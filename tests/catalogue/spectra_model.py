@@ -11,9 +11,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.matching.observation import Sensing
-from catalogue.plans.entry import Hypothesis, Stratum
-from catalogue.storage.cross_power import COLUMNS
+from jointplay.catalogue.matching.observation import Sensing
+from jointplay.catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.catalogue.storage.cross_power import COLUMNS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

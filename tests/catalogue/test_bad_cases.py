@@ -9,15 +9,15 @@ import pytest
 from building import KEYS, assert_complete, quick_build, with_draws
 from fake_simulator import MACHINE, PLAN, compute
 
-from catalogue.building import scheduling
-from catalogue.building.chunk import Chunk, chunked
-from catalogue.building.executors import InProcess
-from catalogue.errors import (
+from jointplay.catalogue.building import scheduling
+from jointplay.catalogue.building.chunk import Chunk, chunked
+from jointplay.catalogue.building.executors import InProcess
+from jointplay.catalogue.errors import (
     BuildError,
 )
-from catalogue.storage.index import ChunkStatus, Index
-from catalogue.storage.store import Catalogue
-from solver.errors import MachineError
+from jointplay.catalogue.storage.index import ChunkStatus, Index
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.errors import MachineError
 
 
 def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

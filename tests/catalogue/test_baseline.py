@@ -9,22 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, fit_baseline
-from catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
-from catalogue.diagnosing.comparison import exact_sensing, measured_features
-from catalogue.diagnosing.known_machine import KnownMachine
-from catalogue.diagnosing.tuning import quantities
-from catalogue.errors import DiagnosisError
-from catalogue.measurements.measurement import Channel, Measurement, read_measurement
-from catalogue.signals.features import PreparedMeasurement, prepare
-from catalogue.signals.suspension import accelerance, suspension_change, with_filed_suspension
-from catalogue.storage.store import Catalogue
-from solver.cases.history import Case, Settings
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.machines.parts import Mount, Spring
-from solver.simulation.simulate import simulate_batch
-from solver.spectra.sensor import sensor_transform
+from jointplay.catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, fit_baseline
+from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.tuning import quantities
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.measurements.measurement import Channel, Measurement, read_measurement
+from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.suspension import accelerance, suspension_change, with_filed_suspension
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.machines.parts import Mount, Spring
+from jointplay.solver.simulation.simulate import simulate_batch
+from jointplay.solver.spectra.sensor import sensor_transform
 
 FS = 10_000.0
 NAMES = ("frame.mass", "frame.inertia", "supports.stiffness.x", "supports.stiffness.y", "supports.damping")

@@ -12,20 +12,20 @@ import pytest
 from building import FAILING, KEYS, assert_complete, quick_build, with_draws
 from fake_simulator import MACHINE, PLAN
 
-from catalogue.building.build import BuildReport, Progress
-from catalogue.building.executors import InProcess
-from catalogue.errors import (
+from jointplay.catalogue.building.build import BuildReport, Progress
+from jointplay.catalogue.building.executors import InProcess
+from jointplay.catalogue.errors import (
     CatalogueBusyError,
     CatalogueFileError,
 )
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.directory import STALE, CatalogueDirectory
-from catalogue.storage.index import ChunkStatus, Index
-from catalogue.storage.leases import Leases
-from catalogue.storage.locks import BuilderLock
-from catalogue.storage.recovery import adopt
-from catalogue.storage.store import Catalogue
-from catalogue.storage.verify import verify
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.directory import STALE, CatalogueDirectory
+from jointplay.catalogue.storage.index import ChunkStatus, Index
+from jointplay.catalogue.storage.leases import Leases
+from jointplay.catalogue.storage.locks import BuilderLock
+from jointplay.catalogue.storage.recovery import adopt
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.verify import verify
 
 
 def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,7 +209,7 @@ def test_builders_that_cut_the_plan_differently_store_each_case_once(tmp_path: P
 
 def test_build_waits_for_the_end_of_a_verify(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path, with_draws(1))
-    monkeypatch.setattr("catalogue.storage.locks.WAIT", 0.1)
+    monkeypatch.setattr("jointplay.catalogue.storage.locks.WAIT", 0.1)
     with CatalogueDirectory(tmp_path).locked(), pytest.raises(CatalogueBusyError):
         quick_build(tmp_path)
     monkeypatch.undo()

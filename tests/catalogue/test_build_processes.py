@@ -16,8 +16,8 @@ import pytest
 from building import KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN
 
-from catalogue.building import executors, scheduling
-from catalogue.building.build import BuildReport
+from jointplay.catalogue.building import executors, scheduling
+from jointplay.catalogue.building.build import BuildReport
 
 
 def start(directory: Path, **environment: str) -> subprocess.Popen[str]:

@@ -9,17 +9,17 @@ import pytest
 from building import quick_build
 from fake_simulator import MACHINE, PLAN, compute
 
-from catalogue.building.build import build
-from catalogue.errors import (
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.errors import (
     CatalogueFileError,
     CatalogueMismatchError,
     PlanError,
 )
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.store import Catalogue
-from catalogue.storage.verify import verify
-from solver.errors import AssemblyError
-from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.verify import verify
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 
 
 def test_other_machines_are_refused(tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_other_settings_are_refused(tmp_path: Path, change: dict[str, Any], rule
 def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    monkeypatch.setattr("solver.NUMBERS_VERSION", 99)
+    monkeypatch.setattr("jointplay.solver.NUMBERS_VERSION", 99)
     rule = r"holds numbers of version \d+, this program computes version 99: build into another folder$"
     with pytest.raises(CatalogueMismatchError, match=rule) as caught:
         quick_build(tmp_path)
@@ -73,7 +73,7 @@ def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_another_version_of_the_product_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As long as it computes the same numbers."""
     quick_build(tmp_path)
-    monkeypatch.setattr("solver.__version__", "9.9.9")
+    monkeypatch.setattr("jointplay.__version__", "9.9.9")
     larger = parse_plan({**PLAN.content, "draws": {"healthy": 8, "single": 12}})
     assert quick_build(tmp_path, larger).added == 2
     assert Catalogue.open(tmp_path).manifest.versions["jointplay"] != "9.9.9"  # that of the first build

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from catalogue.diagnosing.causes import NamedCause, name_causes
-from catalogue.matching.threads import one_thread
-from catalogue.measurements.measurement import Channel, Measurement
-from catalogue.signals.features import prepare
-from catalogue.storage.store import Catalogue
-from solver.cases.history import Case, Settings, Status
-from solver.machines.drives import Ripple, RotationDrive
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, shipped_machine
-from solver.machines.parts import Load, Spring
-from solver.simulation.simulate import simulate_batch
-from solver.spectra.sensor import sensor_signals
+from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes
+from jointplay.catalogue.matching.threads import one_thread
+from jointplay.catalogue.measurements.measurement import Channel, Measurement
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.machines.drives import Ripple, RotationDrive
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.machines.parts import Load, Spring
+from jointplay.solver.simulation.simulate import simulate_batch
+from jointplay.solver.spectra.sensor import sensor_signals
 
 FloatArray = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalogue.building.build import build
-from catalogue.building.chunk import Chunk, chunked, simulate_chunk
-from catalogue.building.guard import mean_difference_db
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.store import Catalogue
-from solver.errors import AssemblyError
-from solver.machines.machine import parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, simulate_batch
-from solver.spectra.band_power import band_matrix
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.building.chunk import Chunk, chunked, simulate_chunk
+from jointplay.catalogue.building.guard import mean_difference_db
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.machine import parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, simulate_batch
+from jointplay.solver.spectra.band_power import band_matrix
 
 MACHINE = shipped_machine("slider-crank")
 PLAN = parse_plan(

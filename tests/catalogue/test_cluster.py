@@ -8,19 +8,19 @@ from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
-import databases
 import distributed
 import pytest
 from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import compute
 
+import databases
 from benchmarks.kills import Site, content, disturbed, free_port
-from catalogue.building import cluster
-from catalogue.building.chunk import Chunk
-from catalogue.building.cluster import DaskCluster
-from catalogue.building.scheduling import HOPELESS
-from catalogue.errors import BuildError
-from solver.errors import MachineError
+from jointplay.catalogue.building import cluster
+from jointplay.catalogue.building.chunk import Chunk
+from jointplay.catalogue.building.cluster import DaskCluster
+from jointplay.catalogue.building.scheduling import HOPELESS
+from jointplay.catalogue.errors import BuildError
+from jointplay.solver.errors import MachineError
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.conformal import Conformal
 
 
 def simulated(generator: np.random.Generator, count: int, sharpness: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

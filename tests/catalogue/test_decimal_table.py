@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from catalogue.measurements.readers.decimal_table import plain_table
+from jointplay.catalogue.measurements.readers.decimal_table import plain_table
 
 FORMS = ("{:.4f}", "{:.6g}", "{:.3e}", "{:+.2E}", " {:.5f} ", "{:.0f}", "{:.17g}", "{!r}")
 

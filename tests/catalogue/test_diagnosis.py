@@ -11,27 +11,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis
+from jointplay.catalogue.diagnosing.baseline import Baseline, Estimate
+from jointplay.catalogue.diagnosing.diagnosis import diagnose
+from jointplay.catalogue.diagnosing.evidence import number_warnings
+from jointplay.catalogue.diagnosing.joint_states import edge_warnings
+from jointplay.catalogue.diagnosing.verdict import judged
+from jointplay.catalogue.errors import DiagnosisError, MeasurementError
+from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.measurements.import_profile import ImportProfile
+from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
 from recordings import RECORDINGS, TRUTH
 from second_simulator.machine_file import read
 from second_simulator.recording import write
-
-from catalogue.building.build import build
-from catalogue.diagnosing.answer import Cause, Diagnosis
-from catalogue.diagnosing.baseline import Baseline, Estimate
-from catalogue.diagnosing.diagnosis import diagnose
-from catalogue.diagnosing.evidence import number_warnings
-from catalogue.diagnosing.joint_states import edge_warnings
-from catalogue.diagnosing.verdict import judged
-from catalogue.errors import DiagnosisError, MeasurementError
-from catalogue.matching.gaussian import GaussianAlongClearance
-from catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.measurements.import_profile import ImportProfile
-from catalogue.measurements.measurement import Measurement, read_measurement
-from catalogue.plans.plan import parse_plan
-from catalogue.signals.sensor_flaws import SensorFlaw
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import shipped_machine
 
 
 def recording(number: int) -> Measurement:

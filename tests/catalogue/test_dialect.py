@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from catalogue.measurements.readers.dialect import DIALECTS, Dialect, Layout, find_layout
+from jointplay.catalogue.measurements.readers.dialect import DIALECTS, Dialect, Layout, find_layout
 
 LINES = st.text('0123456789.,;|\t eE+-"infa#x', max_size=20)
 

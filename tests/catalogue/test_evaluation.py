@@ -13,32 +13,32 @@ from typing import Any
 import numpy as np
 import pytest
 
-from catalogue.diagnosing.answer import Diagnosis
-from catalogue.diagnosing.baseline_levels import OrderLevels
-from catalogue.diagnosing.cause_families import IdealFrame, families_of
-from catalogue.diagnosing.diagnosis import answer
-from catalogue.diagnosing.frame_forces import Revolution
-from catalogue.diagnosing.separation import _more_sensors
-from catalogue.errors import DiagnosisError
-from catalogue.evaluation import sweep
-from catalogue.evaluation.differences import DIFFERENCES, with_differences
-from catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, protocols_of
-from catalogue.evaluation.recordings import Recordings, recorded
-from catalogue.evaluation.response import Response
-from catalogue.evaluation.study import Setup, evaluate, setups_of
-from catalogue.evaluation.sweep import trade_off
-from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.matching.matcher import MatchResult
-from catalogue.plans.entry import Hypothesis
-from catalogue.plans.parameters import nominal_drive_speed
-from catalogue.plans.plan import Plan
-from catalogue.plans.variants import output_load
-from catalogue.signals.features import prepare
-from catalogue.signals.suspension import with_filed_suspension
-from catalogue.storage.index import ChunkStatus, Index
-from catalogue.storage.leases import ChunkRow
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import Machine, shipped_machine
+from jointplay.catalogue.diagnosing.answer import Diagnosis
+from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
+from jointplay.catalogue.diagnosing.cause_families import IdealFrame, families_of
+from jointplay.catalogue.diagnosing.diagnosis import answer
+from jointplay.catalogue.diagnosing.frame_forces import Revolution
+from jointplay.catalogue.diagnosing.separation import _more_sensors
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.evaluation import sweep
+from jointplay.catalogue.evaluation.differences import DIFFERENCES, with_differences
+from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, protocols_of
+from jointplay.catalogue.evaluation.recordings import Recordings, recorded
+from jointplay.catalogue.evaluation.response import Response
+from jointplay.catalogue.evaluation.study import Setup, evaluate, setups_of
+from jointplay.catalogue.evaluation.sweep import trade_off
+from jointplay.catalogue.evaluation.truth import Truth, draw_truth
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.plans.plan import Plan
+from jointplay.catalogue.plans.variants import output_load
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.suspension import with_filed_suspension
+from jointplay.catalogue.storage.index import ChunkStatus, Index
+from jointplay.catalogue.storage.leases import ChunkRow
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine, shipped_machine
 
 SHORT = replace(PROTOCOLS["matched"], revolutions=10.0, clearance=(80e-6, 700e-6))
 MACHINE = shipped_machine("slider-crank")
@@ -103,7 +103,7 @@ def test_negatives_of_unlisted_pairs_are_asked_of_the_same_catalogue(
         asked.append(settings["without"])
         return answer(*arguments, **settings)
 
-    monkeypatch.setattr("catalogue.evaluation.study.answer", spied)
+    monkeypatch.setattr("jointplay.catalogue.evaluation.study.answer", spied)
     pairs = replace(SHORT, name="unlisted pair", kind="pairs", foreign=True, unlisted=True)
     (row,) = evaluate(small_catalogue, [pairs], 4, seed=3).rows
     assert asked == [("A+B",)] * 8
@@ -333,7 +333,7 @@ def test_a_recording_that_cannot_be_kept_leaves_nothing(tmp_path: Path, monkeypa
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("catalogue.evaluation.recordings.np.save", full)
+    monkeypatch.setattr("jointplay.catalogue.evaluation.recordings.np.save", full)
     with pytest.raises(OSError, match="No space left"):
         list(Recordings(tmp_path).ideal(SHORT, [truth_of("A")]))
     assert not list(tmp_path.iterdir())

@@ -13,12 +13,12 @@ import pytest
 from building import quick_build
 from fake_simulator import PLAN
 
-from catalogue.errors import CatalogueFileError, EntryNotFoundError
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.cross_power import pack
-from catalogue.storage.export import export
-from catalogue.storage.hdf5 import read_arrays
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.errors import CatalogueFileError, EntryNotFoundError
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.cross_power import pack
+from jointplay.catalogue.storage.export import export
+from jointplay.catalogue.storage.hdf5 import read_arrays
+from jointplay.catalogue.storage.store import Catalogue
 
 
 @pytest.fixture(scope="module")

@@ -12,22 +12,22 @@ import pytest
 from building import quick_build
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
-from catalogue.building.build import Progress, build
-from catalogue.errors import CatalogueFileError
-from catalogue.plans.entry import Entry, Hypothesis
-from catalogue.plans.keys import content_digest
-from catalogue.plans.plan import parse_plan
-from catalogue.plans.variants import Variant
-from catalogue.storage import matrix, matrix_header, store
-from catalogue.storage.directory import CatalogueDirectory, sha256_of
-from catalogue.storage.hdf5 import encode_shard
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.matrix import FeatureMatrix
-from catalogue.storage.sealing import seal
-from catalogue.storage.shard import OK, Outcome, Shard
-from catalogue.storage.store import Catalogue
-from catalogue.storage.table import EntryTable
-from catalogue.storage.verify import verify
+from jointplay.catalogue.building.build import Progress, build
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.plans.entry import Entry, Hypothesis
+from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.plans.variants import Variant
+from jointplay.catalogue.storage import matrix, matrix_header, store
+from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
+from jointplay.catalogue.storage.hdf5 import encode_shard
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.matrix import FeatureMatrix
+from jointplay.catalogue.storage.sealing import seal
+from jointplay.catalogue.storage.shard import OK, Outcome, Shard
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.table import EntryTable
+from jointplay.catalogue.storage.verify import verify
 
 ALL = parse_plan(
     {

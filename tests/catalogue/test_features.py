@@ -7,22 +7,22 @@ import math
 
 import numpy as np
 import pytest
-from recordings import RECORDINGS, TRUTH
 
-from catalogue.diagnosing.comparison import exact_sensing, measured_features
-from catalogue.errors import MeasurementError
-from catalogue.measurements.measurement import Channel, Measurement, measurement_of, read_measurement
-from catalogue.measurements.readers import RawColumn, RawRecording
-from catalogue.signals.features import PreparedMeasurement, prepare
-from catalogue.signals.recipe_steps import RecipeStep
-from catalogue.signals.sensors import map_sensors
-from catalogue.storage.feature_bands import feature_axes, feature_vector, joined, usable_cuts
-from solver.machines.fault import parse_fault
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, simulate
-from solver.spectra.band_power import band_matrix
-from solver.spectra.bands import BandScheme
-from solver.spectra.sensor import sensor_transform
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.measurement import Channel, Measurement, measurement_of, read_measurement
+from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
+from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.sensors import map_sensors
+from jointplay.catalogue.storage.feature_bands import feature_axes, feature_vector, joined, usable_cuts
+from jointplay.solver.machines.fault import parse_fault
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.spectra.band_power import band_matrix
+from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.sensor import sensor_transform
+from recordings import RECORDINGS, TRUTH
 
 FS = 10_000.0
 NAMES = ("s1-x", "s1-y", "s2-x", "s2-y")

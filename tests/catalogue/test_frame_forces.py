@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from catalogue.diagnosing.cause_wrenches import family_wrenches
-from catalogue.diagnosing.frame_forces import SAMPLES, Revolution, wrench_orders
-from catalogue.errors import DiagnosisError
-from solver.machines.machine import Machine, shipped_machine
+from jointplay.catalogue.diagnosing.cause_wrenches import family_wrenches
+from jointplay.catalogue.diagnosing.frame_forces import SAMPLES, Revolution, wrench_orders
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.solver.machines.machine import Machine, shipped_machine
 
 FloatArray = NDArray[np.float64]
 

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.diagnosing.frame_modes import KnownLevels, find_mode, mode_of
+from jointplay.catalogue.measurements.measurement import Channel, Measurement
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
 from second_simulator.faults import frame_mode
 from second_simulator.machine_file import read
 from second_simulator.protocols import individual_of
 from second_simulator.recording import recorded, stream
-
-from catalogue.building.build import build
-from catalogue.diagnosing.frame_modes import KnownLevels, find_mode, mode_of
-from catalogue.measurements.measurement import Channel, Measurement
-from catalogue.plans.plan import parse_plan
-from catalogue.signals.features import prepare
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import shipped_machine
 
 FloatArray = NDArray[np.float64]
 

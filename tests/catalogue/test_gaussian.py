@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from feature_model import HIGH, LOW, FeatureModel
 
-from catalogue.errors import MatchingError
-from catalogue.matching.calibration import calibration_error, held_out, log_loss
-from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
-from catalogue.matching.matcher import Draws, TrainingSet
+from jointplay.catalogue.errors import MatchingError
+from jointplay.catalogue.matching.calibration import calibration_error, held_out, log_loss
+from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.matcher import Draws, TrainingSet
 
 MODEL = FeatureModel()
 DRAWS = 160

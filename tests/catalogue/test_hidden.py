@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from catalogue.evaluation.differences import with_differences
-from catalogue.evaluation.hidden import hidden
-from catalogue.evaluation.protocols import PROTOCOLS, Protocol
-from catalogue.evaluation.recordings import Recordings
-from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.plans.entry import Hypothesis
-from solver.machines.machine import shipped_machine
+from jointplay.catalogue.evaluation.differences import with_differences
+from jointplay.catalogue.evaluation.hidden import hidden
+from jointplay.catalogue.evaluation.protocols import PROTOCOLS, Protocol
+from jointplay.catalogue.evaluation.recordings import Recordings
+from jointplay.catalogue.evaluation.truth import Truth, draw_truth
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.solver.machines.machine import shipped_machine
 
 MACHINE = shipped_machine("quick-return")
 LOADED = replace(PROTOCOLS["model-error-e"], revolutions=5.0)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.import_profile import ImportProfile, load_profile, parse_profile
-from catalogue.measurements.measurement import read_measurement
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.import_profile import ImportProfile, load_profile, parse_profile
+from jointplay.catalogue.measurements.measurement import read_measurement
 
 SIGNAL = np.random.default_rng(4).normal(size=(300, 2)).round(4)
 ROWS = [f"{n / 1000:.3f};{a:.4f};{b:.4f};20,5".replace(".", ",") for n, (a, b) in enumerate(SIGNAL)]

@@ -10,18 +10,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import expit, ndtr
 
-from catalogue.diagnosing.answer import Condition
-from catalogue.evaluation.joint_figures import (
+from jointplay.catalogue.diagnosing.answer import Condition
+from jointplay.catalogue.evaluation.joint_figures import (
     JointAnswer,
     credibility_of,
     joint_figures,
     limit_ratio,
     rank_of,
 )
-from catalogue.evaluation.truth import Truth
-from catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult
-from catalogue.plans.entry import Hypothesis
-from solver.machines.machine import shipped_machine
+from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.solver.machines.machine import shipped_machine
 
 FloatArray = NDArray[np.float64]
 

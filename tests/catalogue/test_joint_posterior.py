@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from catalogue.matching.joint_posterior import joint_posteriors
-from catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.joint_posterior import joint_posteriors
+from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult
 
 NOTHING = np.zeros(1)
 UM = 1e-6

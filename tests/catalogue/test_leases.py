@@ -13,16 +13,16 @@ from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN, compute
 from sqlalchemy import text
 
-from catalogue.building.chunk import chunked
-from catalogue.errors import CatalogueFileError
-from catalogue.storage.database import VERSION_TABLE, Database, database_url
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.index import EntriesPresentError, Index
-from catalogue.storage.leases import ChunkRow, ChunkStatus, Leases
-from catalogue.storage.location import IndexLocation
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.shard import Shard
-from catalogue.storage.verify import verify
+from jointplay.catalogue.building.chunk import chunked
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.storage.database import VERSION_TABLE, Database, database_url
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.index import EntriesPresentError, Index
+from jointplay.catalogue.storage.leases import ChunkRow, ChunkStatus, Leases
+from jointplay.catalogue.storage.location import IndexLocation
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.shard import Shard
+from jointplay.catalogue.storage.verify import verify
 
 CHUNKS = [ChunkRow(f"chunk-{number:03d}", "A", 4) for number in range(40)]
 IDS = [chunk.id for chunk in CHUNKS]

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
-from catalogue.errors import DiagnosisError
-from catalogue.matching.gaussian import FittedGaussian
-from catalogue.matching.learning import Learning, rows_of, training_set
-from catalogue.matching.matcher import MatchResult, TrainingSet
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.matching.modelfile import FORMAT, read_model, write_model
-from catalogue.matching.nearest import NearestEntry
-from catalogue.matching.observation import Discrepancy, Sensing, observe
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.gaussian import FittedGaussian
+from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
+from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.modelfile import FORMAT, read_model, write_model
+from jointplay.catalogue.matching.nearest import NearestEntry
+from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.storage.store import Catalogue
 
 MODEL = SpectraModel(220, wide=60)
 LIBRARY = ModelLibrary(MODEL)
@@ -86,7 +86,9 @@ def test_models_of_this_state_are_loaded_from_files(tmp_path: Path, monkeypatch:
     assert other.load() == ModelLibrary(MODEL).load() == 0
     for file in tmp_path.glob("*.npz"):
         file.unlink()
-    monkeypatch.setattr("catalogue.matching.model_library.training_set", None)  # nothing can be fitted any more
+    monkeypatch.setattr(
+        "jointplay.catalogue.matching.model_library.training_set", None
+    )  # nothing can be fitted any more
     assert same(again.answer(sensing(), feature, WATCHED, "fast", "trusted"), expected)
 
 
@@ -153,7 +155,7 @@ def test_with_a_limit_a_refit_learns_from_the_first_draws_only_too(monkeypatch: 
         learned.append(dict(rows))
         return training_set(*arguments, rows=rows, **settings)
 
-    monkeypatch.setattr("catalogue.matching.refit.training_set", spied)
+    monkeypatch.setattr("jointplay.catalogue.matching.refit.training_set", spied)
     for most in (20, None):
         LIBRARY.answer(sensing(), feature, WATCHED, mode="trusted", most=most)
     limited, free = learned
@@ -172,7 +174,7 @@ def test_a_refit_of_machines_in_order_keeps_the_shares_of_the_strata(monkeypatch
         learned.append(rows["healthy"])
         return training_set(*arguments, rows=rows, **settings)
 
-    monkeypatch.setattr("catalogue.matching.refit.training_set", spied)
+    monkeypatch.setattr("jointplay.catalogue.matching.refit.training_set", spied)
     feature, _ = recording("healthy")
     ModelLibrary(model).answer(sensing(), feature, WATCHED, mode="robust")
     assert len(learned[0]) == 800
@@ -218,7 +220,7 @@ def test_a_catalogue_is_matched_by_its_own_matrix(small_catalogue: Catalogue, tm
 
 
 def test_few_models_are_kept_as_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("catalogue.matching.modelfile.KEPT", 2)
+    monkeypatch.setattr("jointplay.catalogue.matching.modelfile.KEPT", 2)
     fitted = LIBRARY.fitted(sensing(), WATCHED, Learning.of("trusted"))
     assert isinstance(fitted, FittedGaussian)
     for k, name in enumerate(("a", "b", "c")):

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from feature_model import HIGH, LOW, FeatureModel
 
-from catalogue.errors import MatchingError
-from catalogue.matching.calibration import Tail, calibration_error, combined, folds
-from catalogue.matching.cosine import ChordDistance, CosineEntry
-from catalogue.matching.gaussian import GaussianAlongClearance
-from catalogue.matching.matcher import FittedMatcher, Matcher
-from catalogue.matching.nearest import DecibelDistance, NearestEntry
-from catalogue.matching.trees import ExtraTrees
+from jointplay.catalogue.errors import MatchingError
+from jointplay.catalogue.matching.calibration import Tail, calibration_error, combined, folds
+from jointplay.catalogue.matching.cosine import ChordDistance, CosineEntry
+from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
+from jointplay.catalogue.matching.matcher import FittedMatcher, Matcher
+from jointplay.catalogue.matching.nearest import DecibelDistance, NearestEntry
+from jointplay.catalogue.matching.trees import ExtraTrees
 
 MODEL = FeatureModel()
 

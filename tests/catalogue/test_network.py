@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
-from catalogue.building.executors import InProcess
-from catalogue.building.network_building import train_networks
-from catalogue.errors import BuildError, CatalogueFileError
-from catalogue.matching.calibration import fit_shares, held_out, kept_apart
-from catalogue.matching.coherence import with_more_noise
-from catalogue.matching.learning import Learning, training_set
-from catalogue.matching.matcher import TrainingSet
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.matching.modelfile import read_network, write_network
-from catalogue.matching.nearest import NearestEntry
-from catalogue.matching.network import Network, Opinion
-from catalogue.matching.network_shelf import NetworkShelf, arrangement
-from catalogue.matching.network_training import NetworkTraining
-from catalogue.matching.observation import Discrepancy, Sensing, observe
-from catalogue.matching.spectra import band_widths
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.building.executors import InProcess
+from jointplay.catalogue.building.network_building import train_networks
+from jointplay.catalogue.errors import BuildError, CatalogueFileError
+from jointplay.catalogue.matching.calibration import fit_shares, held_out, kept_apart
+from jointplay.catalogue.matching.coherence import with_more_noise
+from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.matcher import TrainingSet
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.modelfile import read_network, write_network
+from jointplay.catalogue.matching.nearest import NearestEntry
+from jointplay.catalogue.matching.network import Network, Opinion
+from jointplay.catalogue.matching.network_shelf import NetworkShelf, arrangement
+from jointplay.catalogue.matching.network_training import NetworkTraining
+from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.spectra import band_widths
+from jointplay.catalogue.storage.store import Catalogue
 
 MODEL = SpectraModel(300, wide=200)
 SMALL = NetworkTraining(rows=6000, blocks=10, layers=(32,), epochs=(4, 2), least_cases=256)
@@ -223,7 +223,9 @@ def test_building_trains_what_is_missing_and_forgets_former_states(
     folder = tmp_path / "copy"
     shutil.copytree(small_catalogue.path, folder)
     assert train_networks(folder) == ()  # too few cases
-    monkeypatch.setattr("catalogue.matching.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
+    monkeypatch.setattr(
+        "jointplay.catalogue.matching.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10)
+    )
     networks = Catalogue.open(folder).layout.networks
     networks.mkdir()
     (networks / "another-state.npz").write_bytes(b"")
@@ -241,7 +243,9 @@ def test_a_network_that_is_lost_ends_a_build(
 ) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(small_catalogue.path, folder)
-    monkeypatch.setattr("catalogue.matching.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10))
+    monkeypatch.setattr(
+        "jointplay.catalogue.matching.network_shelf.NetworkTraining", lambda: replace(SMALL, least_cases=10)
+    )
     networks = Catalogue.open(folder).layout.networks
     networks.write_text("no folder")
     with pytest.raises(CatalogueFileError, match=r"networks.*: cannot be written"):
@@ -256,7 +260,7 @@ def test_a_network_that_is_lost_ends_a_build(
         def is_loss(self, error: BaseException) -> bool:
             return isinstance(error, BrokenProcessPool)
 
-    monkeypatch.setattr("catalogue.building.network_building.InProcess", Dying)
+    monkeypatch.setattr("jointplay.catalogue.building.network_building.InProcess", Dying)
     with pytest.raises(BuildError, match="a process that trains a network died; building again"):
         train_networks(folder)
 
@@ -286,7 +290,7 @@ def test_no_more_networks_are_trained_at_a_time_than_there_are_processes(
             assert not at_once
 
     wanted = [(TRUSTED, speed) for speed in (1.0, 2.0, 3.0, 4.0)]
-    monkeypatch.setattr("catalogue.building.network_building.LocalProcesses", Counting)
+    monkeypatch.setattr("jointplay.catalogue.building.network_building.LocalProcesses", Counting)
     monkeypatch.setattr(NetworkShelf, "missing", lambda self: iter(wanted))
     told: list[tuple[int, int]] = []
 

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from small_plans import MOUNTS, QUICK_RETURN, counted, draws, keys, plan_of, sizes_of
 
-from catalogue.errors import CatalogueMismatchError, PlanError
-from catalogue.plans.entry import Recipe
-from catalogue.plans.parameters import MachineNumbers
-from catalogue.plans.plan import parse_plan, preset, preset_names
-from catalogue.plans.plan_text import plan_lines
-from catalogue.plans.ranges import STIFFNESS_SCATTER
-from catalogue.plans.variants import Variant
-from solver.cases.history import Case
-from solver.cases.parameters import full_paths
-from solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
-from solver.simulation.simulate import Settings, simulate_batch
+from jointplay.catalogue.errors import CatalogueMismatchError, PlanError
+from jointplay.catalogue.plans.entry import Recipe
+from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.catalogue.plans.plan import parse_plan, preset, preset_names
+from jointplay.catalogue.plans.plan_text import plan_lines
+from jointplay.catalogue.plans.ranges import STIFFNESS_SCATTER
+from jointplay.catalogue.plans.variants import Variant
+from jointplay.solver.cases.history import Case
+from jointplay.solver.cases.parameters import full_paths
+from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
+from jointplay.solver.simulation.simulate import Settings, simulate_batch
 
 
 def test_presets_hold_what_they_say() -> None:

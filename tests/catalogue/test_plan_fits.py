@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from small_plans import QUICK_RETURN, draws, keys, plan_of, sizes_of
 
-from catalogue.plans.cases import travel
-from catalogue.plans.plan_parts import NEXT_TO_NONE
-from catalogue.plans.plan_text import plan_lines
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine
+from jointplay.catalogue.plans.cases import travel
+from jointplay.catalogue.plans.plan_parts import NEXT_TO_NONE
+from jointplay.catalogue.plans.plan_text import plan_lines
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 
 def test_every_joint_has_play_and_worn_ones_more_than_their_fit() -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from small_plans import QUICK_RETURN, plan_of
 
-from catalogue.errors import PlanError
-from catalogue.plans.plan import load_plan, parse_plan, resolve_plan
-from solver.machines.machine import parse_machine
+from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.plan import load_plan, parse_plan, resolve_plan
+from jointplay.solver.machines.machine import parse_machine
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from feature_model import FeatureModel
 
-from catalogue.errors import DiagnosisError
-from catalogue.matching.gaussian import GaussianAlongClearance
-from catalogue.matching.matcher import HypothesisMatch, MatchResult, TrainingSet, ranked
-from catalogue.matching.prior import Prior
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, TrainingSet, ranked
+from jointplay.catalogue.matching.prior import Prior
 
 NOTHING = np.zeros(1)
 

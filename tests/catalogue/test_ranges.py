@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from catalogue.plans.draws import Distribution
-from catalogue.plans.parameters import MachineNumbers, Scatter
-from catalogue.plans.ranges import default_laws, default_uncertain, default_wide
-from catalogue.plans.variants import Variant, output_load
-from solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.catalogue.plans.draws import Distribution
+from jointplay.catalogue.plans.parameters import MachineNumbers, Scatter
+from jointplay.catalogue.plans.ranges import default_laws, default_uncertain, default_wide
+from jointplay.catalogue.plans.variants import Variant, output_load
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 
 SLIDER_CRANK = shipped_machine("slider-crank")
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
-from catalogue.signals.resampling import at_mean_speed, splined
-from catalogue.storage.feature_bands import feature_vector, usable_cuts
-from solver.spectra.band_power import band_matrix
-from solver.spectra.bands import BandScheme
+from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
+from jointplay.catalogue.signals.resampling import at_mean_speed, splined
+from jointplay.catalogue.storage.feature_bands import feature_vector, usable_cuts
+from jointplay.solver.spectra.band_power import band_matrix
+from jointplay.solver.spectra.bands import BandScheme
 
 FS = 10_000.0
 

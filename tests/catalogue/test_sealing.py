@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from building import quick_build
 
-from catalogue.storage.directory import CatalogueDirectory
-from catalogue.storage.manifest import Manifest
-from catalogue.storage.matrix import FeatureMatrix
-from catalogue.storage.sealing import seal
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.directory import CatalogueDirectory
+from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.matrix import FeatureMatrix
+from jointplay.catalogue.storage.sealing import seal
+from jointplay.catalogue.storage.store import Catalogue
 
 
 @pytest.mark.parametrize("moment", ["before its manifest", "with its manifest", "with an old matrix and its manifest"])

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recordings import RECORDINGS
 
-from catalogue.building.build import build
-from catalogue.diagnosing.comparison import exact_sensing
-from catalogue.diagnosing.separation import _more_sensors, _Question, _sensing, suggest
-from catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
-from catalogue.matching.observation import Discrepancy, Sensing, observe
-from catalogue.measurements.measurement import Measurement, read_measurement
-from catalogue.plans.plan import parse_plan
-from catalogue.signals.features import PreparedMeasurement, prepare
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import shipped_machine
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.diagnosing.comparison import exact_sensing
+from jointplay.catalogue.diagnosing.separation import _more_sensors, _Question, _sensing, suggest
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
+from recordings import RECORDINGS
 
 PLAN = {
     "name": "speeds",

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import expit, softmax
 
-from catalogue.matching.conformal import Conformal
-from catalogue.matching.sightings import ALIKE, SEEN_SHARE, Sightings
+from jointplay.catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.sightings import ALIKE, SEEN_SHARE, Sightings
 
 FloatArray = NDArray[np.float64]
 

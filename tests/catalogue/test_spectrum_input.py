@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from recordings import RECORDINGS, unpacked
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.import_profile import ImportProfile, SpectrumSaid
-from catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from catalogue.measurements.measurement import read_measurement
-from catalogue.measurements.recordings import read_recording
-from catalogue.signals.features import prepare
-from catalogue.signals.spectrum_features import band_power
-from solver.machines.machine import shipped_machine
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.import_profile import ImportProfile, SpectrumSaid
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from jointplay.catalogue.measurements.measurement import read_measurement
+from jointplay.catalogue.measurements.recordings import read_recording
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.spectrum_features import band_power
+from jointplay.solver.machines.machine import shipped_machine
+from recordings import RECORDINGS, unpacked
 
 STEP = 0.5
 FREQUENCY = STEP * np.arange(800)

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from catalogue.errors import DiagnosisError, MeasurementError
-from catalogue.evaluation.elsewhere import Blows, Bursts, Tones, transform_of
-from catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol
-from catalogue.evaluation.recordings import Recordings, recorded
-from catalogue.evaluation.spoiling import SPOILINGS, Clipped, DropOut, FlawedSensors, with_spoiling
-from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.plans.entry import Hypothesis
-from catalogue.signals.features import prepare
-from catalogue.signals.suspension import accelerance
-from solver.machines.machine import shipped_machine
+from jointplay.catalogue.errors import DiagnosisError, MeasurementError
+from jointplay.catalogue.evaluation.elsewhere import Blows, Bursts, Tones, transform_of
+from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol
+from jointplay.catalogue.evaluation.recordings import Recordings, recorded
+from jointplay.catalogue.evaluation.spoiling import SPOILINGS, Clipped, DropOut, FlawedSensors, with_spoiling
+from jointplay.catalogue.evaluation.truth import Truth, draw_truth
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.suspension import accelerance
+from jointplay.solver.machines.machine import shipped_machine
 
 FloatArray = NDArray[np.float64]
 

@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from recordings import RECORDINGS, TRUTH
 
-from catalogue.measurements.measurement import Channel, Measurement, read_measurement
-from catalogue.signals.features import prepare
-from catalogue.signals.steadiness import Stretch, steady_stretch
-from solver.machines.fault import parse_fault
-from solver.machines.machine import parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, simulate
-from solver.spectra.sensor import sensor_transform
+from jointplay.catalogue.measurements.measurement import Channel, Measurement, read_measurement
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.steadiness import Stretch, steady_stretch
+from jointplay.solver.machines.fault import parse_fault
+from jointplay.solver.machines.machine import parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.spectra.sensor import sensor_transform
+from recordings import RECORDINGS, TRUTH
 
 FS = 10_000.0
 

@@ -14,18 +14,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from catalogue.building.build import build
-from catalogue.errors import CatalogueFileError, EntryNotFoundError
-from catalogue.plans.entry import Hypothesis
-from catalogue.plans.parameters import MachineNumbers
-from catalogue.plans.plan import parse_plan
-from catalogue.plans.variants import Variant
-from catalogue.storage import hdf5
-from catalogue.storage.cross_power import pack, unpack
-from catalogue.storage.directory import publish, sha256_of
-from catalogue.storage.shard import Outcome, Shard
-from catalogue.storage.store import Catalogue
-from solver.machines.machine import parse_machine
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.errors import CatalogueFileError, EntryNotFoundError
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.plans.variants import Variant
+from jointplay.catalogue.storage import hdf5
+from jointplay.catalogue.storage.cross_power import pack, unpack
+from jointplay.catalogue.storage.directory import publish, sha256_of
+from jointplay.catalogue.storage.shard import Outcome, Shard
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import parse_machine
 
 ALL = parse_plan(
     {
@@ -211,8 +211,8 @@ def test_numbers_only_some_entries_vary_have_the_value_of_the_file(tmp_path: Pat
 
 def some_shard() -> Shard:
     entries = [entry for entry in PLAN.entries(MACHINE) if entry.hypothesis.label == "A"]
-    from catalogue.building.chunk import Chunk
-    from catalogue.storage.manifest import Manifest
+    from jointplay.catalogue.building.chunk import Chunk
+    from jointplay.catalogue.storage.manifest import Manifest
 
     manifest = Manifest.of(MACHINE, PLAN)
     outcomes = compute(Chunk(MACHINE.canonical_json(), manifest.recipe, tuple(entries)))

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
-from catalogue.matching.calibration import held_out
-from catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
-from catalogue.matching.learning import Learning, training_set
-from catalogue.matching.matcher import FloatArray
-from catalogue.matching.model_library import ModelLibrary
-from catalogue.matching.modelfile import as_read
-from catalogue.matching.network import AS_FILED, DIFFERS, Network, Opinion
-from catalogue.matching.network_shelf import NetworkShelf
-from catalogue.matching.network_training import NetworkTraining
-from catalogue.matching.observation import observe
-from catalogue.matching.spectra import band_widths
+from jointplay.catalogue.matching.calibration import held_out
+from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.matcher import FloatArray
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.modelfile import as_read
+from jointplay.catalogue.matching.network import AS_FILED, DIFFERS, Network, Opinion
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
+from jointplay.catalogue.matching.network_training import NetworkTraining
+from jointplay.catalogue.matching.observation import observe
+from jointplay.catalogue.matching.spectra import band_widths
 
 AMOUNT = 1.5
 """Decibels."""

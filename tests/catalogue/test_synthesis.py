@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from catalogue.diagnosing import synthesis
-from catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
-from catalogue.diagnosing.diagnosis import Question, answer
-from catalogue.diagnosing.synthesis import Recorded, Refined, Synthesis, refine
-from catalogue.evaluation.protocols import PROTOCOLS
-from catalogue.evaluation.recordings import Recordings, recorded
-from catalogue.evaluation.truth import Truth, draw_truth
-from catalogue.matching.libraries import library_of
-from catalogue.matching.matcher import MatchResult, Mode, ranked
-from catalogue.matching.population import Population
-from catalogue.plans.entry import Entry, Hypothesis
-from catalogue.plans.plan import parse_plan
-from catalogue.signals.features import PreparedMeasurement, prepare
-from catalogue.storage.store import Catalogue
+from jointplay.catalogue.diagnosing import synthesis
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
+from jointplay.catalogue.diagnosing.diagnosis import Question, answer
+from jointplay.catalogue.diagnosing.synthesis import Recorded, Refined, Synthesis, refine
+from jointplay.catalogue.evaluation.protocols import PROTOCOLS
+from jointplay.catalogue.evaluation.recordings import Recordings, recorded
+from jointplay.catalogue.evaluation.truth import Truth, draw_truth
+from jointplay.catalogue.matching.libraries import library_of
+from jointplay.catalogue.matching.matcher import MatchResult, Mode, ranked
+from jointplay.catalogue.matching.population import Population
+from jointplay.catalogue.plans.entry import Entry, Hypothesis
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.storage.store import Catalogue
 
 SHORT = replace(PROTOCOLS["matched"], revolutions=10.0)
 

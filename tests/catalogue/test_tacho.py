@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from recordings import RECORDINGS, unpacked
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.import_profile import ImportProfile, Tacho
-from catalogue.measurements.measurement import Measurement, read_measurement
-from catalogue.measurements.tacho import pulses, track_of, turns_of
-from catalogue.plans.parameters import nominal_drive_speed
-from catalogue.signals.features import prepare
-from solver.machines.machine import shipped_machine
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.import_profile import ImportProfile, Tacho
+from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.tacho import pulses, track_of, turns_of
+from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.signals.features import prepare
+from jointplay.solver.machines.machine import shipped_machine
+from recordings import RECORDINGS, unpacked
 
 RATE = 10_000.0
 

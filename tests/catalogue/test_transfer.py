@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from catalogue.matching.transfer import RandomTransfer
+from jointplay.catalogue.matching.transfer import RandomTransfer
 
 
 def test_one_mode_of_full_gain_is_the_second_order_system() -> None:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from catalogue.diagnosing.causes import NamedCause
-from catalogue.diagnosing.verdict import (
+from jointplay.catalogue.diagnosing.causes import NamedCause
+from jointplay.catalogue.diagnosing.verdict import (
     CHANGED_BELOW,
     NAMED_ABOVE,
     SURE_ABOVE,
@@ -16,10 +16,10 @@ from catalogue.diagnosing.verdict import (
     judged,
     needs_cause,
 )
-from catalogue.matching.conformal import Conformal
-from catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
-from catalogue.matching.model_library import DOUBTED_BELOW
-from catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.matching.conformal import Conformal
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
+from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
+from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 
 NOTHING = np.zeros(1)
 MOUNT = NamedCause("mount 1", 0.5, "x stiffness", 0.9)

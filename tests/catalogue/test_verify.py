@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from fake_simulator import MACHINE, PLAN, compute
 
-import solver
-from catalogue.building.build import build
-from catalogue.errors import CatalogueFileError
-from catalogue.plans.plan import parse_plan
-from catalogue.storage.directory import CatalogueDirectory, sha256_of
-from catalogue.storage.hdf5 import decode_shard, encode_shard
-from catalogue.storage.shard import Shard
-from catalogue.storage.store import Catalogue
-from catalogue.storage.verify import reindex, verify
+from jointplay import solver
+from jointplay.catalogue.building.build import build
+from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
+from jointplay.catalogue.storage.hdf5 import decode_shard, encode_shard
+from jointplay.catalogue.storage.shard import Shard
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.catalogue.storage.verify import reindex, verify
 
 TOTAL = len(PLAN.entries(MACHINE))
 

@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 import pytest
-from extremes.scenes import framed
-from laws import run, states, tree_of
 
-from solver.machines.machine import parse_machine
+from extremes.scenes import framed
+from jointplay.solver.machines.machine import parse_machine
+from laws import run, states, tree_of
 
 
 @pytest.mark.parametrize(

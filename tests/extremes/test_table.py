@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from extremes.scenes import (
     RPM,
     at_speed,
@@ -25,9 +26,8 @@ from extremes.scenes import (
     settled,
     similar,
 )
+from jointplay.solver.machines.machine import shipped_machine
 from laws import Tree, tree_of
-
-from solver.machines.machine import shipped_machine
 
 Fault = Mapping[str, float]
 WORN: Fault = {"B": 2e-4}

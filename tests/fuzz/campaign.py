@@ -15,8 +15,7 @@ from unittest import mock
 from fuzz.judge import judge
 from fuzz.machines import scene
 from fuzz.uncompiled import uncompiled
-
-from solver.simulation import adaptive_runs as runs
+from jointplay.solver.simulation import adaptive_runs as runs
 
 #: Trial steps in plain Python, some seconds.
 TRIALS = 3000

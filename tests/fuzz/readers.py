@@ -13,12 +13,12 @@ import time
 from collections import Counter
 
 import numpy as np
-from fuzz.files import MUTATIONS, SIGNAL, cut, whole_files
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.import_profile import ImportProfile
-from catalogue.measurements.measurement import read_measurement
-from catalogue.measurements.readers import Limits
+from fuzz.files import MUTATIONS, SIGNAL, cut, whole_files
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.import_profile import ImportProfile
+from jointplay.catalogue.measurements.measurement import read_measurement
+from jointplay.catalogue.measurements.readers import Limits
 
 LIMITS = Limits(file_bytes=5_000_000, decoded_bytes=20_000_000, reader_memory=400_000_000, reader_seconds=5.0)
 #: Kinds whose end can be missing without anybody being able to tell: lines of text, records of a universal file.

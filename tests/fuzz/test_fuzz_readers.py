@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from fuzz.files import whole_files
-from fuzz.readers import campaign, ending
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from fuzz.files import whole_files
+from fuzz.readers import campaign, ending
 
 
 def test_whole_files_are_read() -> None:

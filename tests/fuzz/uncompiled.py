@@ -15,17 +15,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.cases.preparation import model_of
-from solver.cases.scales import error_scales
-from solver.compiler.layout import Layout
-from solver.compiler.scalar import SCALAR
-from solver.equations.model import Model
-from solver.integrators import adaptive, dense, lane_work, lanes
-from solver.integrators.dopri import StepRows, dopri_step
-from solver.integrators.kernel import Kernel
-from solver.integrators.lanes import GROUP, Lanes, Queue
-from solver.machines.machine import Machine
-from solver.simulation import adaptive_runs as runs
+from jointplay.solver.cases.preparation import model_of
+from jointplay.solver.cases.scales import error_scales
+from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.compiler.scalar import SCALAR
+from jointplay.solver.equations.model import Model
+from jointplay.solver.integrators import adaptive, dense, lane_work, lanes
+from jointplay.solver.integrators.dopri import StepRows, dopri_step
+from jointplay.solver.integrators.kernel import Kernel
+from jointplay.solver.integrators.lanes import GROUP, Lanes, Queue
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation import adaptive_runs as runs
 
 Work = NDArray[np.float64]
 Values = list[float]

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solver.equations.model import Model
+from jointplay.solver.equations.model import Model
 
 Array = NDArray[np.float64]
 

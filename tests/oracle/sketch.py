@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.equations.model import Model
-from solver.equations.rubbing import MOST
-from solver.machines.machine import Machine, parse_machine
+from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.rubbing import MOST
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solver.machines.joints import Contact, SlidingJoint, TurningJoint
-from solver.machines.machine import Machine
+from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
 

@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+
+from jointplay.solver.equations.links import LinkMotion, link_motion
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
+from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.machine import Machine
 from oracle.closures import lacking
 from oracle.dense import JammedError, Solution, solve
 from oracle.sketch import Sketch, parameters, random_state, sketch
 from oracle.state import ContactState, State
-
-from solver.equations.links import LinkMotion, link_motion
-from solver.equations.model import build_model
-from solver.errors import AssemblyError
-from solver.machines.drives import RotationDrive, TranslationDrive
-from solver.machines.joints import SlidingJoint
-from solver.machines.machine import Machine
 
 #: Largest difference, as part of the largest term of the equations. What is not the solver's fault sets it: a pin
 #: pressed 1e-6 m into a socket of 1e8 N/m loses six digits of sixteen before any equation is written.

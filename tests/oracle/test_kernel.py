@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.compiler.scalar import SCALAR
+from jointplay.solver.equations.model import Model, build_model
+from jointplay.solver.integrators.dopri import StepRows
+from jointplay.solver.integrators.gill import integrate, repeat
+from jointplay.solver.integrators.kernel import adaptive_code, compile_model
+from jointplay.solver.integrators.kernel_functions import kernel_functions
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from oracle.closures import lacking
 from oracle.dense import solve
 from oracle.motion import LinkMotion
 from oracle.sketch import random_state
-
-from solver.compiler.ir import LANES
-from solver.compiler.scalar import SCALAR
-from solver.equations.model import Model, build_model
-from solver.integrators.dopri import StepRows
-from solver.integrators.gill import integrate, repeat
-from solver.integrators.kernel import adaptive_code, compile_model
-from solver.integrators.kernel_functions import kernel_functions
-from solver.machines.machine import Machine, parse_machine, shipped_machine
 
 #: Vector code and symbols round differently (order of sums, its own sine); as part of the largest acceleration.
 #: Measured: 3e-13 to 1.1e-12, most where every contact follows another law; five times that for other processors.

@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 from test_simulate import crank_at
 
-from solver.cases.history import Case, History, Settings
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, load_machine, parse_machine, shipped_machine
-from solver.simulation.simulate import simulate_batch
+from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, load_machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import simulate_batch
 
 Table = tuple[Machine, list[Case], Settings]
 

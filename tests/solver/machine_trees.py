@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from solver.machines.machine import shipped_machine_text
-from solver.machines.yamlfile import read_tree
+from jointplay.solver.machines.machine import shipped_machine_text
+from jointplay.solver.machines.yamlfile import read_tree
 
 SLIDER_CRANK = read_tree(shipped_machine_text("slider-crank"), "slider-crank.yaml")
 MISSING = object()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.simulation.averages import Average, overall, settled, spread_db, standard_error_db
-from solver.simulation.blocks import BlockSpectra
+from jointplay.solver.simulation.averages import Average, overall, settled, spread_db, standard_error_db
+from jointplay.solver.simulation.blocks import BlockSpectra
 
 RANDOM = np.random.default_rng(1)
 BANDS, CHANNELS = 400, 3

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver.cases.history import History
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.cases.history import History
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
 Array = np.ndarray
 

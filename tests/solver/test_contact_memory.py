@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory import Trajectory, trajectories
 
-from solver.cases.history import History
-from solver.equations.contact_laws import SLOWEST_APPROACH
-from solver.errors import MachineError
-from solver.integrators.control import remember
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, Start, Status, simulate, simulate_batch
+from jointplay.solver.cases.history import History
+from jointplay.solver.equations.contact_laws import SLOWEST_APPROACH
+from jointplay.solver.errors import MachineError
+from jointplay.solver.integrators.control import remember
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, Start, Status, simulate, simulate_batch
+from trajectory import Trajectory, trajectories
 
 CLEARANCE = 1e-4
 #: Pressed in, pulled so fast that the force vanishes (beyond v0 / c = 16 mm/s), pressed in again before the surfaces

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from solver.errors import MachineError
-from solver.machines.fault import FaultState
-from solver.machines.joints import Contact, TurningJoint
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.joints import Contact, TurningJoint
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, simulate
 
 Tree = dict[str, Any]
 FLORES = {"law": "flores", "stiffness": 1e10, "restitution": 0.9}

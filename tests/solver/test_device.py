@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from device_cases import GONE_ON_WITH, TABLES, histories
 
-from solver.cases.history import History, Settings
-from solver.errors import SettingsError
-from solver.machines.machine import shipped_machine
-from solver.simulation.simulate import Status, simulate
+from jointplay.solver.cases.history import History, Settings
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.simulation.simulate import Status, simulate
 
 #: Differences as parts of the largest value. Both sides take the same steps; their sines round differently, and impacts
 #: amplify that. What rounding can do was measured by moving speeds and clearances of each case 300 times by up to 1, 4
@@ -113,7 +113,7 @@ def test_settings(settings: dict[str, object], line: str) -> None:
 
 
 def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("solver.integrators.device", "solver.simulation.device_runs"):
+    for module in ("jointplay.solver.integrators.device", "jointplay.solver.simulation.device_runs"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setitem(sys.modules, "numba.cuda", None)
     monkeypatch.delattr("numba.cuda", raising=False)
@@ -123,7 +123,7 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
         simulate(shipped_machine("slider-crank"), settings=Settings(device="cuda"))
 
 
-SIMULATE = ["-m", "app.cli", "simulate", "slider-crank", "--duration", "2 ms", "--sample-rate", "5 kHz"]
+SIMULATE = ["-m", "jointplay.app.cli", "simulate", "slider-crank", "--duration", "2 ms", "--sample-rate", "5 kHz"]
 
 
 def test_the_command_without_a_device(tmp_path: Path) -> None:
@@ -141,7 +141,8 @@ def test_the_command_with_a_device(tmp_path: Path) -> None:
 
 
 def test_the_processor_never_imports_numbas_cuda(tmp_path: Path) -> None:
-    spy = "import atexit, sys, app.cli; atexit.register(lambda: print('numba.cuda' in sys.modules)); app.cli.main()"
+    asked = "atexit.register(lambda: print('numba.cuda' in sys.modules))"
+    spy = f"import atexit, sys; from jointplay.app.cli import main; {asked}; main()"
     done = run("-c", spy, *SIMULATE[2:], "-o", tmp_path / "o.npz")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "False"

@@ -9,11 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from solver.errors import MachineError
-from solver.machines.drawing import machine_svg
-from solver.machines.labels import place_labels
-from solver.machines.machine import Machine, load_machine, parse_machine, shipped_machine, shipped_machine_names
-from solver.machines.shapes import convex_outline, machine_shapes
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.labels import place_labels
+from jointplay.solver.machines.machine import (
+    Machine,
+    load_machine,
+    parse_machine,
+    shipped_machine,
+    shipped_machine_names,
+)
+from jointplay.solver.machines.shapes import convex_outline, machine_shapes
 
 SHAPER = Path(__file__).parents[1] / "data" / "machines" / "quick-return-shaper.yaml"
 NAMESPACE = "{http://www.w3.org/2000/svg}"

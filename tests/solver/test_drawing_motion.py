@@ -8,10 +8,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from solver.cases.positions import link_motion
-from solver.machines.drawing import machine_svg
-from solver.machines.drawing_motion import moving_drawing
-from solver.machines.machine import Machine, shipped_machine, shipped_machine_names
+from jointplay.solver.cases.positions import link_motion
+from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.drawing_motion import moving_drawing
+from jointplay.solver.machines.machine import Machine, shipped_machine, shipped_machine_names
 
 POSITIONS = 24
 

@@ -9,16 +9,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from laws import run
 from test_simulate import crank_at
 
-from solver.cases.history import Case, Settings, Status
-from solver.equations.drive import prescribed_motion, repeating_frequency
-from solver.errors import SettingsError
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.ensemble import Ensemble, simulate_ensemble
-from solver.simulation.tradeoff import measure
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.equations.drive import prescribed_motion, repeating_frequency
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.ensemble import Ensemble, simulate_ensemble
+from jointplay.solver.simulation.tradeoff import measure
+from laws import run
 
 
 def slide(*frequencies: float, **more: Any) -> Machine:

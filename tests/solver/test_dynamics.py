@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.scaling import chain
-from solver.equations.dynamics import BorderedSolver, ConstrainedSolver, constrained_solver
-from solver.equations.model import Model, build_model
+from jointplay.solver.equations.dynamics import BorderedSolver, ConstrainedSolver, constrained_solver
+from jointplay.solver.equations.model import Model, build_model
 
 
 def test_border_and_no_border_solve_the_same_system() -> None:

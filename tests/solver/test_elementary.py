@@ -9,9 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from solver.compiler import native
-from solver.compiler.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
-from solver.compiler.ir import DECLARATIONS, LANES, Block
+from jointplay.solver.compiler import native
+from jointplay.solver.compiler.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
+from jointplay.solver.compiler.ir import DECLARATIONS, LANES, Block
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver.cases.history import Case, Settings, Status
-from solver.errors import SettingsError
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, shipped_machine
-from solver.simulation import averages, blocks
-from solver.simulation import ensemble as module
-from solver.simulation.averages import decibels, overall, spread_db
-from solver.simulation.blocks import BLOCK, Members
-from solver.simulation.ensemble import Ensemble, EnsembleResult, simulate_ensemble
-from solver.simulation.simulate import simulate, start_of
-from solver.spectra.harmonics import compared
-from solver.spectra.spectrum import order_levels
-from solver.spectra.welch import welch
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.simulation import averages, blocks
+from jointplay.solver.simulation import ensemble as module
+from jointplay.solver.simulation.averages import decibels, overall, spread_db
+from jointplay.solver.simulation.blocks import BLOCK, Members
+from jointplay.solver.simulation.ensemble import Ensemble, EnsembleResult, simulate_ensemble
+from jointplay.solver.simulation.simulate import simulate, start_of
+from jointplay.solver.spectra.harmonics import compared
+from jointplay.solver.spectra.spectrum import order_levels
+from jointplay.solver.spectra.welch import welch
 
 FAULT = FaultState({"B": 2e-4})
 PERIODIC = Case(FAULT)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from solver.errors import MachineError
-from solver.machines.fault import HEALTHY, FaultState, parse_fault
-from solver.machines.machine import shipped_machine
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fault import HEALTHY, FaultState, parse_fault
+from jointplay.solver.machines.machine import shipped_machine
 
 QR = shipped_machine("quick-return")
 

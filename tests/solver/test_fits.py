@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from machine_trees import MISSING, SLIDER_CRANK, changed
 
-from solver.equations.model import build_model
-from solver.errors import MachineError
-from solver.integrators.kernel import kernel_code
-from solver.machines.fits import LEAST_PART, new_fit
-from solver.machines.joints import TurningJoint
-from solver.machines.machine import Machine, machine_json_schema, parse_machine, shipped_machine
-from solver.machines.matrix import matrix_tree
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.errors import MachineError
+from jointplay.solver.integrators.kernel import kernel_code
+from jointplay.solver.machines.fits import LEAST_PART, new_fit
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine, machine_json_schema, parse_machine, shipped_machine
+from jointplay.solver.machines.matrix import matrix_tree
 
 KEYS = {
     "four-bar": "75a43efd89688279f4d001d7cc97b563bd30ccba50002542870781ae0310f4b5",

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.integrators.lanes import SLOTS
-from solver.machines.fault import FaultState
-from solver.machines.machine import shipped_machine
-from solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
+from jointplay.solver.integrators.lanes import SLOTS
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
 
 MACHINE = shipped_machine("slider-crank")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.errors import SettingsError
-from solver.spectra.harmonics import (
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.spectra.harmonics import (
     compared,
     count_of,
     harmonic_error,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.machines.fault import FaultState
-from solver.machines.joints import SlidingJoint
-from solver.machines.machine import Machine, shipped_machine
-from solver.simulation.simulate import Case, History, Settings, simulate
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, History, Settings, simulate
 
 
 def run(name: str, fault: dict[str, float]) -> tuple[Machine, History]:

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from machine_trees import MISSING, SLIDER_CRANK, SPRING, changed
 
-from solver.errors import MachineError
-from solver.machines.drives import RotationDrive
-from solver.machines.joints import Contact, TurningJoint
-from solver.machines.machine import (
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.drives import RotationDrive
+from jointplay.solver.machines.joints import Contact, TurningJoint
+from jointplay.solver.machines.machine import (
     Machine,
     load_machine,
     machine_json_schema,
@@ -24,8 +24,8 @@ from solver.machines.machine import (
     shipped_machine_names,
     shipped_machine_text,
 )
-from solver.machines.parts import Mount, Spring
-from solver.machines.yamlfile import read_tree
+from jointplay.solver.machines.parts import Mount, Spring
+from jointplay.solver.machines.yamlfile import read_tree
 
 SHAPER = Path(__file__).parents[1] / "data" / "machines" / "quick-return-shaper.yaml"
 

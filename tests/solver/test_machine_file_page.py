@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from solver.machines.fits import DEFAULT_PLAY, LIMIT_FACTOR
-from solver.machines.iso286 import ToleranceClass
-from solver.machines.machine import Machine, parse_machine
-from solver.machines.matrix import read_matrix_form
-from solver.machines.yamlfile import read_tree
+from jointplay.solver.machines.fits import DEFAULT_PLAY, LIMIT_FACTOR
+from jointplay.solver.machines.iso286 import ToleranceClass
+from jointplay.solver.machines.machine import Machine, parse_machine
+from jointplay.solver.machines.matrix import read_matrix_form
+from jointplay.solver.machines.yamlfile import read_tree
 
 PAGE = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from machine_trees import MISSING, SPRING, changed
 
-from solver.errors import MachineError
-from solver.machines.machine import parse_machine
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.machine import parse_machine
 
 
 def refusal(tree: dict[str, Any] | str) -> str:

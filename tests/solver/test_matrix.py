@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from solver.errors import MachineError
-from solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
-from solver.machines.matrix import MechanismMatrix, matrix_tree, read_matrix_form
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
+from jointplay.solver.machines.matrix import MechanismMatrix, matrix_tree, read_matrix_form
 
 FILE = """
 name: slider-crank as a matrix

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solver.compiler import native
-from solver.compiler.ir import DECLARATIONS, LANES, Block
-from solver.errors import SettingsError
+from jointplay.solver.compiler import native
+from jointplay.solver.compiler.ir import DECLARATIONS, LANES, Block
+from jointplay.solver.errors import SettingsError
 
 
 def _doubling(factor: float) -> str:

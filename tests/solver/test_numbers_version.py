@@ -1,4 +1,4 @@
-"""Frozen spectra: whether this program still computes the numbers of its ``solver.NUMBERS_VERSION``.
+"""Frozen spectra: whether this program still computes the numbers of its ``jointplay.solver.NUMBERS_VERSION``.
 
 A failure means that stored catalogues hold other numbers than this program computes. If that is meant - equations,
 integrators, their tolerances, starts or the estimate of spectra were changed - raise ``NUMBERS_VERSION`` by one and
@@ -18,15 +18,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-import solver
-from solver.cases.steps import STEP_RULES
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.adaptive_runs import TOLERANCES
-from solver.simulation.simulate import Case, Settings, simulate
-from solver.spectra.band_power import band_matrix
-from solver.spectra.bands import BandScheme
-from solver.spectra.segments import hann
+from jointplay import solver
+from jointplay.solver.cases.steps import STEP_RULES
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.adaptive_runs import TOLERANCES
+from jointplay.solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.spectra.band_power import band_matrix
+from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.segments import hann
 
 FROZEN = Path(__file__).parents[1] / "data" / "numbers" / "frozen.npz"
 RATE = 4000.0
@@ -103,21 +103,25 @@ def test_what_is_frozen_is_of_this_version() -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_numbers_are_those_of_their_version(name: str) -> None:
-    assert off(name) < 1.0, "raise solver.NUMBERS_VERSION, see above"
+    assert off(name) < 1.0, "raise jointplay.solver.NUMBERS_VERSION, see above"
 
 
 @pytest.mark.parametrize(
     ("name", "where", "what"),
     [
-        ("fits", "solver.simulation.adaptive_runs.TOLERANCES", {**TOLERANCES, "draft": 1.02 * TOLERANCES["draft"]}),
-        ("worn, standard", "solver.simulation.adaptive_runs.TOLERANCES", {**TOLERANCES, "standard": 0.98e-6}),
-        ("worn", "solver.simulation.settling.SETTLED_PART", 0.5),
+        (
+            "fits",
+            "jointplay.solver.simulation.adaptive_runs.TOLERANCES",
+            {**TOLERANCES, "draft": 1.02 * TOLERANCES["draft"]},
+        ),
+        ("worn, standard", "jointplay.solver.simulation.adaptive_runs.TOLERANCES", {**TOLERANCES, "standard": 0.98e-6}),
+        ("worn", "jointplay.solver.simulation.settling.SETTLED_PART", 0.5),
         (
             "gill",
-            "solver.cases.preparation.STEP_RULES",
+            "jointplay.solver.cases.preparation.STEP_RULES",
             {**STEP_RULES, "draft": replace(STEP_RULES["draft"], contact=0.4, decay=0.6)},
         ),
-        ("worn", "solver.spectra.segments.hann", lambda length: hann(length) ** 1.0001),
+        ("worn", "jointplay.solver.spectra.segments.hann", lambda length: hann(length) ** 1.0001),
     ],
 )
 def test_small_changes_of_the_method_show(name: str, where: str, what: object, monkeypatch: pytest.MonkeyPatch) -> None:

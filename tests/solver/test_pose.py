@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver.cases.assembly import walk
-from solver.cases.start import start_pose, start_velocity
-from solver.equations.model import build_model
-from solver.errors import AssemblyError
-from solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
-from solver.simulation.simulate import Case, Settings, Status, check_assembly, simulate
+from jointplay.solver.cases.assembly import walk
+from jointplay.solver.cases.start import start_pose, start_velocity
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
+from jointplay.solver.simulation.simulate import Case, Settings, Status, check_assembly, simulate
 
 G = 9.81
 

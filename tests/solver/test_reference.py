@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from solver.cases.steps import Accuracy
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, load_machine
-from solver.simulation.simulate import Case, Settings, Status, simulate
-from solver.spectra.harmonics import harmonic_error
+from jointplay.solver.cases.steps import Accuracy
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, load_machine
+from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.spectra.harmonics import harmonic_error
 
 Method = Literal["adaptive", "gill"]
 

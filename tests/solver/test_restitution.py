@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from solver.machines.restitution import HYSTERESIS, effective_restitution, hysteresis_factor, remark, returned
+from jointplay.solver.machines.restitution import HYSTERESIS, effective_restitution, hysteresis_factor, remark, returned
 
 
 def test_the_identity_holds_of_what_is_returned() -> None:

@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from laws import states, tree_of
 from scipy.integrate import simpson
 
-from solver.cases.groups import groups
-from solver.equations.model import build_model
-from solver.errors import MachineError
-from solver.integrators import control
-from solver.integrators.kernel import kernel_code
-from solver.machines.fault import HEALTHY, FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.account import account
-from solver.simulation.adaptive_runs import how_it_ended
-from solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.errors import MachineError
+from jointplay.solver.integrators import control
+from jointplay.solver.integrators.kernel import kernel_code
+from jointplay.solver.machines.fault import HEALTHY, FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.account import account
+from jointplay.solver.simulation.adaptive_runs import how_it_ended
+from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
+from laws import states, tree_of
 
 G = 9.81
 METHODS = ("adaptive", "gill")

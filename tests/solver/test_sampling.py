@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from solver.spectra.sampling import PASS, STOP, band_limited_acceleration, phases, reach
+from jointplay.solver.spectra.sampling import PASS, STOP, band_limited_acceleration, phases, reach
 
 FS = 10_000.0
 

@@ -8,21 +8,21 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from extremes.scenes import four_bar
 
-from solver.cases.groups import groups
-from solver.cases.history import Case, Settings, Status
-from solver.cases.preparation import Prepared
-from solver.errors import AssemblyError
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation import settling
-from solver.simulation.adaptive_runs import adaptive_runs
-from solver.simulation.gill_runs import gill_runs
-from solver.simulation.settling import settled
-from solver.simulation.simulate import History, simulate, simulate_batch, start_of
-from solver.simulation.steady import healthy_revolution
-from solver.spectra.harmonics import harmonic_levels, mean_difference_db
+from extremes.scenes import four_bar
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.preparation import Prepared
+from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation import settling
+from jointplay.solver.simulation.adaptive_runs import adaptive_runs
+from jointplay.solver.simulation.gill_runs import gill_runs
+from jointplay.solver.simulation.settling import settled
+from jointplay.solver.simulation.simulate import History, simulate, simulate_batch, start_of
+from jointplay.solver.simulation.steady import healthy_revolution
+from jointplay.solver.spectra.harmonics import harmonic_levels, mean_difference_db
 
 WEAR = FaultState({"B": 2e-4})
 AT_ONCE = Settings(settled=True, revolutions=4.0)

@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from solver.cases.steps import Accuracy
-from solver.errors import MachineError, SettingsError
-from solver.machines.fault import FaultState
-from solver.machines.machine import parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, Status, simulate, simulate_batch
+from jointplay.solver.cases.steps import Accuracy
+from jointplay.solver.errors import MachineError, SettingsError
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate, simulate_batch
 
 QR = shipped_machine("quick-return")
 SHORT = Settings(duration=0.05, sample_rate=10_000, accuracy="draft")

@@ -11,13 +11,13 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from solver.errors import SettingsError
-from solver.spectra.band_power import band_matrix, transform_power
-from solver.spectra.bands import BandScheme
-from solver.spectra.segments import fast_length, revolution_segments
-from solver.spectra.sensor import rigid_body, sensor_signals, sensor_transform
-from solver.spectra.spectrum import convert, order_levels, rescale
-from solver.spectra.welch import cross_spectra, undo_sample_mean, welch
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.spectra.band_power import band_matrix, transform_power
+from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.segments import fast_length, revolution_segments
+from jointplay.solver.spectra.sensor import rigid_body, sensor_signals, sensor_transform
+from jointplay.solver.spectra.spectrum import convert, order_levels, rescale
+from jointplay.solver.spectra.welch import cross_spectra, undo_sample_mean, welch
 
 FS = 10_000.0
 DRIVE = 2.0 * math.pi * 2.0  # two revolutions a second

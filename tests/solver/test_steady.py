@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from solver.cases.groups import groups
-from solver.cases.history import Case, Settings
-from solver.errors import SettingsError
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, shipped_machine
-from solver.simulation.simulate import simulate, simulate_batch
-from solver.simulation.steady import PHASES, healthy_revolution, starts_at
-from solver.spectra.harmonics import harmonic_levels, mean_difference_db
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.simulation.simulate import simulate, simulate_batch
+from jointplay.solver.simulation.steady import PHASES, healthy_revolution, starts_at
+from jointplay.solver.spectra.harmonics import harmonic_levels, mean_difference_db
 
 CASES = [("slider-crank", {"B": 2e-4}), ("quick-return", {"F": 2e-4}), ("four-bar", {"A": 1e-4})]
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from solver.integrators.control import after_switch, next_step, shortened, switch_part
-from solver.machines.fault import FaultState
-from solver.machines.machine import shipped_machine
-from solver.simulation.simulate import Case, Settings, Status, simulate_batch
+from jointplay.solver.integrators.control import after_switch, next_step, shortened, switch_part
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate_batch
 
 LAG = 2e-4
 """Damping over stiffness of the contact below, s."""

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from solver.cases.start import start_pose, start_velocity
-from solver.compiler.scalar import SCALAR
-from solver.equations.model import build_model
-from solver.integrators import stepper
-from solver.integrators.control import OK, RUNNING
-from solver.integrators.dopri import StepRows
-from solver.integrators.kernel import adaptive_code
-from solver.machines.machine import shipped_machine
+from jointplay.solver.cases.start import start_pose, start_velocity
+from jointplay.solver.compiler.scalar import SCALAR
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.integrators import stepper
+from jointplay.solver.integrators.control import OK, RUNNING
+from jointplay.solver.integrators.dopri import StepRows
+from jointplay.solver.integrators.kernel import adaptive_code
+from jointplay.solver.machines.machine import shipped_machine
 
 SAMPLES, INTERVAL, FIRST = 120, 1e-4, 1e-4
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from test_simulate import crank_at
 
-from solver.cases.assembly import walk
-from solver.cases.contact_rates import ContactRates, contact_rates
-from solver.cases.friction_rates import friction_rate
-from solver.cases.groups import groups
-from solver.cases.positions import mobility_of
-from solver.cases.steps import (
+from jointplay.solver.cases.assembly import walk
+from jointplay.solver.cases.contact_rates import ContactRates, contact_rates
+from jointplay.solver.cases.friction_rates import friction_rate
+from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.positions import mobility_of
+from jointplay.solver.cases.steps import (
     LEAST_RESPONSE,
     RESIDUE,
     STEP_RULES,
@@ -24,10 +24,10 @@ from solver.cases.steps import (
     suspension_modes,
     transient_time,
 )
-from solver.equations.model import build_model
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, parse_machine, shipped_machine
-from solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.equations.model import build_model
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
 
 def test_mobility_of_a_free_pin_is_the_sum_of_both_bodies() -> None:

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solver.cases.history import History, Settings, Status
-from solver.errors import SettingsError
-from solver.machines.fault import FaultState
-from solver.machines.machine import Machine, load_machine
-from solver.simulation import workbench
-from solver.simulation.simulate import Case, simulate
-from solver.simulation.tradeoff import Point, TradeOff, measure
-from solver.spectra.harmonics import harmonic_error
+from jointplay.solver.cases.history import History, Settings, Status
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.machine import Machine, load_machine
+from jointplay.solver.simulation import workbench
+from jointplay.solver.simulation.simulate import Case, simulate
+from jointplay.solver.simulation.tradeoff import Point, TradeOff, measure
+from jointplay.solver.spectra.harmonics import harmonic_error
 
 DATA = Path(__file__).parents[1] / "data" / "reference"
 FAULT = FaultState({"B": 2e-4})

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from solver.machines import units
-from solver.machines.units import UnitError, to_si
+from jointplay.solver.machines import units
+from jointplay.solver.machines.units import UnitError, to_si
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from catalogue.measurements.readers.cell import CELL
-from catalogue.measurements.readers.csv import read_csv
-from catalogue.measurements.readers.kinds import kind_of, known_ending
-from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm
-from catalogue.measurements.readers.validity import checked
+from jointplay.catalogue.measurements.readers.cell import CELL
+from jointplay.catalogue.measurements.readers.csv import read_csv
+from jointplay.catalogue.measurements.readers.kinds import kind_of, known_ending
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm
+from jointplay.catalogue.measurements.readers.validity import checked
 
 __all__ = ["Limits", "RawColumn", "RawRecording", "Reader", "SpectrumForm", "known_ending", "read_raw"]
 
@@ -24,7 +24,7 @@ def read_raw(data: bytes, source: str, limits: Limits, **table: Any) -> RawRecor
         Its name, whose ending says what kind of file it is where the content does not.
     limits : Limits
     **table
-        What is known of a table of text; see :func:`catalogue.measurements.readers.csv.read_csv`.
+        What is known of a table of text; see :func:`jointplay.catalogue.measurements.readers.csv.read_csv`.
 
     Raises
     ------

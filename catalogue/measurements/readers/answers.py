@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.measurements.readers.raw import RawColumn, RawRecording, SpectrumForm
+from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording, SpectrumForm
 
 
 def encoded(raw: RawRecording) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 
 _RATES = frozenset(
     (

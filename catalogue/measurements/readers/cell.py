@@ -14,10 +14,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.answers import decoded
-from catalogue.measurements.readers.kinds import Kind
-from catalogue.measurements.readers.raw import Limits, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.answers import decoded
+from jointplay.catalogue.measurements.readers.kinds import Kind
+from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording
 
 #: Waited longer than a file may take before the whole process is given up [s].
 _GRACE = 10.0
@@ -88,10 +88,10 @@ class Cell:
     def _running(self) -> subprocess.Popen[bytes]:
         # A process that was forked off has its parent's pipes, which it must not share.
         if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
-            root = str(Path(__file__).parents[3])
+            root = str(Path(__file__).parents[4])
             path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "catalogue.measurements.readers.zygote"],
+                [sys.executable, "-m", "jointplay.catalogue.measurements.readers.zygote"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env={**os.environ, **_ENVIRONMENT, "PYTHONPATH": path},

@@ -14,10 +14,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.channel_units import parse_unit, split_label
-from catalogue.measurements.readers.decimal_table import plain_table
-from catalogue.measurements.readers.dialect import (
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.channel_units import parse_unit, split_label
+from jointplay.catalogue.measurements.readers.decimal_table import plain_table
+from jointplay.catalogue.measurements.readers.dialect import (
     Dialect,
     Layout,
     dialects_of,
@@ -26,7 +26,7 @@ from catalogue.measurements.readers.dialect import (
     header_line,
     is_comment,
 )
-from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 
 #: Lines looked at for the header and the dialect.
 HEAD_LINES = 400

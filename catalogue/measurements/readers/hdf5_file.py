@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.arrays import recording_of
-from catalogue.measurements.readers.raw import Limits, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.arrays import recording_of
+from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording
 
 
 def read_hdf5(data: bytes, source: str, limits: Limits) -> RawRecording:
-    """Read the arrays of an HDF5 file; see :data:`catalogue.measurements.readers.raw.Reader`."""
-    from catalogue.storage.hdf5 import foreign_arrays
+    """Read the arrays of an HDF5 file; see :data:`jointplay.catalogue.measurements.readers.raw.Reader`."""
+    from jointplay.catalogue.storage.hdf5 import foreign_arrays
 
     try:
         arrays, units = foreign_arrays(data, limits.decoded_bytes)

@@ -11,14 +11,14 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 
 _MEMBERS = ("sample_rate_hz", "channels", "time_s", "frequency_hz")
 
 
 def read_json(data: bytes, source: str, limits: Limits) -> RawRecording:
-    """Read a recording or a spectrum from JSON; see :data:`catalogue.measurements.readers.raw.Reader`."""
+    """Read a recording or a spectrum from JSON; see :data:`jointplay.catalogue.measurements.readers.raw.Reader`."""
     try:
         held = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse)
     except (ValueError, RecursionError) as error:

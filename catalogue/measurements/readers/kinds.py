@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import PurePath
 
-from catalogue.errors import MeasurementError
+from jointplay.catalogue.errors import MeasurementError
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -39,21 +39,31 @@ TEXT_ENDINGS = (".csv", ".tsv", ".txt")
 FOREIGN = {
     kind.name: kind
     for kind in (
-        Kind("UFF", (".uff", ".unv", ".uf", ".58b"), "catalogue.measurements.readers.uff", "read_uff", ("pyuff",)),
-        Kind("WAV", (".wav", ".wave"), "catalogue.measurements.readers.wav", "read_wav", ("soundfile",)),
         Kind(
-            "MAT", (".mat",), "catalogue.measurements.readers.mat", "read_mat", ("scipy.io", "catalogue.storage.hdf5")
+            "UFF",
+            (".uff", ".unv", ".uf", ".58b"),
+            "jointplay.catalogue.measurements.readers.uff",
+            "read_uff",
+            ("pyuff",),
         ),
-        Kind("TDMS", (".tdms",), "catalogue.measurements.readers.tdms", "read_tdms", ("nptdms",)),
+        Kind("WAV", (".wav", ".wave"), "jointplay.catalogue.measurements.readers.wav", "read_wav", ("soundfile",)),
+        Kind(
+            "MAT",
+            (".mat",),
+            "jointplay.catalogue.measurements.readers.mat",
+            "read_mat",
+            ("scipy.io", "jointplay.catalogue.storage.hdf5"),
+        ),
+        Kind("TDMS", (".tdms",), "jointplay.catalogue.measurements.readers.tdms", "read_tdms", ("nptdms",)),
         Kind(
             "HDF5",
             (".h5", ".hdf5", ".hdf"),
-            "catalogue.measurements.readers.hdf5_file",
+            "jointplay.catalogue.measurements.readers.hdf5_file",
             "read_hdf5",
-            ("catalogue.storage.hdf5",),
+            ("jointplay.catalogue.storage.hdf5",),
         ),
-        Kind("NPZ", (".npz",), "catalogue.measurements.readers.npz", "read_npz", ("numpy",)),
-        Kind("JSON", (".json",), "catalogue.measurements.readers.json_file", "read_json"),
+        Kind("NPZ", (".npz",), "jointplay.catalogue.measurements.readers.npz", "read_npz", ("numpy",)),
+        Kind("JSON", (".json",), "jointplay.catalogue.measurements.readers.json_file", "read_json"),
     )
 }
 

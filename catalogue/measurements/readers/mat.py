@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.arrays import recording_of
-from catalogue.measurements.readers.raw import Limits, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.arrays import recording_of
+from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _COMPRESSED = 15
 
 
 def read_mat(data: bytes, source: str, limits: Limits) -> RawRecording:
-    """Read a MAT file; see :data:`catalogue.measurements.readers.raw.Reader`."""
+    """Read a MAT file; see :data:`jointplay.catalogue.measurements.readers.raw.Reader`."""
     if data[512:520] == HDF5_SIGNATURE or data.startswith(HDF5_SIGNATURE):
-        from catalogue.measurements.readers.hdf5_file import read_hdf5
+        from jointplay.catalogue.measurements.readers.hdf5_file import read_hdf5
 
         return read_hdf5(data, source, limits)
     if data.startswith(b"MATLAB 5.0"):

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.arrays import recording_of
-from catalogue.measurements.readers.raw import Limits, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.arrays import recording_of
+from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording
 
 
 def read_npz(data: bytes, source: str, limits: Limits) -> RawRecording:
-    """Read the arrays of an NPZ file; see :data:`catalogue.measurements.readers.raw.Reader`."""
+    """Read the arrays of an NPZ file; see :data:`jointplay.catalogue.measurements.readers.raw.Reader`."""
     arrays: dict[str, Any] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as packed:

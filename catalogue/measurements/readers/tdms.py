@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 
 
 def read_tdms(data: bytes, source: str, limits: Limits) -> RawRecording:
-    """Read the waveform channels of a TDMS file; see :data:`catalogue.measurements.readers.raw.Reader`."""
+    """Read the waveform channels of a TDMS file; see :data:`jointplay.catalogue.measurements.readers.raw.Reader`."""
     check_segments(data, source)
     import nptdms
 

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.channel_units import parse_unit
-from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, SpectrumForm
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.channel_units import parse_unit
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, SpectrumForm
 
 #: Data set 58, record 8: what the numbers of a channel measure.
 _QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}
@@ -39,7 +39,7 @@ class Block:
 
 
 def read_uff(data: bytes, source: str, limits: Limits) -> RawRecording:
-    """Read all records 58 of a universal file; see :data:`catalogue.measurements.readers.raw.Reader`."""
+    """Read all records 58 of a universal file; see :data:`jointplay.catalogue.measurements.readers.raw.Reader`."""
     blocks = blocks_of(data, source)
     wanted = [index for index, block in enumerate(blocks) if block.kind in ("58", "58b")]
     facts = [

@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.raw import Limits, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording
 
 #: Nothing that is measured is larger, in whatever unit; squares of it are still numbers.
 LARGEST = 1e30

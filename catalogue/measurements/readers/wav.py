@@ -7,14 +7,16 @@ import struct
 
 import numpy as np
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 
 _BITS = {"PCM_U8": 8, "PCM_S8": 8, "PCM_16": 16, "PCM_24": 24, "PCM_32": 32}
 
 
 def read_wav(data: bytes, source: str, limits: Limits) -> RawRecording:
-    """Read a WAV file of whole or floating-point numbers; see :data:`catalogue.measurements.readers.raw.Reader`."""
+    """Read a WAV file of whole or floating-point numbers; see
+    :data:`jointplay.catalogue.measurements.readers.raw.Reader`.
+    """
     declared = frames_declared(data, source)
     import soundfile
 

@@ -1,4 +1,4 @@
-"""The process that foreign readers run in: ``python -m catalogue.measurements.readers.zygote``.
+"""The process that foreign readers run in: ``python -m jointplay.catalogue.measurements.readers.zygote``.
 
 It loads a reader's library once and forks for every file. The child takes limits of memory, time and output before it
 sees the file, and answers in JSON and plain arrays: whatever becomes of it, nothing of it is executed by who asked.
@@ -18,10 +18,10 @@ import warnings
 from importlib import import_module
 from typing import Any, BinaryIO
 
-from catalogue.errors import MeasurementError
-from catalogue.measurements.readers.answers import encoded
-from catalogue.measurements.readers.kinds import FOREIGN
-from catalogue.measurements.readers.raw import Limits
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.answers import encoded
+from jointplay.catalogue.measurements.readers.kinds import FOREIGN
+from jointplay.catalogue.measurements.readers.raw import Limits
 
 #: Beyond the arrays, an answer holds facts; they are short.
 _MORE_OUTPUT = 16_000_000
