@@ -7,10 +7,9 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import databases
 import pytest
 from hypothesis import HealthCheck, settings
-
-import databases
 
 # What tests ask a service is not who may ask; those that ask just that make keys of their own.
 os.environ.setdefault("JOINTPLAY_KEYS", "off")

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from oracle.state import State
 
 from jointplay.solver.cases.history import History
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
-from oracle.state import State
 
 Array = NDArray[np.float64]
 Tree = dict[str, Any]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jointplay.catalogue import MATCHER_VERSION
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.matching.calibration import combined, folds, kept_apart, probabilities
 from jointplay.catalogue.matching.curve_calibration import Calibration, calibrated
@@ -90,7 +91,7 @@ class GaussianAlongClearance:
     ridge: float = 0.05
     fold_count: int = 4
     name: str = field(default="gaussian-along-clearance", init=False)
-    version: str = field(default="8", init=False)
+    version: str = field(default=str(MATCHER_VERSION), init=False)
 
     def fit(
         self,

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from jointplay.catalogue import FEATURES_VERSION
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.blending import blended
 from jointplay.catalogue.matching.coherence import with_more_noise
@@ -153,7 +154,7 @@ class ModelLibrary:
         weighed = None if weights is None else np.asarray(weights, np.float64).tobytes().hex()
         judges = [None if each is None else each.network.digest for each in (opinion, witness)]
         asked = [sensing.digest, watched.tolist(), repr(method), method.version, repr(learning), ends, weighed, judges]
-        key = f"{self._state}-{content_digest([self._matrix.id, *asked])}"
+        key = f"{self._state}-{content_digest([self._matrix.id, FEATURES_VERSION, *asked])}"
         with self._lock:
             if key in self._known:
                 self._known.move_to_end(key)

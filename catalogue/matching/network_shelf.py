@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jointplay.catalogue import FEATURES_VERSION
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.learning import Learning
 from jointplay.catalogue.matching.matcher import FloatArray, Mode
@@ -154,7 +155,7 @@ class NetworkShelf:
         asked = [self._arrangement, repr(_whole(learning)), learning.reach, repr(self._training), self._place(speed)]
         if learning.subject != "hypotheses":
             asked.append(learning.subject)
-        return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, *asked])}"
+        return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, FEATURES_VERSION, *asked])}"
 
 
 def own_sensing(machine: Machine, cuts: tuple[int, ...]) -> Sensing | None:

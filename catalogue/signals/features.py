@@ -18,7 +18,7 @@ from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.recipe_steps import RecipeStep, note_step
 from jointplay.catalogue.signals.resampling import WANDER, at_mean_speed, samples_at_mean_speed
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
 from jointplay.catalogue.signals.sensors import SensorMap, map_sensors, without_columns
@@ -169,29 +169,26 @@ def prepare(
     steps = (
         sensor_step,
         part_step,
-        RecipeStep(name="disturbances", version="1", parameters={}, found="; ".join(rest.warnings) or "none found"),
-        RecipeStep(
-            name="drive speed",
-            version="2",
+        note_step("disturbances", found="; ".join(rest.warnings) or "none found"),
+        note_step(
+            "drive speed",
             parameters={"search_range": SEARCH_RANGE},
             found=_speed_note(estimate, wander),
         ),
-        RecipeStep(name="hum", version="2", parameters={}, found=_lines_note(cleaned.lines)),
-        RecipeStep(name="noise floor", version="2", parameters={}, found=_floor_note(floor, sensing)),
-        RecipeStep(
-            name="angular resampling",
-            version="1",
+        note_step("hum", found=_lines_note(cleaned.lines)),
+        note_step("noise floor", found=_floor_note(floor, sensing)),
+        note_step(
+            "angular resampling",
             parameters={"from_wander": WANDER},
             found=f"wander {100 * wander:.2g} %: " + ("sampled anew at the mean speed" if resampled else "not needed"),
         ),
-        RecipeStep(
-            name="bands",
-            version="1",
+        note_step(
+            "bands",
             parameters={"window_revolutions": WINDOW_REVOLUTIONS, "hop_revolutions": HOP_REVOLUTIONS},
             found=f"{bands.segments} windows; {', '.join(sensing.compared)} in {len(cuts) - 1} bands"
             f" up to {edges[cuts[-1]]:.4g} Hz",
         ),
-        RecipeStep(name="sensors checked", version="1", parameters={}, found=_flaws_note(flaws, sensing)),
+        note_step("sensors checked", found=_flaws_note(flaws, sensing)),
     )
     notes = [*measurement.import_report, steps[3].found]
     notes += [
@@ -276,9 +273,7 @@ def _sensors(
         text = f"left out, as the others see as much of the frame: {', '.join(names[column] for column in left_out)}"
         sensing = dataclasses.replace(sensing, warnings=(*sensing.warnings, text))
         found += f"; {text}"
-    return sensing, RecipeStep(
-        name="sensors", version="2", parameters={"compared": ", ".join(sensing.compared)}, found=found
-    )
+    return sensing, note_step("sensors", parameters={"compared": ", ".join(sensing.compared)}, found=found)
 
 
 def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> tuple[int, int, RecipeStep, list[str]]:
@@ -291,9 +286,8 @@ def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> 
     stretch = steady_stretch(raw, rate, speed)
     findings = list(stretch.findings)
     first, last = stretch.first, stretch.last
-    step = RecipeStep(
-        name="steady part",
-        version="1",
+    step = note_step(
+        "steady part",
         parameters={"speed_deviation": SPEED_DEVIATION, "level_deviation_db": LEVEL_DEVIATION_DB},
         found="; ".join([f"{first / rate:.4g} to {last / rate:.4g} s of {measurement.duration:.4g} s", *findings]),
     )

@@ -19,7 +19,7 @@ from jointplay.catalogue.measurements.drivespeed import SpeedEstimate
 from jointplay.catalogue.signals.disturbances import Disturbance
 from jointplay.catalogue.signals.hum import SteadyLine
 from jointplay.catalogue.signals.noise import NoiseFloor
-from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.recipe_steps import RecipeStep, note_step
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.signals.sensors import SensorMap
 from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, joined
@@ -173,5 +173,5 @@ class PreparedMeasurement:
             noise_power=after
             * (self.noise_power / np.maximum(before, 1e-300)),  # what sensors have in common changes like their own
             floor=floor,
-            steps=(*self.steps, RecipeStep(name="gains", version="1", parameters=shown, found=f"divided out: {found}")),
+            steps=(*self.steps, note_step("gains", parameters=shown, found=f"divided out: {found}")),
         )

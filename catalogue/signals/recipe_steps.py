@@ -6,7 +6,9 @@ from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict
 
-__all__ = ["RecipeStep"]
+from jointplay.catalogue import FEATURES_VERSION
+
+__all__ = ["RecipeStep", "note_step"]
 
 
 class RecipeStep(BaseModel):
@@ -18,7 +20,7 @@ class RecipeStep(BaseModel):
         "sensors", "steady part", "disturbances", "drive speed", "hum", "noise floor", "angular resampling", "bands",
         "sensors checked", "gains".
     version : str
-        Raised when the step would do something else with the same recording.
+        :data:`jointplay.catalogue.FEATURES_VERSION` of the program that took it.
     parameters : mapping of str to number or str
         Settings of the step, SI.
     found : str
@@ -35,3 +37,8 @@ class RecipeStep(BaseModel):
     def __str__(self) -> str:
         """Return name and finding in one line."""
         return f"{self.name}: {self.found}"
+
+
+def note_step(name: str, found: str, parameters: Mapping[str, float | str] | None = None) -> RecipeStep:
+    """Return a step as this program takes it, see :class:`RecipeStep`."""
+    return RecipeStep(name=name, version=str(FEATURES_VERSION), parameters=parameters or {}, found=found)

@@ -14,7 +14,7 @@ from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LINES_TOGETHER, NoiseFloor
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.recipe_steps import note_step
 from jointplay.catalogue.signals.sensors import map_sensors, sensors_one_by_one
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, usable_cuts
 from jointplay.solver.machines.machine import Machine
@@ -83,13 +83,13 @@ def prepare_spectrum(
     rpm, share = estimate.speed * 30.0 / math.pi, 100.0 * estimate.uncertainty / estimate.speed
     told = "as given" if estimate.given else f"+- {share:.2g} %, found in the spectrum"
     steps = (
-        RecipeStep(name="sensors", version="2", parameters={"compared": ", ".join(sensing.compared)},
+        note_step("sensors", parameters={"compared": ", ".join(sensing.compared)},
                    found=f"{', '.join(sensing.sensors)}, one by one: a spectrum has no phases"),
-        RecipeStep(name="drive speed", version="2", parameters={"search_range": SEARCH_RANGE},
+        note_step("drive speed", parameters={"search_range": SEARCH_RANGE},
                    found=f"drive speed {rpm:.6g} rpm {told}"),
-        RecipeStep(name="noise floor", version="2", parameters={},
+        note_step("noise floor", parameters={},
                    found="the quietest tenth of the spectrum: by its course in time it cannot be told"),
-        RecipeStep(name="bands", version="1", parameters={"lines_an_order": turn / step},
+        note_step("bands", parameters={"lines_an_order": turn / step},
                    found=f"{', '.join(sensing.compared)} in {len(cuts) - 1} bands up to {edges[cuts[-1]]:.4g} Hz"),
     )  # fmt: skip
     return PreparedMeasurement(

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.recipe_steps import note_step
 from jointplay.catalogue.signals.sensors import MOTIONS
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.machines.machine import Machine
@@ -121,9 +121,8 @@ def with_filed_suspension(
         np.einsum("bcs,bs->bc", np.abs(change @ sensing.channels) ** 2, own),
         np.einsum("bcd,bd->bc", np.abs(change) ** 2, prepared.noise_power),
     )
-    step = RecipeStep(
-        name="suspension",
-        version="1",
+    step = note_step(
+        "suspension",
         parameters={path: float(value) for path, value in parameters.items()},
         found="converted to the frame and supports of the machine file",
     )

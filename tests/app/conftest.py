@@ -13,6 +13,7 @@ from filelock import FileLock
 from http_answers import send
 from playwright.sync_api import Browser
 from real_browser import running
+from recordings import unpacked
 from small_service import PLAN, serving
 from webhook_listener import Listener, listening
 
@@ -21,7 +22,6 @@ from jointplay.app.storage.store import Store
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.solver.machines.machine import shipped_machine
-from recordings import unpacked
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ from typing import Any
 
 import httpx
 import pytest
-
 from recordings import unpacked
 
 API = "/api/v1"

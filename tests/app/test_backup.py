@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import databases
 import httpx
 import pytest
 from command_line import assert_refused, invoke
 from small_service import serving
 
-import databases
 from jointplay.app.http.examples import MACHINE_FILE
 from jointplay.app.settings import Settings
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import databases
 import httpx
 import pytest
 from small_service import PLAN, asking
@@ -22,7 +23,6 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
 from starlette.datastructures import UploadFile
 
-import databases
 from jointplay.app.failures import foreseen
 from jointplay.app.problems import problem_of
 from jointplay.app.settings import Settings

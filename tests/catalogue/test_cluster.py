@@ -8,12 +8,12 @@ from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
+import databases
 import distributed
 import pytest
 from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import compute
 
-import databases
 from benchmarks.kills import Site, content, disturbed, free_port
 from jointplay.catalogue.building import cluster
 from jointplay.catalogue.building.chunk import Chunk

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import parse_unit, split_label
 from jointplay.catalogue.measurements.measurement import Measurement, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording
 from jointplay.catalogue.measurements.readers.kinds import known_ending
-from recordings import RECORDINGS, unpacked
 
 HEADER = "time [s],s1-x [m/s2],s1-y [g]"
 

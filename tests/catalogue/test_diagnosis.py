@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
+from second_simulator.machine_file import read
+from second_simulator.recording import write
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis
@@ -29,9 +32,6 @@ from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import shipped_machine
-from recordings import RECORDINGS, TRUTH
-from second_simulator.machine_file import read
-from second_simulator.recording import write
 
 
 def recording(number: int) -> Measurement:

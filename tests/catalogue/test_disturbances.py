@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, rough_track
 from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
@@ -15,7 +16,6 @@ from jointplay.catalogue.signals.disturbances import find_shocks, patched, stret
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.spectra.sensor import sensor_transform
-from recordings import RECORDINGS, TRUTH
 
 USED = [name for name in TRUTH if (RECORDINGS / f"{name}.csv.gz").exists()]
 

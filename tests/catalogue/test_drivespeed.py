@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, estimate_speed, track_speed
 from jointplay.catalogue.measurements.measurement import read_measurement
-from recordings import RECORDINGS, TRUTH
 
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
 

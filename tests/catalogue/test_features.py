@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
 from jointplay.catalogue.errors import MeasurementError
@@ -22,7 +23,6 @@ from jointplay.solver.simulation.simulate import Case, Settings, simulate
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 from jointplay.solver.spectra.sensor import sensor_transform
-from recordings import RECORDINGS, TRUTH
 
 FS = 10_000.0
 NAMES = ("s1-x", "s1-y", "s2-x", "s2-y")

@@ -7,6 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from second_simulator.faults import frame_mode
+from second_simulator.machine_file import read
+from second_simulator.protocols import individual_of
+from second_simulator.recording import recorded, stream
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.frame_modes import KnownLevels, find_mode, mode_of
@@ -15,10 +19,6 @@ from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import shipped_machine
-from second_simulator.faults import frame_mode
-from second_simulator.machine_file import read
-from second_simulator.protocols import individual_of
-from second_simulator.recording import recorded, stream
 
 FloatArray = NDArray[np.float64]
 

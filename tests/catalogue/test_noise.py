@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
 from jointplay.catalogue.measurements.measurement import read_measurement
 from jointplay.catalogue.signals.hum import PICKED_UP, SteadyLine, hum_in_orders, remove_hum
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
-from recordings import RECORDINGS, TRUTH
 
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
 FS = 10_000.0

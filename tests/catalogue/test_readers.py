@@ -19,13 +19,13 @@ import pytest
 import pyuff
 import scipy.io
 import soundfile
+from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
 from jointplay.catalogue.measurements.readers import Limits, cell
 from jointplay.catalogue.storage.hdf5 import write_arrays
-from recordings import RECORDINGS, unpacked
 
 RATE = 2000.0
 SIGNAL = np.random.default_rng(3).normal(size=(400, 2))

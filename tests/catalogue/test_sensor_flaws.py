@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.evaluation.response import Response
 from jointplay.catalogue.measurements.measurement import Channel, Measurement, read_measurement
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.solver.machines.machine import Machine, shipped_machine
-from recordings import RECORDINGS, TRUTH
 
 NAMES = ("s1-x", "s1-y", "s2-x", "s2-y")
 #: Each recording once: other formats hold the same numbers.

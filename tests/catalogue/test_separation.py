@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.comparison import exact_sensing
@@ -18,7 +19,6 @@ from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import shipped_machine
-from recordings import RECORDINGS
 
 PLAN = {
     "name": "speeds",

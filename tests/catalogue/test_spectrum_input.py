@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, SpectrumSaid
@@ -13,7 +14,6 @@ from jointplay.catalogue.measurements.recordings import read_recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.spectrum_features import band_power
 from jointplay.solver.machines.machine import shipped_machine
-from recordings import RECORDINGS, unpacked
 
 STEP = 0.5
 FREQUENCY = STEP * np.arange(800)

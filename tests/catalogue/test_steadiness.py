@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.measurements.measurement import Channel, Measurement, read_measurement
 from jointplay.catalogue.signals.features import prepare
@@ -14,7 +15,6 @@ from jointplay.solver.machines.fault import parse_fault
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, simulate
 from jointplay.solver.spectra.sensor import sensor_transform
-from recordings import RECORDINGS, TRUTH
 
 FS = 10_000.0
 

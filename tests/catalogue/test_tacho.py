@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, Tacho
@@ -12,7 +13,6 @@ from jointplay.catalogue.measurements.tacho import pulses, track_of, turns_of
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.features import prepare
 from jointplay.solver.machines.machine import shipped_machine
-from recordings import RECORDINGS, unpacked
 
 RATE = 10_000.0
 

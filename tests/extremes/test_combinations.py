@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-
 from extremes.scenes import RPM
+from laws import Tree, tree_of
+
 from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
-from laws import Tree, tree_of
 
 DRIVES: list[Any] = [
     *(speed * RPM for speed in (0, 1, 60, -600, 3000, 60_000)),

@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-
 from extremes.scenes import four_bar
+from laws import Tree, run, tree_of
+
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
-from laws import Tree, run, tree_of
 
 Method = Literal["adaptive", "gill"]
 WORN = {"A": 1e-4}

@@ -6,11 +6,11 @@ import itertools
 
 import numpy as np
 import pytest
+from laws import Array, run, tree_of
 from scipy.integrate import solve_ivp
 
 from jointplay.solver.cases.history import History
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
-from laws import Array, run, tree_of
 
 
 def harmonics(history: History) -> Array:

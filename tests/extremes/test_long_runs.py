@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 import pytest
-
 from extremes.scenes import framed
-from jointplay.solver.machines.machine import parse_machine
 from laws import run, states, tree_of
+
+from jointplay.solver.machines.machine import parse_machine
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from extremes.scenes import (
     RPM,
     at_speed,
@@ -26,8 +25,9 @@ from extremes.scenes import (
     settled,
     similar,
 )
-from jointplay.solver.machines.machine import shipped_machine
 from laws import Tree, tree_of
+
+from jointplay.solver.machines.machine import shipped_machine
 
 Fault = Mapping[str, float]
 WORN: Fault = {"B": 2e-4}

@@ -15,6 +15,7 @@ from unittest import mock
 from fuzz.judge import judge
 from fuzz.machines import scene
 from fuzz.uncompiled import uncompiled
+
 from jointplay.solver.simulation import adaptive_runs as runs
 
 #: Trial steps in plain Python, some seconds.

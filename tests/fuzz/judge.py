@@ -7,19 +7,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from fuzz.machines import Scene
 from numpy.typing import NDArray
+from oracle.closures import blocked_motions
+from oracle.dense import JammedError, _System
+from oracle.state import State
 from scipy.integrate import solve_ivp
 
-from fuzz.machines import Scene
 from jointplay.solver.cases.history import History
 from jointplay.solver.equations.contact_laws import remembers
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
-from oracle.closures import blocked_motions
-from oracle.dense import JammedError, _System
-from oracle.state import State
 
 Array = NDArray[np.float64]
 

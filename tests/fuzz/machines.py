@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from oracle.sketch import sketch
 
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import Machine, parse_machine
-from oracle.sketch import sketch
 
 Tree = dict[str, Any]
 

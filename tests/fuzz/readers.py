@@ -13,8 +13,8 @@ import time
 from collections import Counter
 
 import numpy as np
-
 from fuzz.files import MUTATIONS, SIGNAL, cut, whole_files
+
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import read_measurement

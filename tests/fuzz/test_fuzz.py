@@ -7,7 +7,6 @@ from collections import Counter
 from dataclasses import replace
 
 import pytest
-
 from fuzz.judge import judge
 from fuzz.machines import Scene, scene
 from fuzz.uncompiled import uncompiled

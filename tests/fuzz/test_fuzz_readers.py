@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
 from fuzz.files import whole_files
 from fuzz.readers import campaign, ending
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 
 def test_whole_files_are_read() -> None:

@@ -13,12 +13,12 @@ import math
 
 import numpy as np
 import pytest
+from laws import drawn
 from numpy.typing import NDArray
 
 from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
-from laws import drawn
 
 Array = NDArray[np.float64]
 

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from trajectory import trajectories, trajectory
 
 from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
-from trajectory import trajectories, trajectory
 
 Array = NDArray[np.float64]
 

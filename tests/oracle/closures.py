@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from oracle.state import Array, State
+from oracle.tables import prescribed
 
 from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from oracle.state import Array, State
-from oracle.tables import prescribed
 
 
 def lacking(machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array) -> float:

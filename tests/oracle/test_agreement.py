@@ -9,6 +9,10 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+from oracle.closures import lacking
+from oracle.dense import JammedError, Solution, solve
+from oracle.sketch import Sketch, parameters, random_state, sketch
+from oracle.state import ContactState, State
 
 from jointplay.solver.equations.links import LinkMotion, link_motion
 from jointplay.solver.equations.model import build_model
@@ -16,10 +20,6 @@ from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from oracle.closures import lacking
-from oracle.dense import JammedError, Solution, solve
-from oracle.sketch import Sketch, parameters, random_state, sketch
-from oracle.state import ContactState, State
 
 #: Largest difference, as part of the largest term of the equations. What is not the solver's fault sets it: a pin
 #: pressed 1e-6 m into a socket of 1e8 N/m loses six digits of sixteen before any equation is written.

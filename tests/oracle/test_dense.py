@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from jointplay.solver.machines.machine import Machine, parse_machine
 from oracle.closures import lacking
 from oracle.dense import JammedError, solve
+
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 G = 9.81
 

@@ -7,6 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracle.closures import lacking
+from oracle.dense import solve
+from oracle.motion import LinkMotion
+from oracle.sketch import random_state
 
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.scalar import SCALAR
@@ -16,10 +20,6 @@ from jointplay.solver.integrators.gill import integrate, repeat
 from jointplay.solver.integrators.kernel import adaptive_code, compile_model
 from jointplay.solver.integrators.kernel_functions import kernel_functions
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from oracle.closures import lacking
-from oracle.dense import solve
-from oracle.motion import LinkMotion
-from oracle.sketch import random_state
 
 #: Vector code and symbols round differently (order of sums, its own sine); as part of the largest acceleration.
 #: Measured: 3e-13 to 1.1e-12, most where every contact follows another law; five times that for other processors.

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from recordings import TRUTH, unpacked
+
 from second_simulator import recording
 from second_simulator.individual import Individual, drawn_individual
 from second_simulator.machine import Array, Contact, Sensor

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from laws import tree_of
+from oracle.sketch import sketch
 
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import HEALTHY, FaultState
 from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_names
 from jointplay.solver.simulation.account import Account, account
-from laws import tree_of
-from oracle.sketch import sketch
 
 
 def balance(sizes: Account) -> int:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trajectory import Trajectory, trajectories
 
 from jointplay.solver.cases.history import History
 from jointplay.solver.equations.contact_laws import SLOWEST_APPROACH
@@ -15,7 +16,6 @@ from jointplay.solver.integrators.control import remember
 from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Start, Status, simulate, simulate_batch
-from trajectory import Trajectory, trajectories
 
 CLEARANCE = 1e-4
 #: Pressed in, pulled so fast that the force vanishes (beyond v0 / c = 16 mm/s), pressed in again before the surfaces

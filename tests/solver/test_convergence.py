@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 import pytest
+from laws import Array, impacts, run, states, tree_of
 
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from laws import Array, impacts, run, states, tree_of
 
 
 def test_gill_is_of_fourth_order() -> None:

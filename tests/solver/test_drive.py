@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from laws import run
 from test_simulate import crank_at
 
 from jointplay.solver.cases.history import Case, Settings, Status
@@ -18,7 +19,6 @@ from jointplay.solver.machines.fault import FaultState
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.ensemble import Ensemble, simulate_ensemble
 from jointplay.solver.simulation.tradeoff import measure
-from laws import run
 
 
 def slide(*frequencies: float, **more: Any) -> Machine:

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from laws import Array, Tree, run
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson, solve_ivp
 
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.machines.machine import parse_machine
-from laws import Array, Tree, run
 
 BODY: Tree = {"mass": 2.0, "inertia": 0.3, "cg": [0.0, 0.0]}
 WALL: Tree = {"fixed": True}

@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 import pytest
+from laws import Array, Tree, drawn, impacts, run, states, tree_of
 from scipy.integrate import cumulative_simpson
 
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from laws import Array, Tree, drawn, impacts, run, states, tree_of
 
 METHODS = pytest.mark.parametrize("method", ["gill", "adaptive"])
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from laws import states, tree_of
 from scipy.integrate import simpson
 
 from jointplay.solver.cases.groups import groups
@@ -19,7 +20,6 @@ from jointplay.solver.machines.machine import Machine, parse_machine, shipped_ma
 from jointplay.solver.simulation.account import account
 from jointplay.solver.simulation.adaptive_runs import how_it_ended
 from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
-from laws import states, tree_of
 
 G = 9.81
 METHODS = ("adaptive", "gill")

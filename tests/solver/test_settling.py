@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-
 from extremes.scenes import four_bar
+
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.preparation import Prepared
