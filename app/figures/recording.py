@@ -26,7 +26,7 @@ WINDOW_REVOLUTIONS = 4.0
 FLAT_PART = 0.4  # of the sample rate: up to there a simulated acceleration is flat and free of aliases
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """What a file of a simulation holds.
 

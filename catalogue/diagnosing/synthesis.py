@@ -121,7 +121,7 @@ def _unchanged(result: MatchResult, reason: str) -> Refined:
     return Refined(result, 0, 0, False, reason)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Search:
     """One hypothesis: where its cases are drawn, and how well those simulated so far fit."""
 

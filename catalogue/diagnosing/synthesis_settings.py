@@ -45,7 +45,7 @@ class Synthesis:
     seed: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recorded:
     """What a recording is compared by.
 

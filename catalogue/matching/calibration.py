@@ -166,7 +166,7 @@ def fit_shares(first: FloatArray, second: FloatArray, truth: IntArray, weights: 
     return float(found.x[0]), float(found.x[1])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tail:
     """Held-out values of a statistic that is large where the model fails.
 

@@ -40,7 +40,7 @@ class CandidateSet:
     widened: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Conformal:
     """Probabilities that held-out draws gave to their true hypothesis.
 

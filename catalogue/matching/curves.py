@@ -42,7 +42,7 @@ class Curve:
         return self.full.distance_at(levels, best), largest(z, watched)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CurveModel:
     """All hypotheses in one whitened space; not calibrated yet.
 

@@ -23,7 +23,7 @@ REFERENCE_ORDERS = 8
 more than by its play."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CyclicBands:
     """Which cyclic coherences there are: all bands one order apart, those above single orders two orders apart, too.
 

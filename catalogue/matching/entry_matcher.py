@@ -99,7 +99,7 @@ def _posterior(training: TrainingSet, log_evidence: FloatArray, temperature: flo
     return probabilities(log_evidence / temperature + prior)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FittedEntries:
     """A learned training set; answers one feature vector or a block of them.
 

@@ -18,7 +18,7 @@ LEAST_EFFECTIVE = 8.0
 TEMPERATURES = tuple(np.geomspace(1.0, 200.0, 24).tolist())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Weighed:
     """A sample and its weights.
 

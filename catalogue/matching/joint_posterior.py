@@ -15,7 +15,7 @@ POINTS = 400
 """Points of ln(clearance) at which a posterior is kept."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointPosterior:
     """Clearance of one joint, whatever the others are like.
 

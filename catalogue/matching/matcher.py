@@ -32,7 +32,7 @@ Mode = Literal["trusted", "robust"]
 """How far a model is believed: as simulated, or with everything that may differ in the real machine."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Draws:
     """Feature vectors of one hypothesis, as the sensors would report them.
 
@@ -108,7 +108,7 @@ class Draws:
         return np.ones(len(self.entry)) if self.weight is None else self.weight / float(self.weight.mean())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrainingSet:
     """All hypotheses a matcher is to tell apart.
 
@@ -200,7 +200,7 @@ class ClearanceEstimate:
         return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HypothesisMatch:
     """One hypothesis against one measurement.
 

@@ -237,7 +237,7 @@ class ModelLibrary:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Question:
     """What is asked of a library."""
 

@@ -25,7 +25,7 @@ AS_FILED, DIFFERS = "as filed", "differs"
 """What a network of strata tells apart."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Network:
     """A trained perceptron with rectified linear units.
 
@@ -84,7 +84,7 @@ class Network:
         return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Opinion:
     """A network, asked about recordings of one noise.
 

@@ -105,7 +105,7 @@ class Discrepancy:
         return np.asarray(np.linalg.cholesky(covariance + 1e-9 * np.eye(bands)), dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sensing:
     """How the frame's motion becomes the levels that are compared.
 

@@ -24,7 +24,7 @@ LEAST_SPREAD = 0.05
 """Least spread of new cases, as a part of that of the catalogue's draws."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Space:
     """Coordinates of cases that differ in numbers only: logarithms of what is always positive, else the numbers.
 

@@ -23,7 +23,7 @@ NEAR, SPREAD = 600, 200
 """Entries of a hypothesis that are learned from: those nearest in clearance, and the first draws."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Refit:
     """How a looked-up model is refined for one recording.
 

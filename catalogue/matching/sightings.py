@@ -35,7 +35,7 @@ STEEPNESS = (12.0, 4.0)
 from 0.66 to 0.94 with a slope of 4 +- 2, from 0.74 to 0.92 with 8 +- 4."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sightings:
     """Held-out draws, joint by joint.
 

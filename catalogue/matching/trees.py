@@ -88,7 +88,7 @@ class ExtraTrees:
         return replace(fitted, conformal=Conformal.fit(fitted.posterior(held_features), truth, weights))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FittedTrees:
     """A learned training set; answers one feature vector or a block of them.
 

@@ -15,7 +15,7 @@ REACH = 3.5
 """Kernel widths beyond which a draw does not count."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ClearanceGrid:
     """Points over the logarithm of the clearances of one hypothesis.
 
@@ -87,7 +87,7 @@ class ClearanceGrid:
         return index
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tube:
     """Mean along the clearance and covariance around it.
 

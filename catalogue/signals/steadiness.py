@@ -113,7 +113,7 @@ def steady_stretch(signal: npt.ArrayLike, sample_rate: float, nominal: float) ->
     return Stretch(start, end, tuple(findings))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Frames:
     """Windows of one revolution.
 

@@ -37,7 +37,7 @@ _UNITS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Chosen:
     """The cases of some hypotheses, in the order in which their shards hold them."""
 

@@ -113,7 +113,7 @@ def gather(
     return Gathered(header, columns, power)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Part:
     """What is kept of one shard: everything but its spectra, which go to `waiting`."""
 

@@ -27,7 +27,7 @@ class Columns(Protocol):
         """Packed spectra of some rows, (m, G, 33)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MemoryColumns:
     """Columns in memory.
 

@@ -20,7 +20,7 @@ OK = "ok"
 """Status of a case whose spectrum is stored."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """What became of one case.
 
@@ -87,7 +87,7 @@ class ShardHeader:
     versions: Mapping[str, str]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shard:
     """Cases of one hypothesis, stratum and variant, with the same joints and the same parameter names.
 

@@ -13,7 +13,7 @@ from jointplay.solver.spectra.bands import BandScheme
 __all__ = ["StoredEntry"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StoredEntry:
     """One entry with all that is known of it.
 

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 TextArray = NDArray[np.str_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EntryTable:
     """Cases of a catalogue, one a row.
 

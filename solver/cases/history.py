@@ -127,7 +127,7 @@ class Settings:
         return self.method or ("gill" if self.step is not None else "adaptive")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class History:
     """Motion of the frame in one case.
 

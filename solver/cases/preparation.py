@@ -41,7 +41,7 @@ MOST_STEPS = 2_000_000_000
 MOST_BYTES = 2e9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prepared:
     """A case with its lane parameters, start and step.
 
@@ -119,7 +119,7 @@ def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...
     return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Smooth:
     """Motions between impacts: eigenvalues of all, 1/s, and the modes of the suspension under the rigid machine."""
 

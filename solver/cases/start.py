@@ -16,7 +16,7 @@ from jointplay.solver.errors import AssemblyError
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Start:
     """Where a run starts or ended: coordinates, velocities, (n,) each, the time, s, and what contacts remember, (m,).
 

@@ -21,7 +21,7 @@ from jointplay.solver.machines.machine import Machine
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinkMotion:
     """What every link does and what the joints carry.
 

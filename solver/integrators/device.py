@@ -100,7 +100,7 @@ def case_kernel(code: KernelCode, rows: StepRows, remembering: tuple[int, ...]) 
     return advance_case
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Records:
     """Recorded motion; all but the velocities at every `oversampling`-th sample.
 
@@ -126,7 +126,7 @@ class Records:
         return Records(oversampling, *(np.zeros((cases, *count)) for count in counts))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ends:
     """How every case ended.
 

@@ -75,7 +75,7 @@ def _bytes_a_sample(machine: Machine) -> int:
     return 8 * (_WITH_MOTION if machine.sensors else _WITHOUT_MOTION)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BlockSpectra:
     """Of one block: who is in it, their powers in one-order bands, (m, k, c), and their densities, (m, n, c)."""
 

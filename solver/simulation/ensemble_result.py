@@ -70,7 +70,7 @@ class Member:
     message: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EnsembleResult:
     """Averaged spectra of a case with their spread.
 

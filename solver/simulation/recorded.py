@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 OVERSAMPLING = PHASES
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """What was recorded of one case.
 

@@ -27,7 +27,7 @@ HOP_REVOLUTIONS = 1.0
 CYCLES = (1, 2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BandMatrix:
     """Cross-power of channels in bands, averaged over windows of one signal.
 

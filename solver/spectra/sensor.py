@@ -82,7 +82,7 @@ def sensor_signals(
     return np.asarray(ax * unit[:, 0] + ay * unit[:, 1], dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RigidBody:
     """Least-squares motion of the frame from sensor signals.
 

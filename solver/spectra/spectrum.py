@@ -22,7 +22,7 @@ DERIVATIVES: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "accelerat
 _PER_TIME = ("", "/s", "/s2")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spectrum:
     """A one-sided spectrum of one or more channels.
 
@@ -92,7 +92,7 @@ class Spectrum:
         return self.frequency / (_speed_of(self) / (2.0 * math.pi))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CrossSpectrum:
     """Cross-spectral densities of all pairs of channels.
 
