@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jointplay.solver.cases.history import Case, History, Settings
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine
 from jointplay.solver.simulation.simulate import simulate_batch
 
@@ -38,7 +38,7 @@ def table(count: int) -> list[Case]:
     """Cases of one model: clearances and speeds side by side."""
     rng = np.random.default_rng(1)
     draws = zip(rng.uniform(5e-5, 5e-4, count), rng.uniform(40.0, 80.0, count), strict=True)
-    return [Case(FaultState({"B": float(c)}), {"drive.speed": float(speed)}) for c, speed in draws]
+    return [Case(Fault({"B": float(c)}), {"drive.speed": float(speed)}) for c, speed in draws]
 
 
 def timed(machine: Machine, cases: list[Case], settings: Settings) -> tuple[list[History], float]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scenes import RATE
 from jointplay.solver.machines.drives import RotationDrive
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
@@ -53,7 +53,7 @@ def _link_velocities(machine: Machine) -> dict[str, list[float]]:
     return {name: list(rate) for name, rate in zip(start.links, start.velocity[0], strict=True)}
 
 
-def build(machine: Machine, fault: FaultState) -> tuple[Any, int]:
+def build(machine: Machine, fault: Fault) -> tuple[Any, int]:
     """The machine as a system of Exudyn, assembled, and its sensor of the frame's acceleration.
 
     Only what P1 and QR have: mounts, ideal joints, a rotation drive of constant speed, the linear contact law.
@@ -136,7 +136,7 @@ def build(machine: Machine, fault: FaultState) -> tuple[Any, int]:
     return mbs, int(sensor)
 
 
-def run(machine: Machine, fault: FaultState, duration: float, step: float) -> tuple[Array, float]:
+def run(machine: Machine, fault: Fault, duration: float, step: float) -> tuple[Array, float]:
     """Frame's y acceleration at 20 kHz by the trapezoidal rule (index 2), and processor seconds without the set-up."""
     import exudyn as exu
 

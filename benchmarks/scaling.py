@@ -18,7 +18,7 @@ from benchmarks.computer import processor_seconds
 from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.integrators.kernel import compile_model
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate_batch
 
@@ -104,7 +104,7 @@ def clearances(quick: bool, say: Callable[[str], None]) -> list[Row]:
         for count in range(len(order) + 1):
             worn = dict.fromkeys(order[:count], _CLEARANCE)
             ns, kernel, model = nanoseconds(machine, worn)
-            cases = [Case(FaultState(worn))] * 8
+            cases = [Case(Fault(worn))] * 8
             settings = Settings(duration=0.5 if quick else 2.0)
             simulate_batch(machine, cases, Settings(duration=0.01))
             spent = processor_seconds(lambda: simulate_batch(machine, cases, settings), 2)  # noqa: B023

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.solver.cases.history import Case, Settings
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.spectra.harmonics import harmonic_error
@@ -32,7 +32,7 @@ class Scene:
     ----------
     name : str
     machine : Machine
-    fault : FaultState
+    fault : Fault
     drive_hz : float
     duration, after : float
         Simulated time, and the transient in it, s.
@@ -40,7 +40,7 @@ class Scene:
 
     name: str
     machine: Machine
-    fault: FaultState
+    fault: Fault
     drive_hz: float
     duration: float
     after: float
@@ -73,9 +73,9 @@ class Scene:
 
 def p1() -> Scene:
     """Slider-crank, 0.2 mm between rod and slider, 600 rpm."""
-    return Scene("P1", load_machine(_DATA / "p1.yaml"), FaultState({"B": 2e-4}), 10.0, 2.0, 0.5)
+    return Scene("P1", load_machine(_DATA / "p1.yaml"), Fault({"B": 2e-4}), 10.0, 2.0, 0.5)
 
 
 def quick_return() -> Scene:
     """Shipped quick-return, 0.2 mm at the rocker's pivot, 120 rpm; its response repeats (at O and A it is chaotic)."""
-    return Scene("QR", shipped_machine("quick-return"), FaultState({"C": 2e-4}), 2.0, 4.0, 2.0)
+    return Scene("QR", shipped_machine("quick-return"), Fault({"C": 2e-4}), 2.0, 4.0, 2.0)

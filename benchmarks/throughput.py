@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.scenes import LIMITED_RATE, p1
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.compiler.ir import LANES
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.harmonics import harmonic_error
 
@@ -46,7 +46,7 @@ def measure(quick: bool, say: Callable[[str], None]) -> dict[str, object]:
     scene = p1()
     count = 64 if quick else 1000
     clearances = np.geomspace(*CLEARANCES, count)[np.random.default_rng(1).permutation(count)]
-    cases = [Case(FaultState({"B": float(c)})) for c in clearances]
+    cases = [Case(Fault({"B": float(c)})) for c in clearances]
     settings = Settings(duration=scene.duration, rtol=TOLERANCE, sample_rate=LIMITED_RATE, motion=False)
     simulate_batch(scene.machine, cases[:LANES], replace(settings, duration=0.01))
     spent, integrating, failed, busy = 0.0, 0.0, 0, []

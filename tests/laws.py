@@ -10,7 +10,7 @@ from oracle.state import State
 
 from jointplay.solver.cases.history import History
 from jointplay.solver.equations.links import LinkMotion
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
@@ -29,7 +29,7 @@ def tree_of(name: str, *, gravity: float = 9.81, **contact: float) -> Tree:
 
 
 def run(machine: Machine, fault: dict[str, float], **settings: Any) -> tuple[History, LinkMotion]:
-    history = simulate(machine, Case(FaultState(fault)), Settings(links=True, **settings))
+    history = simulate(machine, Case(Fault(fault)), Settings(links=True, **settings))
     assert history.status is Status.OK
     assert history.links is not None
     return history, history.links

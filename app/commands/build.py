@@ -52,10 +52,10 @@ def command(
     """
     from jointplay.catalogue.building.build import build
     from jointplay.catalogue.building.network_building import train_networks
-    from jointplay.catalogue.plans.plan import resolve_plan
+    from jointplay.catalogue.plans.plan import load_plan
     from jointplay.catalogue.plans.plan_check import check_plan
     from jointplay.catalogue.plans.plan_text import plan_lines
-    from jointplay.solver.machines.machine import resolve_machine
+    from jointplay.solver.machines.machine import load_machine
 
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for processes here; a cluster has its own")
@@ -63,7 +63,7 @@ def command(
         from jointplay.catalogue.building.cluster import check_address
 
         check_address(scheduler)
-    found, wanted = resolve_machine(machine), resolve_plan(plan)
+    found, wanted = load_machine(machine), load_plan(plan)
     check_plan(wanted, found, plan)
     for shown in plan_lines(wanted, found):
         click.echo(shown, err=True)

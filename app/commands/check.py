@@ -12,7 +12,7 @@ from jointplay.app.commands.parameters import json_option, print_json
 from jointplay.app.commands.tables import indented, table
 
 if TYPE_CHECKING:
-    from jointplay.solver.machines.fault import FaultState
+    from jointplay.solver.machines.fault import Fault
     from jointplay.solver.machines.machine import Machine
     from jointplay.solver.machines.matrix import MechanismMatrix
     from jointplay.solver.simulation.account import Account
@@ -32,11 +32,11 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
         check_ending(drawing)
     from jointplay.solver.machines.contact_rules import restitution_remarks
     from jointplay.solver.machines.fault import parse_fault
-    from jointplay.solver.machines.machine import resolve_machine
+    from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.account import account
     from jointplay.solver.simulation.simulate import check_assembly
 
-    found = resolve_machine(machine)
+    found = load_machine(machine)
     state = parse_fault(fault, found)
     sizes = account(found, state)
     check_assembly(found)
@@ -56,7 +56,7 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
             click.echo(f"\ndrawn: {drawing}")
 
 
-def matrix_of(machine: Machine, fault: FaultState) -> MechanismMatrix | str:
+def matrix_of(machine: Machine, fault: Fault) -> MechanismMatrix | str:
     """Return the mechanism matrix, or why it cannot say this machine."""
     from jointplay.solver.errors import MachineError
     from jointplay.solver.machines.matrix import MechanismMatrix
@@ -69,7 +69,7 @@ def matrix_of(machine: Machine, fault: FaultState) -> MechanismMatrix | str:
 
 def document(
     machine: Machine,
-    fault: FaultState,
+    fault: Fault,
     sizes: Account,
     matrix: MechanismMatrix | str,
     arrays: bool,
@@ -108,7 +108,7 @@ def document(
     return content
 
 
-def report(machine: Machine, fault: FaultState, sizes: Account, matrix: MechanismMatrix | str, arrays: bool) -> str:
+def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatrix | str, arrays: bool) -> str:
     """Return everything as plain text."""
     from jointplay.solver.machines.matrix import MechanismMatrix
 
@@ -154,7 +154,7 @@ def links_of(machine: Machine) -> str:
     return table(("link", "mass", "inertia", "centre of gravity", ""), rows)
 
 
-def joints_of(machine: Machine, fault: FaultState) -> str:
+def joints_of(machine: Machine, fault: Fault) -> str:
     """Return the joints as a table; all clearances are radial."""
     from jointplay.solver.machines.fits import in_um
     from jointplay.solver.machines.joints import TurningJoint

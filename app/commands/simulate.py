@@ -11,7 +11,7 @@ import click
 from jointplay.app.commands.parameters import Decibels, Quantity, drive_speed, json_option, print_json
 
 if TYPE_CHECKING:
-    from jointplay.app.figures.recording import Recording
+    from jointplay.app.figures.simulation_file import SimulationFile
     from jointplay.solver.cases.history import Case, History, Settings
     from jointplay.solver.cases.steps import Accuracy
     from jointplay.solver.machines.machine import Machine
@@ -103,12 +103,12 @@ def command(
         check_ending(plot)
     from jointplay import __version__
     from jointplay.app.errors import SimulationFailedError, UnassembledError
-    from jointplay.app.figures.recording import record
+    from jointplay.app.figures.simulation_file import record
     from jointplay.solver.machines.fault import parse_fault
-    from jointplay.solver.machines.machine import resolve_machine
+    from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
-    found = resolve_machine(machine)
+    found = load_machine(machine)
     case = Case(fault=parse_fault(fault, found), parameters=drive_speed(found, speed))
     settings = Settings(
         duration=duration,
@@ -180,7 +180,7 @@ def run_ensemble(
     click.echo(f"written: {output}" + (f", {plot}" if plot is not None else ""))
 
 
-def report(history: History, recording: Recording, output: Path, plot: Path | None, as_json: bool) -> None:
+def report(history: History, recording: SimulationFile, output: Path, plot: Path | None, as_json: bool) -> None:
     """Say what was computed and where it is."""
     from jointplay.solver.spectra.spectrum import frame_units
 

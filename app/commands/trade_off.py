@@ -34,11 +34,11 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
         check_ending(plot)
     from jointplay.app.errors import SimulationFailedError
     from jointplay.solver.machines.fault import parse_fault
-    from jointplay.solver.machines.machine import resolve_machine
+    from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.simulate import Case, History
     from jointplay.solver.simulation.tradeoff import measure
 
-    found = resolve_machine(machine)
+    found = load_machine(machine)
     case = Case(parse_fault(fault, found), drive_speed(found, speed))
     with ProgressLine("measuring", "settings") as line:
         measured = measure(found, case, line.show)

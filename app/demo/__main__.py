@@ -56,10 +56,10 @@ def build_catalogue() -> None:
 
     from jointplay.catalogue.building.build import build
     from jointplay.catalogue.errors import CatalogueMismatchError
-    from jointplay.catalogue.plans.plan import resolve_plan
+    from jointplay.catalogue.plans.plan import load_plan
     from jointplay.solver.machines.machine import shipped_machine
 
-    machine, plan = shipped_machine(MACHINE), resolve_plan(PLAN)
+    machine, plan = shipped_machine(MACHINE), load_plan(PLAN)
 
     def make() -> None:
         with ProgressLine("simulating", "cases") as line:

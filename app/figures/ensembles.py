@@ -11,7 +11,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from jointplay.app.figures.plots import BLUE, SHOWN_DECADES, SYMBOLS, save
-from jointplay.app.figures.recording import MOTIONS, Attribute, Recording, accuracy_of, identity
+from jointplay.app.figures.simulation_file import MOTIONS, Attribute, SimulationFile, accuracy_of, identity
 from jointplay.solver.cases.history import Settings
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.ensemble import EnsembleResult
@@ -19,7 +19,7 @@ from jointplay.solver.simulation.ensemble import EnsembleResult
 WINDOW = "hann"
 
 
-def record_ensemble(machine: Machine, found: EnsembleResult, settings: Settings, version: str) -> Recording:
+def record_ensemble(machine: Machine, found: EnsembleResult, settings: Settings, version: str) -> SimulationFile:
     """Collect what there is to store of an ensemble: no time histories, as no single one stands for it.
 
     Parameters
@@ -73,7 +73,7 @@ def record_ensemble(machine: Machine, found: EnsembleResult, settings: Settings,
         "error": "standard error of the mean level",
         **{f"ensemble_{name}": value for name, value in summary(found).items() if value is not None},
     }
-    return Recording(arrays, named, attributes)
+    return SimulationFile(arrays, named, attributes)
 
 
 def summary(found: EnsembleResult) -> dict[str, str | float | int | bool | None]:
@@ -93,7 +93,7 @@ def summary(found: EnsembleResult) -> dict[str, str | float | int | bool | None]
     }
 
 
-def document(found: EnsembleResult, recording: Recording, output: Path, plot: Path | None) -> dict[str, object]:
+def document(found: EnsembleResult, recording: SimulationFile, output: Path, plot: Path | None) -> dict[str, object]:
     """Return what was computed as JSON values."""
     return {
         "output": str(output),
@@ -128,7 +128,7 @@ def report(found: EnsembleResult) -> str:
     return "\n".join(lines)
 
 
-def plot_ensemble(recording: Recording, path: Path) -> None:
+def plot_ensemble(recording: SimulationFile, path: Path) -> None:
     """Draw levels by order with the members' spread, for x, y and theta of the frame."""
     figure = Figure(figsize=(9, 9), layout="constrained")
     grid = figure.subplots(len(MOTIONS), 1, sharex=True)

@@ -12,16 +12,16 @@ from typing import IO
 import numpy as np
 
 from jointplay.app.errors import OutputError
-from jointplay.app.figures.recording import MOTIONS, Recording
+from jointplay.app.figures.simulation_file import MOTIONS, SimulationFile
 from jointplay.catalogue.storage.hdf5 import write_arrays
 
 
-def write_hdf5(path: Path, recording: Recording) -> None:
+def write_hdf5(path: Path, recording: SimulationFile) -> None:
     """Write arrays with units and attributes."""
     write_arrays(path, recording.arrays, units=recording.units, attributes=recording.attributes)
 
 
-def write_npz(path: Path, recording: Recording) -> None:
+def write_npz(path: Path, recording: SimulationFile) -> None:
     """Write arrays; units and attributes are JSON texts named ``units`` and ``attributes``."""
     texts = {
         "units": np.array(json.dumps(dict(recording.units))),
@@ -31,7 +31,7 @@ def write_npz(path: Path, recording: Recording) -> None:
     replace(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
 
 
-def write_csv(path: Path, recording: Recording) -> None:
+def write_csv(path: Path, recording: SimulationFile) -> None:
     """Write the time histories of the frame and its sensors, one row an instant; names and units head the columns."""
     names = ["t [s]"]
     columns = [recording.arrays["t"]]
@@ -66,7 +66,7 @@ def replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             raise
 
 
-WRITERS: dict[str, Callable[[Path, Recording], None]] = {
+WRITERS: dict[str, Callable[[Path, SimulationFile], None]] = {
     ".h5": write_hdf5,
     ".hdf5": write_hdf5,
     ".npz": write_npz,
@@ -74,7 +74,7 @@ WRITERS: dict[str, Callable[[Path, Recording], None]] = {
 }
 
 
-def writer_for(path: Path) -> Callable[[Path, Recording], None]:
+def writer_for(path: Path) -> Callable[[Path, SimulationFile], None]:
     """Return the writer that a file's ending asks for; called before the simulation, so that a typo costs no time.
 
     Raises

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from jointplay.app import words
 from jointplay.app.figures.outputs import checked
-from jointplay.app.figures.recording import MOTIONS, Recording
+from jointplay.app.figures.simulation_file import MOTIONS, SimulationFile
 from jointplay.app.figures.spectra import Comparison, comparisons
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
-def plot_simulation(recording: Recording, path: Path) -> None:
+def plot_simulation(recording: SimulationFile, path: Path) -> None:
     """Draw acceleration over time and its spectrum by order, for x, y and theta of the frame."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     grid = figure.subplots(3, 2)
@@ -64,7 +64,7 @@ def plot_simulation(recording: Recording, path: Path) -> None:
     save(figure, path)
 
 
-def draw_history(axes: Axes, recording: Recording, column: int) -> None:
+def draw_history(axes: Axes, recording: SimulationFile, column: int) -> None:
     """Draw the last revolutions of one motion."""
     time = recording.arrays["t"]
     speed = abs(float(recording.attributes["drive_speed_rad_per_s"]))  # type: ignore[arg-type]
@@ -74,7 +74,7 @@ def draw_history(axes: Axes, recording: Recording, column: int) -> None:
     axes.grid(alpha=0.3)
 
 
-def draw_density(axes: Axes, recording: Recording, column: int) -> None:
+def draw_density(axes: Axes, recording: SimulationFile, column: int) -> None:
     """Draw the spectral density of one motion over orders, or over frequency where nothing turns evenly."""
     speed = abs(float(recording.attributes["drive_speed_rad_per_s"]))  # type: ignore[arg-type]
     base = speed / (2 * math.pi) if speed else 1.0

@@ -7,28 +7,28 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
-    from jointplay.catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.measurements.measurement import Recording
 
 
-def summary_of(measurement: Measurement | MeasuredSpectrum) -> dict[str, Any]:
+def summary_of(measurement: Recording | MeasuredSpectrum) -> dict[str, Any]:
     """Return what there is to say about a measurement.
 
     Parameters
     ----------
-    measurement : Measurement or MeasuredSpectrum
+    measurement : Recording or MeasuredSpectrum
 
     Returns
     -------
     dict
         Members of :class:`jointplay.app.schemas.resources.MeasurementOut` that follow from the file.
     """
-    from jointplay.catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.measurements.measurement import Recording
 
     common = {"warnings": list(measurement.warnings), "import_report": list(measurement.import_report)}
     channels = [
         {"name": channel.name, "unit": channel.unit, "quantity": channel.quantity} for channel in measurement.channels
     ]
-    if isinstance(measurement, Measurement):
+    if isinstance(measurement, Recording):
         samples = len(measurement.signal)
         return {
             "kind": "recording",

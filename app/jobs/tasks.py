@@ -16,7 +16,7 @@ from jointplay.app.storage.told import Told
 if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
-    from jointplay.catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.storage.store import Catalogue
 
 
@@ -101,7 +101,7 @@ def summarise_and_diagnose(path: str, name: str, told: Told, question: Question)
     return summary_of(measurement), attempt(diagnosed, (measurement, question))
 
 
-def diagnosed(measurement: Measurement | MeasuredSpectrum, question: Question) -> dict[str, Any]:
+def diagnosed(measurement: Recording | MeasuredSpectrum, question: Question) -> dict[str, Any]:
     """Diagnose what was read and return the contract's members as JSON values."""
     from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
     from jointplay.catalogue.matching.prior import Prior
@@ -130,13 +130,13 @@ def check_machine(text: str, name: str) -> str:
     name : str
         What messages call it.
     """
-    from jointplay.solver.machines.fault import FaultState
+    from jointplay.solver.machines.fault import Fault
     from jointplay.solver.machines.machine import parse_machine
     from jointplay.solver.simulation.account import account
     from jointplay.solver.simulation.simulate import check_assembly
 
     machine = parse_machine(text, name)
-    account(machine, FaultState({}))
+    account(machine, Fault({}))
     check_assembly(machine)
     return machine.canonical_json()
 
@@ -161,7 +161,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     return loaded
 
 
-def read(path: str, name: str, told: Told) -> Measurement | MeasuredSpectrum:
+def read(path: str, name: str, told: Told) -> Recording | MeasuredSpectrum:
     """Read a recording, or a spectrum, by the reader that its content and name ask for."""
     from jointplay.catalogue.measurements.recordings import read_recording
 
@@ -174,7 +174,7 @@ def read(path: str, name: str, told: Told) -> Measurement | MeasuredSpectrum:
     )
 
 
-def in_order(path: str, name: str, told: Told) -> Measurement:
+def in_order(path: str, name: str, told: Told) -> Recording:
     """Read a baseline, which has to be a recording over time."""
     from jointplay.catalogue.measurements.measurement import read_measurement
 

@@ -30,14 +30,14 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
         ``warnings``; ``field`` and ``message``: what has to be put right first, empty where nothing has.
     """
     from jointplay.catalogue.errors import MeasurementError
-    from jointplay.catalogue.measurements.measurement import Measurement
+    from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.signals.features import prepare
     from jointplay.catalogue.signals.sensors import map_sensors
 
     measurement = read(path, name, told)
     found = opened(catalogue, stamp)
     answer: dict[str, Any] = {"speed_rpm": None, "uncertainty_rpm": None, "warnings": [], "field": "", "message": ""}
-    answer["tacho"] = isinstance(measurement, Measurement) and measurement.turns is not None
+    answer["tacho"] = isinstance(measurement, Recording) and measurement.turns is not None
     field = "mapping"
     try:
         map_sensors(measurement, found.machine)

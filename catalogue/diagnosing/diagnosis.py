@@ -49,7 +49,7 @@ from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.threads import one_thread
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.catalogue.signals.suspension import with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
@@ -108,7 +108,7 @@ class Question:
 
 
 def diagnose(
-    measurement: Measurement | MeasuredSpectrum,
+    measurement: Recording | MeasuredSpectrum,
     catalogue: Catalogue,
     *,
     speed: float | None = None,
@@ -118,7 +118,7 @@ def diagnose(
     coverage: float = 0.95,
     cases: int = 240,
     prior: Prior | None = None,
-    baseline: Measurement | None = None,
+    baseline: Recording | None = None,
     matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
@@ -126,7 +126,7 @@ def diagnose(
 
     Parameters
     ----------
-    measurement : Measurement or MeasuredSpectrum
+    measurement : Recording or MeasuredSpectrum
         Recording of sensors on the frame, or spectra of them.
     catalogue : Catalogue
         Of the same machine.
@@ -136,7 +136,7 @@ def diagnose(
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
-    baseline : Measurement, optional
+    baseline : Recording, optional
         Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors.
     matcher : Matcher, optional
         In place of the one that `effort` stands for.

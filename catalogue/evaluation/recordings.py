@@ -21,12 +21,12 @@ from jointplay import solver
 from jointplay.catalogue.evaluation.elsewhere import transform_of
 from jointplay.catalogue.evaluation.protocols import Protocol
 from jointplay.catalogue.evaluation.truth import Truth
-from jointplay.catalogue.measurements.measurement import Measurement, measurement_of
+from jointplay.catalogue.measurements.measurement import Recording, measurement_of
 from jointplay.catalogue.measurements.readers import RawRecording
 from jointplay.catalogue.measurements.readers.raw import RawColumn
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.solver.cases.history import Case, History, Settings, Status
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.sensor import sensor_signals
@@ -74,7 +74,7 @@ class Recordings:
             indices.sort(key=lambda index: truths[index].joints)
             for start in range(0, len(indices), TOGETHER):
                 batch = indices[start : start + TOGETHER]
-                cases = [Case(FaultState(truths[i].clearances), truths[i].parameters) for i in batch]
+                cases = [Case(Fault(truths[i].clearances), truths[i].parameters) for i in batch]
                 histories = simulate_batch(machine, cases, _settings(protocol))
                 for index, history in zip(batch, histories, strict=True):
                     signal = _ideal(machine, history, truths[index].seconds)
@@ -166,7 +166,7 @@ def _ideal(machine: Machine, history: History, seconds: float) -> FloatArray | N
     )
 
 
-def recorded(protocol: Protocol, truth: Truth, ideal: FloatArray) -> Measurement:
+def recorded(protocol: Protocol, truth: Truth, ideal: FloatArray) -> Recording:
     """Return what the real sensors of a protocol record.
 
     Parameters

@@ -44,7 +44,7 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class Measurement:
+class Recording:
     """A recording in SI units.
 
     Parameters
@@ -97,7 +97,7 @@ def read_measurement(
     units: Mapping[str, str] | None = None,
     limits: Limits | None = None,
     profile: ImportProfile | None = None,
-) -> Measurement:
+) -> Recording:
     """Read a recording from a file or from bytes.
 
     Parameters
@@ -117,7 +117,7 @@ def read_measurement(
 
     Returns
     -------
-    Measurement
+    Recording
 
     Raises
     ------
@@ -161,7 +161,7 @@ def measurement_of(
     units: Mapping[str, str] | None = None,
     limits: Limits | None = None,
     sha256: str = "",
-) -> Measurement:
+) -> Recording:
     """Judge what a reader (or a caller with arrays) has: units, time base, waveforms.
 
     Parameters
@@ -174,7 +174,7 @@ def measurement_of(
 
     Returns
     -------
-    Measurement
+    Recording
 
     Raises
     ------
@@ -219,7 +219,7 @@ def measurement_of(
             signals.append(signal)
     table = np.column_stack(signals)
     table.flags.writeable = False
-    return Measurement(
+    return Recording(
         name=raw.source,
         sample_rate=base.sample_rate,
         signal=table,

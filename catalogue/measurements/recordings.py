@@ -9,7 +9,7 @@ from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
 from jointplay.catalogue.measurements.measured_columns import is_spectrum
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum, spectrum_of
-from jointplay.catalogue.measurements.measurement import Measurement, measurement_of, raw_of
+from jointplay.catalogue.measurements.measurement import Recording, measurement_of, raw_of
 from jointplay.catalogue.measurements.readers import Limits
 
 __all__ = ["read_recording"]
@@ -23,14 +23,14 @@ def read_recording(
     units: Mapping[str, str] | None = None,
     limits: Limits | None = None,
     profile: ImportProfile | None = None,
-) -> Measurement | MeasuredSpectrum:
+) -> Recording | MeasuredSpectrum:
     """Read a recording or a spectrum.
 
     Parameters and errors are those of :func:`jointplay.catalogue.measurements.measurement.read_measurement`.
 
     Returns
     -------
-    Measurement or MeasuredSpectrum
+    Recording or MeasuredSpectrum
         A spectrum where the first column is a frequency.
     """
     limits, profile = limits or Limits(), profile or profile_beside(source)

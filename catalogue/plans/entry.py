@@ -12,7 +12,7 @@ from jointplay import solver
 from jointplay.catalogue.errors import CatalogueMismatchError
 from jointplay.catalogue.plans.keys import entry_key
 from jointplay.catalogue.plans.variants import AS_FILED, Variant
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -186,6 +186,6 @@ class Entry:
         return self.hypothesis.joints
 
     @property
-    def fault(self) -> FaultState:
+    def fault(self) -> Fault:
         """Radial clearance [m] by joint."""
-        return FaultState(dict(zip(self.joints, self.clearances, strict=True)))
+        return Fault(dict(zip(self.joints, self.clearances, strict=True)))

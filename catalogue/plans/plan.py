@@ -28,7 +28,7 @@ from jointplay.solver.machines.units import FREQUENCY, RATIO, TIME
 from jointplay.solver.machines.yamlfile import read_tree
 from jointplay.solver.spectra.sampling import PASS
 
-__all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text", "resolve_plan"]
+__all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text"]
 
 Family = Literal["healthy", "singles", "pairs", "triples"]
 
@@ -225,23 +225,6 @@ def parse_plan(content: str | Mapping[str, object], source: str = "plan") -> Pla
         raise PlanError(source, first.path, first.value, first.rule.replace("Input should be", "must be")) from None
 
 
-def load_plan(path: str | Path) -> Plan:
-    """Read a plan file (YAML or JSON).
-
-    Raises
-    ------
-    PlanError
-        When the file cannot be read, or as :func:`parse_plan`.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise PlanError(str(path), "", None, f"cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise PlanError(str(path), "", None, "is not a text file in UTF-8") from None
-    return parse_plan(text, str(path))
-
-
 def preset_names() -> tuple[str, ...]:
     """Names of the plans that come with the program, from the smallest to the largest."""
     return ("quick", "standard", "thorough")
@@ -257,7 +240,7 @@ def preset_text(name: str) -> str:
     """
     if name not in preset_names():
         raise PlanError("", "", name, f"is not a shipped plan{nearest(name, preset_names())}")
-    return (resources.files("catalogue") / "plans" / f"{name}.yaml").read_text(encoding="utf-8")
+    return (resources.files("jointplay.catalogue") / "plans" / f"{name}.yaml").read_text(encoding="utf-8")
 
 
 def preset(name: str) -> Plan:
@@ -271,17 +254,23 @@ def preset(name: str) -> Plan:
     return parse_plan(preset_text(name), f"{name}.yaml")
 
 
-def resolve_plan(name_or_path: str | Path) -> Plan:
-    """A shipped plan by its name, or a plan file by its path; an existing file wins.
+def load_plan(name_or_path: str | Path) -> Plan:
+    """Read a shipped plan by its name, or a plan file (YAML or JSON) by its path; an existing file wins.
 
     Raises
     ------
     PlanError
-        When it is neither, or as :func:`parse_plan`.
+        When it is neither, when the file cannot be read, or as :func:`parse_plan`.
     """
-    text = str(name_or_path)
-    if text in preset_names() and not Path(text).is_file():
-        return preset(text)
-    if not Path(text).exists():
-        raise PlanError("", "", text, f"is neither a file nor a shipped plan{nearest(text, preset_names())}")
-    return load_plan(text)
+    name, path = str(name_or_path), Path(name_or_path)
+    if name in preset_names() and not path.is_file():
+        return preset(name)
+    if not path.exists():
+        raise PlanError("", "", name, f"is neither a file nor a shipped plan{nearest(name, preset_names())}")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise PlanError(name, "", None, f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise PlanError(name, "", None, "is not a text file in UTF-8") from None
+    return parse_plan(text, name)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_speed
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.tacho import track_of, usual_speed
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
@@ -76,7 +76,7 @@ GIVEN_AGREES = 0.005
 
 
 def prepare(
-    measurement: Measurement | MeasuredSpectrum,
+    measurement: Recording | MeasuredSpectrum,
     machine: Machine,
     mapping: Mapping[str, str] | None = None,
     speed: float | None = None,
@@ -86,7 +86,7 @@ def prepare(
 
     Parameters
     ----------
-    measurement : Measurement or MeasuredSpectrum
+    measurement : Recording or MeasuredSpectrum
     machine : Machine
         Gives sensors, frame and nominal drive speed.
     mapping : mapping of column to sensor, optional
@@ -247,7 +247,7 @@ def _hum_power(hum: Mapping[int, float], edges: FloatArray) -> FloatArray:
 
 
 def _sensors(
-    measurement: Measurement, machine: Machine, mapping: Mapping[str, str] | None, speed: float
+    measurement: Recording, machine: Machine, mapping: Mapping[str, str] | None, speed: float
 ) -> tuple[SensorMap, RecipeStep]:
     """Sensors to be used: those mostly clipped or missing for long are left out where the others see as much."""
     sensing = map_sensors(measurement, machine, mapping)
@@ -276,7 +276,7 @@ def _sensors(
     return sensing, note_step("sensors", parameters={"compared": ", ".join(sensing.compared)}, found=found)
 
 
-def _steady_part(measurement: Measurement, sensing: SensorMap, speed: float) -> tuple[int, int, RecipeStep, list[str]]:
+def _steady_part(measurement: Recording, sensing: SensorMap, speed: float) -> tuple[int, int, RecipeStep, list[str]]:
     """Samples to be used: the steady part; and what there is to say."""
     raw = measurement.signal[:, list(sensing.columns)]
     dropped = flawed_samples(measurement, sensing)["drop-out"]

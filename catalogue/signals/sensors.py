@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 from jointplay.solver.spectra.spectrum import DERIVATIVES
@@ -65,13 +65,13 @@ class SensorMap:
 
 
 def map_sensors(
-    measurement: Measurement | MeasuredSpectrum, machine: Machine, mapping: Mapping[str, str] | None = None
+    measurement: Recording | MeasuredSpectrum, machine: Machine, mapping: Mapping[str, str] | None = None
 ) -> SensorMap:
     """Match columns of a recording to sensors of a machine.
 
     Parameters
     ----------
-    measurement : Measurement or MeasuredSpectrum
+    measurement : Recording or MeasuredSpectrum
     machine : Machine
     mapping : mapping of column to sensor, optional
         Columns not in it are matched by name; capitals, blanks, hyphens and underscores do not count. A column mapped

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack, rough_track
-from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.waveform import clipped_samples
 from jointplay.catalogue.signals.disturbances import (
     Disturbance,
@@ -80,12 +80,12 @@ class Undisturbed:
     warnings: tuple[str, ...] = ()
 
 
-def flawed_samples(measurement: Measurement, sensing: SensorMap) -> dict[DisturbanceKind, BoolArray]:
+def flawed_samples(measurement: Recording, sensing: SensorMap) -> dict[DisturbanceKind, BoolArray]:
     """Samples (n, c) of the used columns that dropped out or were clipped, with what goes with them.
 
     Parameters
     ----------
-    measurement : Measurement
+    measurement : Recording
     sensing : SensorMap
 
     Returns

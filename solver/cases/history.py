@@ -16,7 +16,7 @@ from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import STEP_RULES, Accuracy
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.fault import HEALTHY, FaultState
+from jointplay.solver.machines.fault import HEALTHY, Fault
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Case:
 
     Attributes
     ----------
-    fault : FaultState
+    fault : Fault
     parameters : mapping of str to float
         By path in the machine file (``links.bed.mass``, ``supports.0.stiffness.1``, ``joints.A.contact.friction``,
         ``drive.speed``), or for every clearance joint at once: ``contact.stiffness``, ``contact.damping``,
@@ -45,7 +45,7 @@ class Case:
         ``contact.friction_velocity``, ``pin_radius``. SI units.
     """
 
-    fault: FaultState = HEALTHY
+    fault: Fault = HEALTHY
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 

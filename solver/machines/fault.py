@@ -10,7 +10,7 @@ from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.machine import Machine
 
 
-class FaultState(Mapping[str, float]):
+class Fault(Mapping[str, float]):
     """Radial clearance (m) of each worn joint; joints not named are ideal. Immutable, ordered by name.
 
     Parameters
@@ -48,10 +48,10 @@ class FaultState(Mapping[str, float]):
         return hash(tuple(self._clearances.items()))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, FaultState) and self._clearances == other._clearances
+        return isinstance(other, Fault) and self._clearances == other._clearances
 
     def __repr__(self) -> str:
-        return f"FaultState({self._clearances!r})"
+        return f"Fault({self._clearances!r})"
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -64,13 +64,13 @@ class FaultState(Mapping[str, float]):
         return ",".join(f"{joint}={value * 1e3:.9g}mm" for joint, value in self._clearances.items()) or "healthy"
 
 
-HEALTHY = FaultState()
+HEALTHY = Fault()
 
 #: A bare number is metres; one larger than this (m) is taken for forgotten millimetres.
 _LARGEST_BARE = 0.02
 
 
-def check_fault(fault: FaultState, machine: Machine) -> None:
+def check_fault(fault: Fault, machine: Machine) -> None:
     """Refuse a fault that names what cannot wear.
 
     Raises
@@ -90,7 +90,7 @@ def check_fault(fault: FaultState, machine: Machine) -> None:
         raise MachineError(machine.name, f"fault.{joint}", shown, rule)
 
 
-def parse_fault(text: str, machine: Machine) -> FaultState:
+def parse_fault(text: str, machine: Machine) -> Fault:
     """Read ``A=0.2mm,F=50um``.
 
     Parameters
@@ -121,7 +121,7 @@ def parse_fault(text: str, machine: Machine) -> FaultState:
             raise MachineError(machine.name, f"fault.{joint}", value, rule)
         if clearances[joint] < 0:
             raise MachineError(machine.name, f"fault.{joint}", value, "a clearance is 0 or more")
-    fault = FaultState(clearances)
+    fault = Fault(clearances)
     for joint in clearances:
-        check_fault(FaultState({joint: clearances[joint] or 1.0}), machine)
+        check_fault(Fault({joint: clearances[joint] or 1.0}), machine)
     return fault

@@ -137,24 +137,6 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine") 
     return machine
 
 
-def load_machine(path: str | Path) -> Machine:
-    """Read a machine file (YAML or JSON).
-
-    Raises
-    ------
-    MachineError
-        When the file cannot be read, or as :func:`parse_machine`.
-    """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise MachineError(str(path), "", None, f"cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise MachineError(str(path), "", None, "is not a text file in UTF-8") from None
-    return parse_machine(text, str(path))
-
-
 def _shipped() -> dict[str, Any]:
     folder = resources.files("jointplay.solver.machines") / "shipped"
     return {file.name.removesuffix(".yaml"): file for file in folder.iterdir() if file.name.endswith(".yaml")}
@@ -190,22 +172,27 @@ def shipped_machine(name: str) -> Machine:
     return parse_machine(shipped_machine_text(name), f"{name}.yaml")
 
 
-def resolve_machine(name_or_path: str | Path) -> Machine:
-    """Read a shipped machine by its name, or a machine file by its path; an existing file wins.
+def load_machine(name_or_path: str | Path) -> Machine:
+    """Read a shipped machine by its name, or a machine file (YAML or JSON) by its path; an existing file wins.
 
     Raises
     ------
     MachineError
-        When it is neither, or as :func:`parse_machine`.
+        When it is neither, when the file cannot be read, or as :func:`parse_machine`.
     """
     names = shipped_machine_names()
-    text = str(name_or_path)
-    if text in names and not Path(text).is_file():
-        return shipped_machine(text)
-    if not Path(text).exists():
-        rule = f"is neither a file nor a shipped machine{nearest(text, names)}"
-        raise MachineError("", "", text, rule)
-    return load_machine(text)
+    name, path = str(name_or_path), Path(name_or_path)
+    if name in names and not path.is_file():
+        return shipped_machine(name)
+    if not path.exists():
+        raise MachineError("", "", name, f"is neither a file nor a shipped machine{nearest(name, names)}")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise MachineError(name, "", None, f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise MachineError(name, "", None, "is not a text file in UTF-8") from None
+    return parse_machine(text, name)
 
 
 def machine_json_schema() -> dict[str, Any]:

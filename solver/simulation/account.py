@@ -9,7 +9,7 @@ from jointplay.solver.equations.drive import prescribes_motion
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.integrators.kernel import kernel_code
 from jointplay.solver.machines.drives import TranslationDrive
-from jointplay.solver.machines.fault import FaultState, check_fault
+from jointplay.solver.machines.fault import Fault, check_fault
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 
@@ -73,13 +73,13 @@ class Account:
     left_out: tuple[LeftOut, ...]
 
 
-def account(machine: Machine, fault: FaultState) -> Account:
+def account(machine: Machine, fault: Fault) -> Account:
     """Take stock of a machine in a fault state.
 
     Parameters
     ----------
     machine : Machine
-    fault : FaultState
+    fault : Fault
 
     Raises
     ------

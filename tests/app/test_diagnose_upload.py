@@ -23,7 +23,7 @@ from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.store import DiagnosisRow, Store, measurement_key
 from jointplay.app.storage.told import Told
-from jointplay.catalogue.measurements.measurement import Measurement
+from jointplay.catalogue.measurements.measurement import Recording
 
 
 class Here:
@@ -67,7 +67,7 @@ def kept(service: Service) -> int:
 def test_the_recording_is_read_once(shelf: Path, tmp_path: Path, worn: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     read, times = tasks.read, []
 
-    def counting(*recording: Any) -> Measurement:
+    def counting(*recording: Any) -> Recording:
         times.append(recording)
         return read(*recording)
 

@@ -54,7 +54,8 @@ def test_modules_of_the_same_names_do_no_harm(wheel: Path, tmp_path: Path) -> No
     for name in USERS_OWN:
         (own / name).parent.mkdir(parents=True, exist_ok=True)
         (own / name).write_text("raise RuntimeError('a module of the user')\n")
-    code = "import jointplay; print(jointplay.__file__); from jointplay.app.cli import main; main()"
+    plans = "from jointplay.catalogue.plans.plan import load_plan; load_plan('quick')"
+    code = f"import jointplay; print(jointplay.__file__); {plans}; from jointplay.app.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "machines", "slider-crank"],
         cwd=own,

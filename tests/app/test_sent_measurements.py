@@ -11,7 +11,7 @@ import pytest
 
 from jointplay.app.http.limits import RECORDING_BYTES
 from jointplay.app.settings import Settings
-from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 
 API = "/api/v1"
 PLAIN = [math.sin(0.3 * k) for k in range(300)]
@@ -30,11 +30,11 @@ def send(client: httpx.Client, sent: dict[str, Any]) -> httpx.Response:
 
 
 @pytest.fixture(scope="module")
-def recording(worn: bytes) -> Measurement:
+def recording(worn: bytes) -> Recording:
     return read_measurement(worn, name="worn.csv")
 
 
-def whole(recording: Measurement) -> dict[str, Any]:
+def whole(recording: Recording) -> dict[str, Any]:
     channels = [
         {"name": name, "unit": "m/s2", "values": recording.signal[:, place].tolist()}
         for place, name in enumerate(recording.channel_names)
@@ -43,7 +43,7 @@ def whole(recording: Measurement) -> dict[str, Any]:
 
 
 def test_a_recording_as_json_is_diagnosed_as_its_file_is(
-    client: httpx.Client, recording: Measurement, worn: bytes
+    client: httpx.Client, recording: Recording, worn: bytes
 ) -> None:
     response = send(client, whole(recording))
     assert response.status_code == 201, response.text

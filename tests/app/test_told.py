@@ -14,7 +14,7 @@ import soundfile
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.storage.told import TOLD, Told, told_of
-from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 
 API = "/api/v1"
 PROFILE = "units: {a: g, b: g}\nsensors: {a: s1-x, b: s1-y}\n"
@@ -38,12 +38,12 @@ def table(values: np.ndarray, head: str) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def recording(worn: bytes) -> Measurement:
+def recording(worn: bytes) -> Recording:
     return read_measurement(worn, name="worn.csv")
 
 
 @pytest.fixture(scope="module")
-def spectrum(recording: Measurement) -> bytes:
+def spectrum(recording: Recording) -> bytes:
     """Density of the worn recording."""
     from scipy.signal import welch
 
@@ -53,12 +53,12 @@ def spectrum(recording: Measurement) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def bare(recording: Measurement) -> bytes:
+def bare(recording: Recording) -> bytes:
     """Two columns in g without times and without units."""
     return table(recording.signal[:, :2] / 9.80665, "a,b")
 
 
-def test_units_and_rate_of_a_bare_table(client: httpx.Client, bare: bytes, recording: Measurement) -> None:
+def test_units_and_rate_of_a_bare_table(client: httpx.Client, bare: bytes, recording: Recording) -> None:
     refused(send(client, bare), "units", "has no unit")
     refused(send(client, bare, units="g"), "sample_rate", "give the sample rate")
     refused(send(client, bare, units="g", sample_rate="10 kHz", window="hann"), "window", "said of a spectrum")
@@ -91,7 +91,7 @@ def test_a_profile_is_a_text_or_a_file(client: httpx.Client, bare: bytes) -> Non
         refused(client.post(f"{API}/measurements", files=files, data=told), "profile", text)
 
 
-def test_a_wav_file_and_its_full_scale(client: httpx.Client, recording: Measurement) -> None:
+def test_a_wav_file_and_its_full_scale(client: httpx.Client, recording: Recording) -> None:
     file = io.BytesIO()
     soundfile.write(file, recording.signal[:, :2] / 300.0, 10_000, format="WAV", subtype="PCM_16")
     content = file.getvalue()
@@ -108,7 +108,7 @@ def test_a_wav_file_and_its_full_scale(client: httpx.Client, recording: Measurem
     refused(send(client, content, "r.wav", full_scale="1 V", sensitivity="9 mV/s"), "sensitivity", "100 mV/g")
 
 
-def test_a_tacho_gives_the_speed(client: httpx.Client, recording: Measurement) -> None:
+def test_a_tacho_gives_the_speed(client: httpx.Client, recording: Recording) -> None:
     times = np.arange(len(recording.signal)) / recording.sample_rate
     pulses = np.clip(np.cos(2.0 * np.pi * 10.11 * times) - 0.9, 0.0, None)
     content = table(np.column_stack([times, recording.signal, pulses]), "time [s],s1-x,s1-y,s2-x,s2-y,key [V]")
@@ -124,7 +124,7 @@ def test_a_tacho_gives_the_speed(client: httpx.Client, recording: Measurement) -
     refused(send(client, content, units="m/s2", pulses_per_revolution="2"), "pulses_per_revolution", "tacho")
 
 
-def test_a_spectrum_is_stored_and_diagnosed(client: httpx.Client, spectrum: bytes, recording: Measurement) -> None:
+def test_a_spectrum_is_stored_and_diagnosed(client: httpx.Client, spectrum: bytes, recording: Recording) -> None:
     stored = send(client, spectrum, "s.csv").json()
     assert stored["kind"] == "spectrum"
     assert stored["sample_rate_hz"] is stored["samples"] is stored["duration_s"] is None

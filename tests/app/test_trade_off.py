@@ -13,7 +13,7 @@ from jointplay.app.cli import main
 from jointplay.app.commands.trade_off import document, option_of, report
 from jointplay.app.figures.tradeoff_plot import plot_trade_off
 from jointplay.solver.cases.history import Case, Settings
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation.tradeoff import TradeOff, measure
 
@@ -30,7 +30,7 @@ def machine() -> Machine:
 
 
 def measured(machine: Machine, parameters: dict[str, float], *rungs: Settings) -> TradeOff:
-    found = measure(machine, Case(FaultState({"B": 2e-4}), parameters), rungs=rungs)
+    found = measure(machine, Case(Fault({"B": 2e-4}), parameters), rungs=rungs)
     assert isinstance(found, TradeOff)
     return found
 

@@ -15,12 +15,12 @@ from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_fe
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.tuning import quantities
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.measurements.measurement import Channel, Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.catalogue.signals.suspension import accelerance, suspension_change, with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.history import Case, Settings
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.machines.parts import Mount, Spring
 from jointplay.solver.simulation.simulate import simulate_batch
@@ -49,7 +49,7 @@ def recordings(
     for history in simulate_batch(made_of, cases, settings):
         motion = history.band_limited_acceleration[history.t >= history.transient][:25_000]
         signal = motion @ transform.T * np.array(gains) + rng.normal(0.0, 0.05, (len(motion), len(sensors)))
-        recording = Measurement("baseline", FS, signal, channels, (), (), "0" * 64)
+        recording = Recording("baseline", FS, signal, channels, (), (), "0" * 64)
         found.append(prepare(recording, made_of, scheme=catalogue.scheme))
     return found
 
@@ -58,7 +58,7 @@ def off_by(catalogue: Catalogue, factors: tuple[float, ...], speed: float = 1.01
     found: dict[str, float] = {}
     for quantity, factor in zip(quantities(catalogue.machine), factors, strict=True):
         found |= quantity.parameters(math.log(factor))
-    return Case(FaultState(FITS), {**found, "drive.speed": catalogue.recipe.nominal_drive_speed * speed})
+    return Case(Fault(FITS), {**found, "drive.speed": catalogue.recipe.nominal_drive_speed * speed})
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,7 @@ def test_recordings_are_converted_to_the_machine_of_the_file(small_catalogue: Ca
     other: dict[str, float] = {}
     for quantity, factor in zip(quantities(machine), (1.12, 0.92, 0.85, 1.2, 1.3), strict=True):
         other |= quantity.parameters(math.log(factor))
-    wear, friction = FaultState({"O": 2e-4}), {"contact.friction": 0.05}
+    wear, friction = Fault({"O": 2e-4}), {"contact.friction": 0.05}
     sensors = machine.sensors
     transform = sensor_transform(
         [s.at for s in sensors], [s.direction for s in sensors], machine.links[machine.frame].cg
@@ -170,7 +170,7 @@ def test_recordings_are_converted_to_the_machine_of_the_file(small_catalogue: Ca
     for history in simulate_batch(machine, [Case(wear, {**friction, **other}), Case(wear, friction)], settings):
         signal = history.band_limited_acceleration[history.t >= history.transient] @ transform.T
         signal = signal + np.random.default_rng(0).normal(0.0, 0.01, signal.shape)
-        found.append(prepare(Measurement("worn", FS, signal, channels, (), (), "0" * 64), machine))
+        found.append(prepare(Recording("worn", FS, signal, channels, (), (), "0" * 64), machine))
     crooked, right = found
     straight = with_filed_suspension(crooked, machine, other)
     orders = slice(0, 30)
@@ -213,8 +213,8 @@ def test_the_suspension_as_a_rigid_body(small_catalogue: Catalogue) -> None:
 
 def test_faults_are_no_baseline(small_catalogue: Catalogue) -> None:
     """A worn joint, and one loose mount: common factors of the supports do not stand for it."""
-    worn = Case(FaultState({**FITS, "A": 3e-4}), {"contact.friction": 0.05})
-    loose = Case(FaultState(FITS), {"supports.0.stiffness.0": 1e5, "supports.0.stiffness.1": 2e5})
+    worn = Case(Fault({**FITS, "A": 3e-4}), {"contact.friction": 0.05})
+    loose = Case(Fault(FITS), {"supports.0.stiffness.0": 1e5, "supports.0.stiffness.1": 2e5})
     (first,) = recordings(small_catalogue, [worn], (1.0,) * 4)
     (second,) = recordings(small_catalogue, [loose], (1.0,) * 4)
     for prepared in (first, second):
@@ -236,7 +236,7 @@ def test_loads_of_the_process(small_catalogue: Catalogue, force: float) -> None:
     rows = [[float(angle), float(push), 0.0, 0.0] for angle, push in zip(angles, thrust, strict=True)]
     slider = next(joint for joint in tree["joints"].values() if joint["kind"] == "sliding")
     tree["loads"] = [{"link": slider["links"][0], "at": slider["at"], "over_angle": rows}]
-    case = Case(FaultState(FITS))
+    case = Case(Fault(FITS))
     (prepared,) = recordings(small_catalogue, [case], (1.0,) * 4, parse_machine(tree))
     found = fit_baseline(prepared, small_catalogue)
     assert found.explained == (force == 0.0)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes
 from jointplay.catalogue.matching.threads import one_thread
-from jointplay.catalogue.measurements.measurement import Channel, Measurement
+from jointplay.catalogue.measurements.measurement import Channel, Recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.drives import Ripple, RotationDrive
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.machines.parts import Load, Spring
 from jointplay.solver.simulation.simulate import simulate_batch
@@ -80,12 +80,12 @@ def rippled(order: int, amplitude: float, phase: float = 0.6) -> Change:
     return Change(machine=FILED.model_copy(update={"drive": drive.model_copy(update={"ripple": (ripple,)})}))
 
 
-def recording(change: Change, clearances: Mapping[str, float] | None = None, seconds: float = 1.2) -> Measurement:
+def recording(change: Change, clearances: Mapping[str, float] | None = None, seconds: float = 1.2) -> Recording:
     """By sensors whose gains are off, with some noise; joints have the play of good fits unless they are told."""
     machine = change.machine
     play = dict.fromkeys(machine.turning_joints, 5e-06) | dict(clearances or {})
     settings = Settings(sample_rate=RATE, revolutions=seconds * SPEED / (2.0 * math.pi) + 0.1)
-    case = Case(FaultState(play), {"drive.speed": SPEED, **change.parameters})
+    case = Case(Fault(play), {"drive.speed": SPEED, **change.parameters})
     (history,) = simulate_batch(machine, [case], settings)
     assert history.status is Status.OK
     rows = np.flatnonzero(history.t >= history.transient)[: round(seconds * RATE)]
@@ -99,7 +99,7 @@ def recording(change: Change, clearances: Mapping[str, float] | None = None, sec
     )
     signal = ideal * GAINS + NOISE * np.random.default_rng(1).normal(size=ideal.shape)
     channels = tuple(Channel(sensor.name, "m/s2", "acceleration") for sensor in machine.sensors)
-    return Measurement("simulated", RATE, signal, channels, (), (), "0" * 64)
+    return Recording("simulated", RATE, signal, channels, (), (), "0" * 64)
 
 
 def named(change: Change, catalogue: Catalogue, **more: Any) -> tuple[NamedCause, ...]:

@@ -16,7 +16,7 @@ from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import parse_unit, split_label
-from jointplay.catalogue.measurements.measurement import Measurement, measurement_of, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording
 from jointplay.catalogue.measurements.readers.kinds import known_ending
 
@@ -32,7 +32,7 @@ def text(*above: str, body: list[str] | None = None) -> bytes:
     return "\n".join([*(above or (HEADER,)), *(body or rows()), ""]).encode()
 
 
-def read(data: bytes, name: str = "r.csv", **options: object) -> Measurement:
+def read(data: bytes, name: str = "r.csv", **options: object) -> Recording:
     return read_measurement(data, name=name, **options)  # type: ignore[arg-type]
 
 

@@ -27,18 +27,18 @@ from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.measurements.import_profile import ImportProfile
-from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import shipped_machine
 
 
-def recording(number: int) -> Measurement:
+def recording(number: int) -> Recording:
     return read_measurement(RECORDINGS / f"slider-crank-{number:02}.csv.gz")
 
 
-def disturbed(measurement: Measurement, added: FloatArray) -> Measurement:
+def disturbed(measurement: Recording, added: FloatArray) -> Recording:
     signal = measurement.signal + added
     return replace(measurement, signal=signal, sha256=hashlib.sha256(signal.tobytes()).hexdigest())
 
@@ -199,7 +199,7 @@ def test_a_recording_of_the_machine_in_order_takes_gain_errors_out(small_catalog
     assert worn.baseline is None
     gains = np.array([1.07, 1.0, 1.0, 0.94])
 
-    def by_wrong_sensors(number: int) -> Measurement:
+    def by_wrong_sensors(number: int) -> Recording:
         measurement = recording(number)
         signal = measurement.signal * gains
         return replace(measurement, signal=signal, sha256=hashlib.sha256(signal.tobytes()).hexdigest())

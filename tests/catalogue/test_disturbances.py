@@ -11,7 +11,7 @@ import pytest
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, rough_track
-from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.signals.disturbances import find_shocks, patched, stretches_of
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.solver.machines.machine import Machine, shipped_machine
@@ -21,7 +21,7 @@ USED = [name for name in TRUTH if (RECORDINGS / f"{name}.csv.gz").exists()]
 
 
 @cache
-def recording(name: str) -> tuple[Measurement, Machine]:
+def recording(name: str) -> tuple[Recording, Machine]:
     return read_measurement(RECORDINGS / f"{name}.csv.gz"), shipped_machine(TRUTH[name]["machine"])
 
 

@@ -11,7 +11,7 @@ from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.measurement import Channel, Measurement, measurement_of, read_measurement
+from jointplay.catalogue.measurements.measurement import Channel, Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.catalogue.signals.recipe_steps import RecipeStep
@@ -35,9 +35,9 @@ def machine() -> Machine:
 
 def recorded(
     signal: np.ndarray, names: tuple[str, ...] = NAMES, fs: float = FS, quantity: str = "acceleration"
-) -> Measurement:
+) -> Recording:
     channels = tuple(Channel(name, "m/s2", quantity) for name in names)  # type: ignore[arg-type]
-    return Measurement("made", fs, signal, channels, (), (), "0" * 64)
+    return Recording("made", fs, signal, channels, (), (), "0" * 64)
 
 
 def frame_motion(seconds: float = 4.0, fs: float = FS, hertz: float = 5.0) -> np.ndarray:
@@ -344,7 +344,7 @@ def test_prepared_measurements_are_values() -> None:
 # --- flaws, gains, and the recipe -------------------------------------------------------------------------------------
 
 
-def as_read(signal: np.ndarray, names: tuple[str, ...] = NAMES) -> Measurement:
+def as_read(signal: np.ndarray, names: tuple[str, ...] = NAMES) -> Recording:
     """What a reader makes of columns in m/s2."""
     columns = tuple(RawColumn(name, name, "m/s2", f"column {index + 1}") for index, name in enumerate(names))
     return measurement_of(RawRecording("made", columns, signal, FS))

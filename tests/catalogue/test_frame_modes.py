@@ -14,7 +14,7 @@ from second_simulator.recording import recorded, stream
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.frame_modes import KnownLevels, find_mode, mode_of
-from jointplay.catalogue.measurements.measurement import Channel, Measurement
+from jointplay.catalogue.measurements.measurement import Channel, Recording
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
@@ -93,7 +93,7 @@ def in_order(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     return Catalogue.open(folder)
 
 
-def measured(number: int, protocol: str, swings: bool) -> Measurement:
+def measured(number: int, protocol: str, swings: bool) -> Recording:
     """A recording of a machine whose frame swings in itself, or does not."""
 
     def streams(*parts: object) -> np.random.Generator:
@@ -107,7 +107,7 @@ def measured(number: int, protocol: str, swings: bool) -> Measurement:
     time = columns.pop("time")
     channels = tuple(Channel(name, "m/s2", "acceleration") for name in columns)
     values = np.column_stack([*columns.values()])
-    return Measurement("second simulator", 1.0 / float(time[1] - time[0]), values, channels, (), (), "0" * 64)
+    return Recording("second simulator", 1.0 / float(time[1] - time[0]), values, channels, (), (), "0" * 64)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from small_plans import QUICK_RETURN, draws, keys, plan_of, sizes_of
 from jointplay.catalogue.plans.cases import travel
 from jointplay.catalogue.plans.plan_parts import NEXT_TO_NONE
 from jointplay.catalogue.plans.plan_text import plan_lines
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 
 
@@ -24,7 +24,7 @@ def test_every_joint_has_play_and_worn_ones_more_than_their_fit() -> None:
         worn = [sizes.pop(joint) for joint in entry.worn]
         assert all(2.5e-5 <= size <= 4e-3 for size in worn)
         assert all(3e-6 / NEXT_TO_NONE <= size <= 2e-5 for size in sizes.values())
-        assert entry.fault == FaultState(dict(zip(entry.joints, entry.clearances, strict=True)))
+        assert entry.fault == Fault(dict(zip(entry.joints, entry.clearances, strict=True)))
 
 
 def test_fits_fill_their_range_and_one_in_ten_is_tight() -> None:
@@ -57,7 +57,7 @@ def test_one_machine_in_four_has_ideal_joints_where_it_is_not_worn() -> None:
             # Nothing is drawn of contacts that are not there.
             contacts = {path.split(".")[1] for path in entry.parameters if path.startswith("joints.")}
             assert contacts == set(worn)
-            assert entry.fault == FaultState(dict(zip(entry.joints, entry.clearances, strict=True)))
+            assert entry.fault == Fault(dict(zip(entry.joints, entry.clearances, strict=True)))
             assert all(size >= 2.5e-5 for size in entry.clearances)
 
 

@@ -8,7 +8,7 @@ import pytest
 from small_plans import QUICK_RETURN, plan_of
 
 from jointplay.catalogue.errors import PlanError
-from jointplay.catalogue.plans.plan import load_plan, parse_plan, resolve_plan
+from jointplay.catalogue.plans.plan import load_plan, parse_plan
 from jointplay.solver.machines.machine import parse_machine
 
 
@@ -90,6 +90,6 @@ def test_machine_without_constant_speed_is_refused() -> None:
 
 def test_unknown_presets_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match='did you mean "standard"'):
-        resolve_plan("standart")
+        load_plan("standart")
     with pytest.raises(PlanError, match="cannot be read"):
-        resolve_plan(tmp_path)
+        load_plan(tmp_path)

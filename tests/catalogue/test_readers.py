@@ -23,7 +23,7 @@ from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile
-from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.measurements.readers import Limits, cell
 from jointplay.catalogue.storage.hdf5 import write_arrays
 
@@ -43,7 +43,7 @@ def refusal(data: bytes, name: str, **options: Any) -> str:
     return str(caught.value)
 
 
-def held(found: Measurement, exact: float = 1e-12) -> bool:
+def held(found: Recording, exact: float = 1e-12) -> bool:
     return found.sample_rate == RATE and np.allclose(found.signal, SIGNAL, rtol=0.0, atol=exact)
 
 

@@ -10,7 +10,7 @@ import pytest
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.evaluation.response import Response
-from jointplay.catalogue.measurements.measurement import Channel, Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.solver.machines.machine import Machine, shipped_machine
 
@@ -21,7 +21,7 @@ SWAPPED = {"x and y of a point": (1, 0, 2, 3), "x and y of two points": (3, 1, 2
 
 
 @cache
-def recording(name: str) -> tuple[Measurement, Machine]:
+def recording(name: str) -> tuple[Recording, Machine]:
     return read_measurement(RECORDINGS / f"{name}.csv.gz"), shipped_machine(TRUTH[name]["machine"])
 
 

@@ -14,7 +14,7 @@ from jointplay.catalogue.diagnosing.comparison import exact_sensing
 from jointplay.catalogue.diagnosing.separation import _more_sensors, _Question, _sensing, suggest
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
-from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.catalogue.storage.store import Catalogue
@@ -35,7 +35,7 @@ def recorded(catalogue: Catalogue, columns: tuple[int, ...], name: str = "slider
     whole = read_measurement(RECORDINGS / f"{name}.csv.gz")
     channels = tuple(whole.channels[column] for column in columns)
     signal = np.ascontiguousarray(whole.signal[:, list(columns)])
-    part = Measurement(name, whole.sample_rate, signal, channels, (), (), whole.sha256)
+    part = Recording(name, whole.sample_rate, signal, channels, (), (), whole.sha256)
     return prepare(part, catalogue.machine, scheme=catalogue.scheme)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
-from jointplay.catalogue.measurements.measurement import Channel, Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.steadiness import Stretch, steady_stretch
 from jointplay.solver.machines.fault import parse_fault
@@ -69,8 +69,8 @@ def test_a_recording_that_begins_at_standstill_is_prepared_as_if_it_had_not() ->
     )
     columns = tuple(Channel(s.name, "m/s2", "acceleration") for s in sensors)
     seen = signal @ transform.T
-    whole = prepare(Measurement("whole", FS, seen, columns, (), (), "0" * 64), made_of)
-    steady = prepare(Measurement("steady", FS, seen[12_000:30_000], columns, (), (), "0" * 64), made_of)
+    whole = prepare(Recording("whole", FS, seen, columns, (), (), "0" * 64), made_of)
+    steady = prepare(Recording("steady", FS, seen[12_000:30_000], columns, (), (), "0" * 64), made_of)
     assert any("not steady at its beginning" in warning for warning in whole.warnings)
     assert not any("not steady" in warning for warning in steady.warnings)
     # The frame still rings after the run-up, at a frequency of its own: 0.02 % of the speed.

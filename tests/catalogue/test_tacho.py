@@ -8,7 +8,7 @@ from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, Tacho
-from jointplay.catalogue.measurements.measurement import Measurement, read_measurement
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.measurements.tacho import pulses, track_of, turns_of
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.features import prepare
@@ -22,7 +22,7 @@ def pulsed(speed: float, count: int, each: int = 1) -> np.ndarray:
     return 5.0 * (np.mod(each * angle / (2.0 * np.pi) + 0.3, 1.0) < 0.1)
 
 
-def with_tacho(speed: float) -> Measurement:
+def with_tacho(speed: float) -> Recording:
     lines = unpacked("slider-crank-04.csv").decode().splitlines()
     signal = pulsed(speed, len(lines) - 1)
     rows = [f"{line},{value:g}" for line, value in zip(lines[1:], signal, strict=True)]

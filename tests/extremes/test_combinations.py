@@ -9,7 +9,7 @@ import numpy as np
 from extremes.scenes import RPM
 from laws import Tree, tree_of
 
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
@@ -58,7 +58,7 @@ def test_several_extremes_at_once() -> None:
     ended = []
     for _ in range(COUNT):
         tree, fault = drawn_machine(rng)
-        history = simulate(parse_machine(tree), Case(FaultState(fault)), Settings(duration=0.005, sample_rate=5000))
+        history = simulate(parse_machine(tree), Case(Fault(fault)), Settings(duration=0.005, sample_rate=5000))
         for motion in (history.displacement, history.velocity, history.acceleration, history.band_limited_acceleration):
             assert np.isfinite(motion).all()
             assert len(motion) == len(history.t)

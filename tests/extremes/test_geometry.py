@@ -13,7 +13,7 @@ from extremes.scenes import four_bar
 from laws import Tree, run, tree_of
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
@@ -86,7 +86,7 @@ def driven_slide() -> Machine:
     ],
 )
 def test_geometry_that_is_refused(machine: Machine, fault: dict[str, float], line: str, method: Method) -> None:
-    history = simulate(machine, Case(FaultState(fault)), Settings(duration=0.1, method=method))
+    history = simulate(machine, Case(Fault(fault)), Settings(duration=0.1, method=method))
     assert history.status is Status.CANNOT_ASSEMBLE
     assert history.message.startswith(f"{machine.name}: {line}")
     assert len(history.t) == 0

@@ -14,7 +14,7 @@ import numpy as np
 from oracle.sketch import sketch
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 
 Tree = dict[str, Any]
@@ -26,7 +26,7 @@ class Scene:
 
     seed: int
     machine: Machine
-    fault: FaultState
+    fault: Fault
     odd: tuple[str, ...]
     duration: float
 
@@ -128,4 +128,4 @@ def scene(seed: int) -> Scene:
     except MachineError:  # a body that only a support held, a velocity of what is fixed
         whole = drawn.machine.model_dump(mode="json")
         machine = parse_machine({**tree, "supports": whole["supports"], "initial": whole["initial"]})
-    return Scene(seed, machine, FaultState(clearances), tuple(odd), duration)
+    return Scene(seed, machine, Fault(clearances), tuple(odd), duration)

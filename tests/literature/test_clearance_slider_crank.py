@@ -16,7 +16,7 @@ import pytest
 from laws import drawn
 from numpy.typing import NDArray
 
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
@@ -76,7 +76,7 @@ def root(t: Array, gap: Array, rate: Array, i: int) -> tuple[float, float]:
 def contacts(settings: Settings) -> Array:
     """The columns of the table; the largest force is that of a sample."""
     machine = slider_crank()
-    history = simulate(machine, Case(FaultState({"B": CLEARANCE})), settings)
+    history = simulate(machine, Case(Fault({"B": CLEARANCE})), settings)
     assert history.status is Status.OK
     assert history.links is not None
     place, rate = history.links.displacement + drawn(machine), history.links.velocity

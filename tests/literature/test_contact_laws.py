@@ -12,7 +12,7 @@ import pytest
 from laws import impacts, run, states, tree_of
 from trajectory import Trajectory, trajectories
 
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.machines.restitution import effective_restitution, returned
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
@@ -127,7 +127,7 @@ def test_restitution_after_a_free_flight(law: str, settings: dict[str, Any], tol
             {"law": law, "stiffness": 1e8, "restitution": e}, loads=[{"link": "body", "at": [0, 0], "over_time": push}]
         )
         history = simulate(
-            machine, Case(FaultState({"stop": CLEARANCE})),
+            machine, Case(Fault({"stop": CLEARANCE})),
             Settings(duration=4.2e-3, sample_rate=20_000, links=True, **settings),
         )  # fmt: skip
         assert history.status is Status.OK

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from trajectory import trajectories, trajectory
 
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
@@ -97,7 +97,7 @@ def test_forced_oscillator_against_a_rigid_plane(method: dict[str, float]) -> No
         supports=[{"kind": "mount", "link": "body", "to_link": "shaker", "at": [0, 0], "stiffness": [2e6, 0]}],
     )
     settings = Settings(duration=0.0668, sample_rate=5e5, links=True, **method)
-    history = simulate(machine, Case(FaultState({"stop": 1e-3})), settings)
+    history = simulate(machine, Case(Fault({"stop": 1e-3})), settings)
     assert history.status is Status.OK
     assert history.links is not None
     x, v = history.links.displacement[:, 1, 0], history.links.velocity[:, 1, 0]
@@ -192,7 +192,7 @@ def test_a_bouncing_body_comes_to_rest(settings: dict[str, Any]) -> None:
     e, stiffness, c, g = 0.8, 1e8, 1e-2, 9.81
     zeta = brentq(lambda ratio: restitution(ratio) - e, 0.01, 0.5)
     machine = pinned_body(1.0, stiffness, gravity=g)
-    case = Case(FaultState({"stop": c}), {"contact.damping": 2 * zeta * math.sqrt(stiffness)})
+    case = Case(Fault({"stop": c}), {"contact.damping": 2 * zeta * math.sqrt(stiffness)})
     history = simulate(machine, case, Settings(duration=0.6, sample_rate=20_000, links=True, **settings))
     assert history.status is Status.OK
     assert history.links is not None

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from test_simulate import crank_at
 
 from jointplay.solver.cases.history import Case, History, Settings
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate_batch
 
@@ -55,15 +55,15 @@ TABLES: dict[str, Table] = {
     ),
     "P1 with clearance": (
         P1,
-        [Case(FaultState({"B": 2e-4}), {"drive.speed": speed}) for speed in (30.0, 62.8)],
+        [Case(Fault({"B": 2e-4}), {"drive.speed": speed}) for speed in (30.0, 62.8)],
         replace(SHORT, duration=0.02),
     ),
     "quick-return, two worn joints, every link": (
         shipped_machine("quick-return"),
-        [Case(FaultState({"A": 1e-4, "F": 5e-5}))],
+        [Case(Fault({"A": 1e-4, "F": 5e-5}))],
         replace(SHORT, links=True, accuracy="draft"),
     ),
-    "spectra alone": (P1, [Case(FaultState({"B": 2e-4}))], replace(SHORT, motion=False)),
+    "spectra alone": (P1, [Case(Fault({"B": 2e-4}))], replace(SHORT, motion=False)),
     "more cases than a block has threads": (
         P1,
         [Case(parameters={"drive.speed": 20.0 + i}) for i in range(34)],
@@ -76,7 +76,7 @@ TABLES: dict[str, Table] = {
     ),
     "contacts that remember their impacts": (
         parse_machine(remembering()),
-        [Case(FaultState({"A": 1e-4})), Case(FaultState({"A": 1e-4, "B": 5e-5}))],
+        [Case(Fault({"A": 1e-4})), Case(Fault({"A": 1e-4, "B": 5e-5}))],
         replace(SHORT, links=True, duration=0.05, sample_rate=2000, accuracy="draft"),
     ),
     "a slide driven past its reach": (

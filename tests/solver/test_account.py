@@ -9,7 +9,7 @@ from laws import tree_of
 from oracle.sketch import sketch
 
 from jointplay.solver.errors import AssemblyError
-from jointplay.solver.machines.fault import HEALTHY, FaultState
+from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_names
 from jointplay.solver.simulation.account import Account, account
 
@@ -22,7 +22,7 @@ def balance(sizes: Account) -> int:
 
 @pytest.mark.parametrize("worn", [(), ("A",), ("A", "F"), ("O", "A", "C", "E", "F")])
 def test_freedoms_of_a_mechanism_on_a_free_frame(worn: tuple[str, ...]) -> None:
-    sizes = account(shipped_machine("quick-return"), FaultState(dict.fromkeys(worn, 1e-4)))
+    sizes = account(shipped_machine("quick-return"), Fault(dict.fromkeys(worn, 1e-4)))
     assert (sizes.links, sizes.joints, sizes.full_unknowns) == (6, 7, 32)
     assert sizes.freedoms == 4 + 2 * len(worn)
     assert sizes.integrated == sizes.freedoms - 1
@@ -52,7 +52,7 @@ def test_what_is_left_out_is_named() -> None:
 def test_every_unknown_of_a_shipped_machine_is_accounted_for(name: str, count: int) -> None:
     machine = shipped_machine(name)
     worn = machine.turning_joints[:count]
-    sizes = account(machine, FaultState(dict.fromkeys(worn, 1e-4)))
+    sizes = account(machine, Fault(dict.fromkeys(worn, 1e-4)))
     assert balance(sizes) == 0
     assert sizes.freedoms == 4 + 2 * len(worn)
 
@@ -62,7 +62,7 @@ def test_every_unknown_of_any_machine_is_accounted_for() -> None:
     done = 0
     for scene in map(sketch, range(70)):
         try:
-            sizes = account(scene.machine, FaultState(scene.clearances))
+            sizes = account(scene.machine, Fault(scene.clearances))
         except AssemblyError:  # the drive turns what sliding pairs hold parallel
             continue
         assert balance(sizes) == 0, scene.seed
@@ -118,5 +118,5 @@ def test_links_held_parallel_twice() -> None:
 def test_viscous_torque_of_a_worn_joint_is_said_to_be_left_out() -> None:
     tree = tree_of("slider-crank")
     tree["joints"]["B"]["viscous"] = 0.1
-    left = {out.what: out.why for out in account(parse_machine(tree), FaultState({"B": 1e-4})).left_out}
+    left = {out.what: out.why for out in account(parse_machine(tree), Fault({"B": 1e-4})).left_out}
     assert left["viscous torque of B"] == "only while the joint has no clearance"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointplay.solver.cases.history import History
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
@@ -46,7 +46,7 @@ def kept(machine: Machine, history: History) -> tuple[Array, Array, Array]:
 def test_energy_is_kept_without_losses() -> None:
     """Without damping and friction impacts only borrow energy: after 0.3 s with dozens of them it is all there."""
     machine = free_slider_crank(damping=0.0, friction=0.0)
-    case = Case(FaultState({"A": 2e-4}))
+    case = Case(Fault({"A": 2e-4}))
     history = simulate(machine, case, Settings(duration=0.3, accuracy="reference", links=True))
     energy = kept(machine, history)[0]
     assert history.status is Status.OK
@@ -57,7 +57,7 @@ def test_energy_is_kept_without_losses() -> None:
 
 def test_losses_only_lose() -> None:
     machine = free_slider_crank(damping=300.0, friction=0.1)
-    case = Case(FaultState({"A": 2e-4, "B": 1e-4}))
+    case = Case(Fault({"A": 2e-4, "B": 1e-4}))
     energy = kept(machine, simulate(machine, case, Settings(duration=0.3, links=True)))[0]
     assert energy.max() < energy[0] * (1 + 1e-5)
     assert energy[-1] < 0.999 * energy[0]
@@ -66,7 +66,7 @@ def test_losses_only_lose() -> None:
 def test_momentum_is_kept_through_impacts_and_friction() -> None:
     """Action and reaction meet at one contact point, so friction with a pin radius makes no angular momentum."""
     machine = free_slider_crank(friction=0.3)
-    case = Case(FaultState({"A": 2e-4, "B": 1e-4}))
+    case = Case(Fault({"A": 2e-4, "B": 1e-4}))
     _, momentum, turning = kept(machine, simulate(machine, case, Settings(duration=0.3, links=True)))
     assert np.abs(momentum - momentum[0]).max() < 1e-9
     assert turning == pytest.approx(turning[0], rel=1e-9)

@@ -13,7 +13,7 @@ from jointplay.solver.cases.history import History
 from jointplay.solver.equations.contact_laws import SLOWEST_APPROACH
 from jointplay.solver.errors import MachineError
 from jointplay.solver.integrators.control import remember
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Start, Status, simulate, simulate_batch
 
@@ -95,7 +95,7 @@ def pushed(**settings: Any) -> History:
     start = np.array([(0.0, 12.5)])
     machine = body(np.vstack([start, PUSHES + np.array([4e-3, 0.0])]))
     history = simulate(
-        machine, Case(FaultState({"stop": CLEARANCE})),
+        machine, Case(Fault({"stop": CLEARANCE})),
         Settings(duration=8.5e-3, sample_rate=2e5, links=True, **settings),
     )  # fmt: skip
     assert history.status is Status.OK
@@ -121,7 +121,7 @@ def test_both_methods_remember_alike() -> None:
 def test_a_run_that_goes_on_in_a_contact_remembers(settings: dict[str, Any]) -> None:
     """Left while pressed in, taken up again: forces as of one run; begun anew they are 67 % off."""
     machine = body(np.vstack([[(0.0, 12.5)], PUSHES + np.array([4e-3, 0.0])]))
-    case = Case(FaultState({"stop": CLEARANCE}))
+    case = Case(Fault({"stop": CLEARANCE}))
 
     def part(duration: float, start: Start | None) -> History:
         chosen = Settings(duration=duration, sample_rate=2e5, links=True, **settings)
@@ -153,7 +153,7 @@ def test_lanes_remember_for_themselves(method: Any) -> None:
         tree["joints"][name]["contact"] = contact
     machine, settings = parse_machine(tree), Settings(duration=0.02, method=method, accuracy="draft")
     cases = [
-        Case(FaultState({"A": 1e-4, "B": 2e-4}), {"contact.restitution": 0.5 + 0.05 * i, "drive.speed": 60.0 + 3 * i})
+        Case(Fault({"A": 1e-4, "B": 2e-4}), {"contact.restitution": 0.5 + 0.05 * i, "drive.speed": 60.0 + 3 * i})
         for i in range(9)
     ]
     together = simulate_batch(machine, cases, settings)
@@ -164,4 +164,4 @@ def test_lanes_remember_for_themselves(method: Any) -> None:
 
 def test_exponents_do_not_vary_from_case_to_case() -> None:
     with pytest.raises(MachineError, match="no such number"):
-        simulate(body(), Case(FaultState({"stop": 1e-4}), {"joints.stop.contact.exponent": 2.0}))
+        simulate(body(), Case(Fault({"stop": 1e-4}), {"joints.stop.contact.exponent": 2.0}))

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, simulate
@@ -102,7 +102,7 @@ def test_a_linear_contact_may_have_units_beside_another_law() -> None:
 
 
 def simulated(found: Machine, parameters: dict[str, float]) -> str:
-    return simulate(found, Case(FaultState({"A": 1e-4}), parameters), Settings(duration=1e-3)).message
+    return simulate(found, Case(Fault({"A": 1e-4}), parameters), Settings(duration=1e-3)).message
 
 
 def test_numbers_that_a_case_varies() -> None:

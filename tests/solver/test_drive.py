@@ -15,7 +15,7 @@ from test_simulate import crank_at
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.equations.drive import prescribed_motion, repeating_frequency
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.ensemble import Ensemble, simulate_ensemble
 from jointplay.solver.simulation.tradeoff import measure
@@ -70,7 +70,7 @@ def test_what_changes_in_time_does_not_come_round() -> None:
 @pytest.mark.parametrize("kind", ["perturbation", "phase"])
 def test_an_ensemble_of_a_driven_slide(kind: Any) -> None:
     found = simulate_ensemble(
-        slide(4.0), Case(FaultState({"B": 1e-4})), Ensemble(2, kind, 1.0), Settings(sample_rate=5000.0)
+        slide(4.0), Case(Fault({"B": 1e-4})), Ensemble(2, kind, 1.0), Settings(sample_rate=5000.0)
     )  # fmt: skip
     assert found.status is Status.OK
     assert found.converged and found.from_healthy

@@ -11,7 +11,7 @@ import pytest
 
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation import averages, blocks
 from jointplay.solver.simulation import ensemble as module
@@ -23,7 +23,7 @@ from jointplay.solver.spectra.harmonics import compared
 from jointplay.solver.spectra.spectrum import order_levels
 from jointplay.solver.spectra.welch import welch
 
-FAULT = FaultState({"B": 2e-4})
+FAULT = Fault({"B": 2e-4})
 PERIODIC = Case(FAULT)
 #: Without friction and with a tenth of the damping the impacts never settle.
 CHAOTIC = Case(FAULT, {"contact.friction": 0.0, "contact.damping": 30.0})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.fault import HEALTHY, FaultState, parse_fault
+from jointplay.solver.machines.fault import HEALTHY, Fault, parse_fault
 from jointplay.solver.machines.machine import shipped_machine
 
 QR = shipped_machine("quick-return")
@@ -22,11 +22,11 @@ QR = shipped_machine("quick-return")
     ],
 )
 def test_reading(text: str, clearances: dict[str, float]) -> None:
-    assert parse_fault(text, QR) == FaultState(clearances)
+    assert parse_fault(text, QR) == Fault(clearances)
 
 
 def test_writing_reads_back() -> None:
-    fault = FaultState({"F": 2.125e-4, "A": 1.23456e-5})
+    fault = Fault({"F": 2.125e-4, "A": 1.23456e-5})
     assert fault.label == "A=0.0123456mm,F=0.2125mm"
     assert parse_fault(fault.label, QR) == fault
     assert HEALTHY.label == "healthy"
@@ -34,9 +34,9 @@ def test_writing_reads_back() -> None:
 
 
 def test_value() -> None:
-    assert FaultState({"B": 1e-4, "A": 2e-4}) == FaultState({"A": 2e-4, "B": 1e-4, "C": 0.0})
-    assert hash(FaultState({"A": 1e-4})) == hash(FaultState({"A": 1e-4}))
-    assert FaultState({"B": 1e-4, "A": 2e-4}).joints == ("A", "B")
+    assert Fault({"B": 1e-4, "A": 2e-4}) == Fault({"A": 2e-4, "B": 1e-4, "C": 0.0})
+    assert hash(Fault({"A": 1e-4})) == hash(Fault({"A": 1e-4}))
+    assert Fault({"B": 1e-4, "A": 2e-4}).joints == ("A", "B")
 
 
 @pytest.mark.parametrize(
@@ -64,4 +64,4 @@ def test_refusals(text: str, line: str) -> None:
 @pytest.mark.parametrize("value", [-1e-6, float("nan"), float("inf")])
 def test_impossible_clearances(value: float) -> None:
     with pytest.raises(MachineError, match="finite number of metres, 0 or more"):
-        FaultState({"A": value})
+        Fault({"A": value})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointplay.solver.integrators.lanes import SLOTS
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
 
@@ -34,7 +34,7 @@ def test_a_run_goes_on_where_it_ended(method: str) -> None:
 
 
 def test_without_motion_only_the_signal_for_spectra_is_there() -> None:
-    case = Case(FaultState({"B": 2e-4}))
+    case = Case(Fault({"B": 2e-4}))
     whole = simulate(MACHINE, case, Settings(duration=0.1))
     cheap = simulate(MACHINE, case, Settings(duration=0.1, motion=False))
     assert (whole.band_limited_acceleration == cheap.band_limited_acceleration).all()
@@ -45,7 +45,7 @@ def test_without_motion_only_the_signal_for_spectra_is_there() -> None:
     "settings", [Settings(revolutions=0.5), Settings(revolutions=0.5, motion=False, sample_rate=7777.7)]
 )
 def test_without_the_transient_the_rest_is_the_same(settings: Settings) -> None:
-    case = Case(FaultState({"B": 2e-4}))
+    case = Case(Fault({"B": 2e-4}))
     whole = simulate(MACHINE, case, settings)
     late = simulate(MACHINE, case, replace(settings, transient=False))
     first = int(np.searchsorted(whole.t, whole.transient))
@@ -71,7 +71,7 @@ def test_links_without_the_transient() -> None:
 def test_more_cases_than_places_for_their_records() -> None:
     """Every case as if it were alone, whichever waited for which; durations differ."""
     clearances = np.geomspace(5e-5, 5e-4, 2 * SLOTS + 3)
-    cases = [Case(FaultState({"B": float(c)})) for c in clearances]
+    cases = [Case(Fault({"B": float(c)})) for c in clearances]
     settings = Settings(duration=0.03)
     together = simulate_batch(MACHINE, cases, settings)
     assert {history.status for history in together} == {Status.OK}

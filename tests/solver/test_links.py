@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, History, Settings, simulate
@@ -14,7 +14,7 @@ from jointplay.solver.simulation.simulate import Case, History, Settings, simula
 def run(name: str, fault: dict[str, float]) -> tuple[Machine, History]:
     machine = shipped_machine(name)
     return machine, simulate(
-        machine, Case(FaultState(fault)), Settings(duration=0.2, sample_rate=2000, method="gill", links=True)
+        machine, Case(Fault(fault)), Settings(duration=0.2, sample_rate=2000, method="gill", links=True)
     )
 
 
@@ -110,7 +110,7 @@ def test_reactions_are_named_after_joints() -> None:
 
 def test_numbers_that_only_a_case_has_reach_the_reactions() -> None:
     machine = shipped_machine("quick-return")
-    case = Case(FaultState({"A": 2e-4}), {"joints.A.contact.viscous": 50.0, "links.ram.mass": 2.5})
+    case = Case(Fault({"A": 2e-4}), {"joints.A.contact.viscous": 50.0, "links.ram.mass": 2.5})
     history = simulate(machine, case, Settings(duration=0.05, sample_rate=2000, method="gill", links=True))
     assert history.links is not None
     column = history.links.links.index(machine.frame)

@@ -19,7 +19,6 @@ from jointplay.solver.machines.machine import (
     load_machine,
     machine_json_schema,
     parse_machine,
-    resolve_machine,
     shipped_machine,
     shipped_machine_names,
     shipped_machine_text,
@@ -161,12 +160,12 @@ def test_links_of_shipped_machines_are_as_long_as_they_should_be(name: str) -> N
 
 
 def test_resolve_by_name_and_by_path(tmp_path: Path) -> None:
-    assert resolve_machine("four-bar") == shipped_machine("four-bar")
+    assert load_machine("four-bar") == shipped_machine("four-bar")
     path = tmp_path / "my.yaml"
     path.write_text("\ufeff" + shipped_machine_text("four-bar"), encoding="utf-8")
-    assert resolve_machine(path) == shipped_machine("four-bar")
+    assert load_machine(path) == shipped_machine("four-bar")
     with pytest.raises(MachineError) as caught:
-        resolve_machine("four-baar")
+        load_machine("four-baar")
     assert str(caught.value) == 'four-baar: is neither a file nor a shipped machine; did you mean "four-bar"?'
     with pytest.raises(MachineError) as caught:
         shipped_machine("fourbar")
@@ -175,7 +174,7 @@ def test_resolve_by_name_and_by_path(tmp_path: Path) -> None:
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for path, rule in (
-        (tmp_path / "none.yaml", "cannot be read: No such file or directory"),
+        (tmp_path / "none.yaml", "is neither a file nor a shipped machine"),
         (tmp_path, "cannot be read: Is a directory"),
     ):
         with pytest.raises(MachineError) as caught:

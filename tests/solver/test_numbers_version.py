@@ -20,7 +20,7 @@ import pytest
 
 from jointplay import solver
 from jointplay.solver.cases.steps import STEP_RULES
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.adaptive_runs import TOLERANCES
 from jointplay.solver.simulation.simulate import Case, Settings, simulate
@@ -77,7 +77,7 @@ def spectrum(name: str) -> npt.NDArray[np.complex128]:
     case = CASES[name]
     machine = machine_of(case)
     settings = Settings(sample_rate=RATE, revolutions=3.05, motion=False, transient=False, **case.settings)
-    history = simulate(machine, Case(FaultState(case.fault)), settings)
+    history = simulate(machine, Case(Fault(case.fault)), settings)
     assert history.status == "ok", history.message
     scheme = BandScheme.for_drive(abs(machine.drive.speed), 1000.0, 20, 3)  # type: ignore[union-attr,arg-type]
     found = band_matrix(history.band_limited_acceleration, RATE, history.drive_speed, scheme).power

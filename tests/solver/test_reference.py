@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointplay.solver.cases.steps import Accuracy
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 from jointplay.solver.spectra.harmonics import harmonic_error
@@ -17,7 +17,7 @@ from jointplay.solver.spectra.harmonics import harmonic_error
 Method = Literal["adaptive", "gill"]
 
 DATA = Path(__file__).parents[1] / "data" / "reference"
-P1 = Case(FaultState({"B": 2e-4}))
+P1 = Case(Fault({"B": 2e-4}))
 DRIVE_HZ = 10.0
 #: The harmonic error is taken from here on, s.
 TRANSIENT = 0.5

@@ -15,7 +15,7 @@ from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import MachineError
 from jointplay.solver.integrators import control
 from jointplay.solver.integrators.kernel import kernel_code
-from jointplay.solver.machines.fault import HEALTHY, FaultState
+from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.account import account
 from jointplay.solver.simulation.adaptive_runs import how_it_ended
@@ -153,7 +153,7 @@ def test_a_run_that_friction_stops_names_the_joint() -> None:
     """A slider wedged by a friction of 5 behind a worn pin: steps shrink without end, whatever the tolerance."""
     tree = tree_of("slider-crank")
     tree["joints"]["G1"]["friction"] = 5.0
-    machine, case = parse_machine(tree), Case(FaultState({"B": 2e-4}))
+    machine, case = parse_machine(tree), Case(Fault({"B": 2e-4}))
     group = next(groups(machine, [case], Settings()))
     model, ready = group.model, group.ready[0]
     wedged = simulate(machine, case, Settings(duration=0.02, accuracy="draft")).end
@@ -168,7 +168,7 @@ def test_a_run_that_friction_stops_names_the_joint() -> None:
     assert "sliding joint" not in how_it_ended(model, ready, control.DIVERGING, final, wedged.t)[1]
 
 
-def work_of_friction(machine: Machine, fault: FaultState, method: Any) -> tuple[History, np.ndarray, np.ndarray]:
+def work_of_friction(machine: Machine, fault: Fault, method: Any) -> tuple[History, np.ndarray, np.ndarray]:
     """History, and the power of friction and of the drive at its samples, W."""
     settings = Settings(duration=0.2, sample_rate=40_000, method=method, accuracy="reference", links=True)
     history = simulate(machine, Case(fault), settings)
@@ -206,7 +206,7 @@ def test_energy_goes_where_friction_takes_it(method: Any) -> None:
 
 
 def test_both_methods_agree_beside_a_worn_joint() -> None:
-    machine, fault = crank(0.3), FaultState({"A": 1e-4})
+    machine, fault = crank(0.3), Fault({"A": 1e-4})
     settings = {"duration": 0.05, "sample_rate": 20_000, "accuracy": "reference"}
     one, other = (simulate(machine, Case(fault), Settings(method=method, **settings)) for method in METHODS)  # type: ignore[arg-type]
     assert one.status is other.status is Status.OK

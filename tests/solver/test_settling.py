@@ -14,7 +14,7 @@ from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.errors import AssemblyError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation import settling
 from jointplay.solver.simulation.adaptive_runs import adaptive_runs
@@ -24,7 +24,7 @@ from jointplay.solver.simulation.simulate import History, simulate, simulate_bat
 from jointplay.solver.simulation.steady import healthy_revolution
 from jointplay.solver.spectra.harmonics import harmonic_levels, mean_difference_db
 
-WEAR = FaultState({"B": 2e-4})
+WEAR = Fault({"B": 2e-4})
 AT_ONCE = Settings(settled=True, revolutions=4.0)
 SHORT = Settings(settled=True, revolutions=1.0, sample_rate=2000.0, accuracy="draft", motion=False)
 
@@ -98,7 +98,7 @@ def test_the_frame_moves_as_that_of_the_healthy_machine(
     Samples of 57 Hz lie a sixth of a revolution of the slider-crank apart; a cubic between them adds to that (1.7 %).
     """
     tolerance = 0.02 if settings.sample_rate < 100 else 0.01
-    case = Case(FaultState(fault), {"supports.0.stiffness.1": 3.5e5})
+    case = Case(Fault(fault), {"supports.0.stiffness.1": 3.5e5})
     before, after = prepared(machine, case, settings)
     revolution = 2 * math.pi / abs(after.speed)
     assert (before.transient / revolution, after.transient / revolution) == pytest.approx(left)
@@ -125,7 +125,7 @@ def test_what_follows_is_the_steady_state(name: str, fault: dict[str, float]) ->
 
     Both after the revolutions that are dropped.
     """
-    machine, case = shipped_machine(name), Case(FaultState(fault))
+    machine, case = shipped_machine(name), Case(Fault(fault))
     frequency = machine.drive.speed / (2 * math.pi)  # type: ignore[union-attr, operator]
     rate, samples = 2000 * frequency, 8000
     late = simulate(machine, case, Settings(sample_rate=rate, duration=24 / frequency))
@@ -147,7 +147,7 @@ def test_a_slow_suspension_is_given_longer() -> None:
     tree = tree_of("quick-return")
     for mount in tree["supports"]:
         mount["damping"] = [damping / 5 for damping in mount["damping"]]
-    before, after = prepared(parse_machine(tree), Case(FaultState({"F": 2e-4})))
+    before, after = prepared(parse_machine(tree), Case(Fault({"F": 2e-4})))
     revolution = 2 * math.pi / before.speed
     assert round(before.transient / revolution) == 19
     assert round(after.transient / revolution) == 5
@@ -162,7 +162,7 @@ def mixture() -> tuple[list[Case], list[Literal["draft", "standard"]]]:
         numbers["supports.0.stiffness.1"] = 4e5 * generator.uniform(0.8, 1.2)
         if i % 3 == 0:
             numbers["links.rod.mass"] = 0.25 * generator.uniform(0.9, 1.1)
-        cases.append(Case(FaultState(faults[i % 4]), numbers))
+        cases.append(Case(Fault(faults[i % 4]), numbers))
     return cases, ["standard" if i % 5 == 0 else "draft" for i in range(14)]
 
 
@@ -273,7 +273,7 @@ def test_a_given_start_is_not_settled() -> None:
 def test_started_as_drawn_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """A parallelogram passes a change point, where only the worn machine can go on; and frames that do not close."""
     machine = four_bar(0.06, 0.20, 0.06, 0.20, 0.0)
-    case = Case(FaultState({"A": 1e-4}))
+    case = Case(Fault({"A": 1e-4}))
     table = [Case(), case]
     group = list(groups(machine, table, SHORT))[1]
     (only,) = settled(machine, group.model, table, group.ready, SHORT, adaptive_runs)

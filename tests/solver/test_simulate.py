@@ -11,7 +11,7 @@ import pytest
 
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.errors import MachineError, SettingsError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate, simulate_batch
 
@@ -23,13 +23,13 @@ SHORT = Settings(duration=0.05, sample_rate=10_000, accuracy="draft")
 def test_lanes_and_groups_change_nothing(method: Literal["adaptive", "gill"]) -> None:
     """A mixed table gives bit for bit what its cases give alone, in the order asked for."""
     cases = [
-        Case(FaultState({"A": 1e-4}), {"contact.stiffness": 2e7}),
+        Case(Fault({"A": 1e-4}), {"contact.stiffness": 2e7}),
         Case(),
-        Case(FaultState({"F": 3e-4}), {"contact.friction": 0.1}),
-        Case(FaultState({"A": 3e-4}), {"contact.friction": 0.02, "drive.speed": 12.9}),
+        Case(Fault({"F": 3e-4}), {"contact.friction": 0.1}),
+        Case(Fault({"A": 3e-4}), {"contact.friction": 0.02, "drive.speed": 12.9}),
         Case(parameters={"links.frame.mass": 66.0}),
-        Case(FaultState({"A": 2e-5})),
-        Case(FaultState({"A": 1e-4, "F": 1e-4})),
+        Case(Fault({"A": 2e-5})),
+        Case(Fault({"A": 1e-4, "F": 1e-4})),
     ]
     settings = Settings(duration=0.05, sample_rate=10_000, accuracy="draft", method=method)
     together = simulate_batch(QR, cases, settings)
@@ -44,7 +44,7 @@ def test_lanes_and_groups_change_nothing(method: Literal["adaptive", "gill"]) ->
 
 def test_more_cases_than_lanes() -> None:
     clearances = np.geomspace(2e-5, 5e-4, 11)
-    cases = [Case(FaultState({"C": float(c)})) for c in clearances]
+    cases = [Case(Fault({"C": float(c)})) for c in clearances]
     histories = simulate_batch(QR, cases, SHORT)
     assert [h.case for h in histories] == cases
     assert len({h.displacement[-1].tobytes() for h in histories}) == 11
@@ -52,7 +52,7 @@ def test_more_cases_than_lanes() -> None:
 
 @pytest.mark.parametrize("method", ["adaptive", "gill"])
 def test_accuracies_side_by_side_change_nothing(method: Literal["adaptive", "gill"]) -> None:
-    cases = [Case(FaultState({"A": 2e-4}), {"drive.speed": speed}) for speed in (12.0, 12.5, 13.0)]
+    cases = [Case(Fault({"A": 2e-4}), {"drive.speed": speed}) for speed in (12.0, 12.5, 13.0)]
     accuracies: list[Accuracy] = ["draft", "standard", "draft"]
     settings = Settings(duration=0.05, sample_rate=10_000, method=method)
     together = simulate_batch(QR, cases, settings, accuracies=accuracies)
@@ -72,7 +72,7 @@ def test_lists_of_another_length_than_the_cases_are_refused(given: dict[str, Any
 
 def test_progress_counts_every_case() -> None:
     seen: list[int] = []
-    simulate_batch(QR, [Case(FaultState({"C": 1e-4}))] * 10 + [Case()], SHORT, progress=seen.append)
+    simulate_batch(QR, [Case(Fault({"C": 1e-4}))] * 10 + [Case()], SHORT, progress=seen.append)
     assert seen == list(range(1, 12))
 
 
@@ -82,7 +82,7 @@ def test_parameters_are_those_of_a_changed_machine() -> None:
     tree["links"]["ram"]["mass"] = 2.5
     tree["supports"][0]["stiffness"][1] = 3.1e5
     tree["joints"]["F"]["contact"]["damping"] = 500.0
-    fault = FaultState({"F": 2e-4})
+    fault = Fault({"F": 2e-4})
     values = {"links.ram.mass": 2.5, "supports.0.stiffness.1": 3.1e5, "contact.damping": 500.0}
     settings = Settings(duration=0.05, sample_rate=10_000, step=2e-5)
     by_parameter = simulate(QR, Case(fault, values), settings)
@@ -126,7 +126,7 @@ def test_parameters_that_mean_nothing(parameters: dict[str, float], line: str) -
 
 def test_fault_on_a_sliding_joint() -> None:
     with pytest.raises(MachineError, match=r"fault\.G1: 0\.1 mm: a sliding joint has no clearance"):
-        simulate(QR, Case(FaultState({"G1": 1e-4})), SHORT)
+        simulate(QR, Case(Fault({"G1": 1e-4})), SHORT)
 
 
 @pytest.mark.parametrize(
@@ -153,8 +153,8 @@ def test_a_run_of_days_is_refused() -> None:
 
 def test_a_case_that_blows_up_is_a_status() -> None:
     """A step far beyond stability: the failing lane ends finite, its neighbours do not notice."""
-    stiff = Case(FaultState({"A": 1e-4}), {"contact.damping": 1e6})
-    gentle = Case(FaultState({"A": 1e-4}))
+    stiff = Case(Fault({"A": 1e-4}), {"contact.damping": 1e6})
+    gentle = Case(Fault({"A": 1e-4}))
     settings = Settings(duration=0.05, sample_rate=10_000, step=5e-5)
     bad, good = simulate_batch(QR, [stiff, gentle], settings)
     assert good.status is Status.OK
@@ -168,7 +168,7 @@ def test_a_case_that_blows_up_is_a_status() -> None:
 
 
 def test_contact_numbers_by_joint_reach_that_joint() -> None:
-    fault = FaultState({"A": 2e-4})
+    fault = Fault({"A": 2e-4})
     plain, dragged, elsewhere = (
         simulate(QR, Case(fault, parameters), SHORT)
         for parameters in ({}, {"joints.A.contact.viscous": 50.0}, {"joints.F.contact.viscous": 50.0})
@@ -216,7 +216,7 @@ def crank_at(angle: float, **changes: object) -> dict[str, object]:
 def test_a_slide_driven_past_its_reach_is_refused(drive: dict[str, object], worn: dict[str, float]) -> None:
     """The ram reaches 200 mm from its drawn 171 mm; it goes there in all these ways, but not within 50 ms."""
     machine = parse_machine(crank_at(1.0, drive={"kind": "translation", "joint": "G", **drive}))
-    case, reach = Case(FaultState(worn)), 1e3 * (0.2 - machine.links["slider"].cg[0])
+    case, reach = Case(Fault(worn)), 1e3 * (0.2 - machine.links["slider"].cg[0])
     refused = simulate(machine, case, Settings(duration=1.0, sample_rate=2000))
     assert refused.status is Status.CANNOT_ASSEMBLE
     travel = re.search(r"cannot be assembled at a drive travel of ([\d.]+) mm", refused.message)

@@ -11,7 +11,7 @@ import pytest
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate, simulate_batch
 from jointplay.solver.simulation.steady import PHASES, healthy_revolution, starts_at
@@ -21,7 +21,7 @@ CASES = [("slider-crank", {"B": 2e-4}), ("quick-return", {"F": 2e-4}), ("four-ba
 
 
 def case_of(name: str, fault: dict[str, float]) -> tuple[Machine, Case]:
-    return shipped_machine(name), Case(FaultState(fault))
+    return shipped_machine(name), Case(Fault(fault))
 
 
 @pytest.mark.parametrize(("name", "fault"), CASES)

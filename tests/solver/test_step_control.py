@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from jointplay.solver.integrators.control import after_switch, next_step, shortened, switch_part
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate_batch
 
@@ -130,7 +130,7 @@ def test_few_steps_are_tried_in_vain() -> None:
     machine = shipped_machine("quick-return")
     draws = np.random.default_rng(7)
     fits = np.exp(draws.uniform(math.log(3e-6), math.log(20e-6), size=(16, 5)))
-    cases = [Case(FaultState(dict(zip("ACEFO", row.tolist(), strict=True)))) for row in fits]
+    cases = [Case(Fault(dict(zip("ACEFO", row.tolist(), strict=True)))) for row in fits]
     settings = Settings(sample_rate=1e4, duration=0.5, accuracy="draft", motion=False)
     for case, run in zip(cases, simulate_batch(machine, cases, settings), strict=True):
         assert run.status is Status.OK

@@ -25,7 +25,7 @@ from jointplay.solver.cases.steps import (
     transient_time,
 )
 from jointplay.solver.equations.model import build_model
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
 
@@ -82,7 +82,7 @@ def test_friction_settles_a_block_at_its_rate() -> None:
 
 def test_fixed_steps_resolve_strong_friction() -> None:
     """A contact friction of 1: with steps of the contact's frequency alone peaks came out three times too high."""
-    case = Case(FaultState({"B": 2e-4}), {"contact.friction": 1.0})
+    case = Case(Fault({"B": 2e-4}), {"contact.friction": 1.0})
     machine = shipped_machine("slider-crank")
     fixed, controlled = (
         simulate(machine, case, Settings(duration=0.2, method=method, accuracy=accuracy))  # type: ignore[arg-type]
@@ -96,7 +96,7 @@ def test_fixed_steps_resolve_strong_friction() -> None:
 
 def step_of(machine: Machine, parameters: dict[str, float] | None = None) -> float:
     """Longest step of `gill` with a worn B, s."""
-    case = Case(FaultState({"B": 2e-4}), parameters or {})
+    case = Case(Fault({"B": 2e-4}), parameters or {})
     return next(groups(machine, [case], Settings(method="gill", duration=0.1))).ready[0].longest_step
 
 
@@ -147,7 +147,7 @@ def test_cases_share_the_functions_of_their_model(name: str, monkeypatch: pytest
 
     def case(factor: float) -> Case:
         numbers = {link: 50.0 * factor, "supports.0.stiffness.0": 1e5 * factor, "drive.speed": 10 * factor}
-        return Case(FaultState({"A": 1e-4}), numbers)
+        return Case(Fault({"A": 1e-4}), numbers)
 
     first = next(groups(machine, [case(1.0)], Settings())).ready[0]
     for made in ("Function", "jacobian", "jtimes"):

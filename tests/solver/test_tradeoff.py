@@ -13,7 +13,7 @@ import pytest
 
 from jointplay.solver.cases.history import History, Settings, Status
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.fault import FaultState
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine
 from jointplay.solver.simulation import workbench
 from jointplay.solver.simulation.simulate import Case, simulate
@@ -21,7 +21,7 @@ from jointplay.solver.simulation.tradeoff import Point, TradeOff, measure
 from jointplay.solver.spectra.harmonics import harmonic_error
 
 DATA = Path(__file__).parents[1] / "data" / "reference"
-FAULT = FaultState({"B": 2e-4})
+FAULT = Fault({"B": 2e-4})
 P1 = Case(FAULT)
 #: Without friction and with a tenth of the damping the impacts never settle.
 P1X = Case(FAULT, {"contact.friction": 0.0, "contact.damping": 30.0})

@@ -27,7 +27,7 @@ FLAT_PART = 0.4  # of the sample rate: up to there a simulated acceleration is f
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class SimulationFile:
     """What a file of a simulation holds.
 
     Parameters
@@ -48,7 +48,7 @@ class Recording:
     missing: str = ""
 
 
-def record(machine: Machine, history: History, settings: Settings, version: str) -> Recording:
+def record(machine: Machine, history: History, settings: Settings, version: str) -> SimulationFile:
     """Collect what there is to store about a simulation.
 
     Parameters
@@ -82,8 +82,10 @@ def record(machine: Machine, history: History, settings: Settings, version: str)
     try:
         spectra = spectra_of(machine, history)
     except SettingsError as error:
-        return Recording(arrays, units, {**attributes, "spectra": f"none: {error}"}, str(error))
-    return Recording({**arrays, **spectra.arrays}, {**units, **spectra.units}, {**attributes, **spectra.attributes})
+        return SimulationFile(arrays, units, {**attributes, "spectra": f"none: {error}"}, str(error))
+    return SimulationFile(
+        {**arrays, **spectra.arrays}, {**units, **spectra.units}, {**attributes, **spectra.attributes}
+    )
 
 
 def add_links(
@@ -141,7 +143,7 @@ def accuracy_of(settings: Settings) -> dict[str, Attribute]:
     return {"accuracy": accuracy, "method": settings.integrator}
 
 
-def spectra_of(machine: Machine, history: History) -> Recording:
+def spectra_of(machine: Machine, history: History) -> SimulationFile:
     """Return spectral densities of the alias-free acceleration after the transient, and levels by order.
 
     Raises
@@ -177,7 +179,7 @@ def spectra_of(machine: Machine, history: History) -> Recording:
         units["orders"] = "multiples of the drive frequency"
         units["order_level_frame"] = ",".join(f"{unit} rms" for unit in frame.units)
         attributes["order_level"] = "rms in the band one order wide around each order"
-    return Recording(arrays, units, attributes)
+    return SimulationFile(arrays, units, attributes)
 
 
 def density(history: History, signal: FloatArray, channels: tuple[str, ...], point: str) -> Spectrum:
