@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-import jointplay
+from jointplay.version import __version__
 
 COMMANDS = {
     "machines": "list the machines that ship with the program, or print one as a file",
@@ -108,7 +108,7 @@ def complain(message: str) -> None:
 
 def version() -> str:
     """Return the version of the product."""
-    return jointplay.__version__
+    return __version__
 
 
 def show_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -> None:

@@ -101,12 +101,12 @@ def command(
         from jointplay.app.figures.plots import check_ending
 
         check_ending(plot)
-    from jointplay import __version__
     from jointplay.app.errors import SimulationFailedError, UnassembledError
     from jointplay.app.figures.simulation_file import record
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+    from jointplay.version import __version__
 
     found = load_machine(machine)
     case = Case(fault=parse_fault(fault, found), parameters=drive_speed(found, speed))
@@ -154,13 +154,13 @@ def run_ensemble(
     machine: Machine, case: Case, asked: Ensemble, settings: Settings, output: Path, plot: Path | None, as_json: bool
 ) -> None:
     """Average over several starts, write that and say what it is."""
-    from jointplay import __version__
     from jointplay.app.commands.progress import ProgressLine
     from jointplay.app.errors import SimulationFailedError
     from jointplay.app.figures.ensembles import document, plot_ensemble, record_ensemble, report
     from jointplay.app.figures.outputs import writer_for
     from jointplay.solver.cases.history import Status
     from jointplay.solver.simulation.ensemble import simulate_ensemble
+    from jointplay.version import __version__
 
     with ProgressLine("simulating", "revolutions at most") as line:
         found = simulate_ensemble(

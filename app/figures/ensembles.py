@@ -11,8 +11,8 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from jointplay.app.figures.plots import BLUE, SHOWN_DECADES, SYMBOLS, save
-from jointplay.app.figures.simulation_file import MOTIONS, Attribute, SimulationFile, accuracy_of, identity
-from jointplay.solver.cases.history import Settings
+from jointplay.app.figures.simulation_file import Attribute, SimulationFile, accuracy_of, identity
+from jointplay.solver.cases.history import MOTIONS, Settings
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.ensemble import EnsembleResult
 

@@ -12,8 +12,9 @@ from typing import IO
 import numpy as np
 
 from jointplay.app.errors import OutputError
-from jointplay.app.figures.simulation_file import MOTIONS, SimulationFile
+from jointplay.app.figures.simulation_file import SimulationFile
 from jointplay.catalogue.storage.hdf5 import write_arrays
+from jointplay.solver.cases.history import MOTIONS
 
 
 def write_hdf5(path: Path, recording: SimulationFile) -> None:

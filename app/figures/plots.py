@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from jointplay.app import words
 from jointplay.app.figures.outputs import checked
-from jointplay.app.figures.simulation_file import MOTIONS, SimulationFile
+from jointplay.app.figures.simulation_file import SimulationFile
 from jointplay.app.figures.spectra import Comparison, comparisons
+from jointplay.solver.cases.history import MOTIONS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,10 +54,12 @@ def plot_simulation(recording: SimulationFile, path: Path) -> None:
     figure.suptitle(f"{attributes['machine']}, {fault}: acceleration of {attributes['frame']}")
     for row, motion in enumerate(MOTIONS):
         unit = recording.units["frame_acceleration"].split(",")[row]
-        draw_history(grid[row, 0], recording, row)
+        speed = float(attributes["drive_speed_rad_per_s"])  # type: ignore[arg-type]
+        draw_over_time(grid[row, 0], recording.arrays["t"], recording.arrays["frame_acceleration"][:, row], speed)
         grid[row, 0].set_ylabel(f"{SYMBOLS[motion]} [{unit}]")
         if "psd_frame" in recording.arrays:
-            draw_density(grid[row, 1], recording, row)
+            unit = recording.units["psd_frame"].split(",")[row]
+            draw_density(grid[row, 1], recording.arrays["f"], recording.arrays["psd_frame"][:, row], speed, unit)
         else:
             grid[row, 1].set_axis_off()
     if recording.missing:
@@ -64,31 +68,36 @@ def plot_simulation(recording: SimulationFile, path: Path) -> None:
     save(figure, path)
 
 
-def draw_history(axes: Axes, recording: SimulationFile, column: int) -> None:
-    """Draw the last revolutions of one motion."""
-    time = recording.arrays["t"]
-    speed = abs(float(recording.attributes["drive_speed_rad_per_s"]))  # type: ignore[arg-type]
-    span = SHOWN_REVOLUTIONS * 2 * math.pi / speed if speed else math.inf
-    shown = np.asarray(time) >= max(float(time[0]), float(time[-1]) - span)
-    axes.plot(time[shown], recording.arrays["frame_acceleration"][shown, column], color=BLUE, linewidth=0.8)
+def draw_over_time(axes: Axes, time: npt.ArrayLike, values: npt.ArrayLike, drive_speed: float = 0.0) -> None:
+    """Draw the last revolutions of one motion; all of it where nothing turns."""
+    t = np.asarray(time, dtype=np.float64)
+    span = SHOWN_REVOLUTIONS * 2 * math.pi / abs(drive_speed) if drive_speed else math.inf
+    shown = t >= max(t[0], t[-1] - span)
+    axes.plot(t[shown], np.asarray(values)[shown], color=BLUE, linewidth=0.8)
     axes.grid(alpha=0.3)
 
 
-def draw_density(axes: Axes, recording: SimulationFile, column: int) -> None:
-    """Draw the spectral density of one motion over orders, or over frequency where nothing turns evenly."""
-    speed = abs(float(recording.attributes["drive_speed_rad_per_s"]))  # type: ignore[arg-type]
-    base = speed / (2 * math.pi) if speed else 1.0
-    frequency = np.asarray(recording.arrays["f"], dtype=np.float64)[1:] / base
-    density = np.asarray(recording.arrays["psd_frame"], dtype=np.float64)[1:, column]
-    top = float(density.max(initial=0.0)) or 1.0
+def draw_density(
+    axes: Axes, frequency: npt.ArrayLike, density: npt.ArrayLike, drive_speed: float | None, unit: str
+) -> None:
+    """Draw a spectrum (n,) over orders, or over frequency where nothing turns evenly."""
+    base = abs(drive_speed) / (2 * math.pi) if drive_speed else 1.0
+    values = np.asarray(density, dtype=np.float64)[1:]
+    top = float(values.max(initial=0.0)) or 1.0
     # What is far below the rest is rounding, and would only squeeze the part that matters.
-    axes.loglog(frequency, np.maximum(density, top * 10.0**-SHOWN_DECADES), color=BLUE, linewidth=0.8)
-    axes.set_ylabel(recording.units["psd_frame"].split(",")[column])
-    axes.set_xlabel("order of the drive" if speed else "frequency [Hz]")
+    shown = np.maximum(values, top * 10.0**-SHOWN_DECADES)
+    axes.loglog(np.asarray(frequency, dtype=np.float64)[1:] / base, shown, color=BLUE, linewidth=0.8)
+    axes.set_ylabel(unit)
+    axes.set_xlabel("order of the drive" if drive_speed else "frequency [Hz]")
     axes.grid(alpha=0.3, which="both")
 
 
 def plot_diagnosis(result: Mapping[str, Any], name: str, path: Path) -> None:
+    """Draw a diagnosis as :func:`draw_diagnosis` into a file."""
+    save(draw_diagnosis(result, name), path)
+
+
+def draw_diagnosis(result: Mapping[str, Any], name: str) -> Figure:
     """Draw the ranking, and measured against matched levels by order for every channel.
 
     Parameters
@@ -97,8 +106,6 @@ def plot_diagnosis(result: Mapping[str, Any], name: str, path: Path) -> None:
         The members of a diagnosis.
     name : str
         Of the recording.
-    path : Path
-        File to write.
     """
     found = comparisons(result)
     figure = Figure(figsize=(11, 2.2 + 2.6 * (1 + len(found))), layout="constrained")
@@ -108,7 +115,7 @@ def plot_diagnosis(result: Mapping[str, Any], name: str, path: Path) -> None:
     for axes, comparison in zip(grid[1:], found, strict=True):
         draw_comparison(axes, comparison)
     grid[-1].set_xlabel("order of the drive")
-    save(figure, path)
+    return figure
 
 
 def draw_ranking(axes: Axes, result: Mapping[str, Any]) -> None:

@@ -5,25 +5,22 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from jointplay.solver.cases.history import MOTIONS
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import Case, History, Settings
 from jointplay.solver.spectra.sensor import sensor_signals
-from jointplay.solver.spectra.spectrum import Spectrum, order_levels
-from jointplay.solver.spectra.welch import welch
+from jointplay.solver.spectra.spectrum import order_levels
 
 FloatArray = npt.NDArray[np.float64]
 Attribute = str | float | int | bool | tuple[str, ...]
 
-MOTIONS = ("x", "y", "theta")
 HIGHEST_ORDER = 100
-WINDOW_REVOLUTIONS = 4.0
-FLAT_PART = 0.4  # of the sample rate: up to there a simulated acceleration is flat and free of aliases
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +149,13 @@ def spectra_of(machine: Machine, history: History) -> SimulationFile:
         When the signal is too short for them.
     """
     point = f"centre of gravity of {machine.frame}, global axes"
-    frame = density(history, history.band_limited_acceleration, MOTIONS, point)
+    frame = history.spectrum(point=point)
     arrays: dict[str, npt.NDArray[np.generic]] = {"f": frame.frequency, "psd_frame": frame.values}
     units = {"f": "Hz", "psd_frame": ",".join(frame.value_units)}
     if machine.sensors:
         names = tuple(sensor.name for sensor in machine.sensors)
         signals = at_sensors(machine, history, history.band_limited_acceleration)
-        sensors = density(history, signals, names, "at each sensor along its direction")
+        sensors = history.spectrum(signals, names, "at each sensor along its direction")
         for column, name in enumerate(names):
             arrays[f"psd_sensor_{name}"] = sensors.values[:, column]
             units[f"psd_sensor_{name}"] = sensors.value_units[column]
@@ -180,22 +177,6 @@ def spectra_of(machine: Machine, history: History) -> SimulationFile:
         units["order_level_frame"] = ",".join(f"{unit} rms" for unit in frame.units)
         attributes["order_level"] = "rms in the band one order wide around each order"
     return SimulationFile(arrays, units, attributes)
-
-
-def density(history: History, signal: FloatArray, channels: tuple[str, ...], point: str) -> Spectrum:
-    """Return the spectral density of a band-limited signal, up to the frequency to which it is flat."""
-    found = welch(
-        signal[history.t >= history.transient],
-        history.sample_rate,
-        drive_speed=history.drive_speed or None,
-        channels=channels,
-        units=None if channels == MOTIONS else ("m/s2",) * len(channels),
-        revolutions_per_window=WINDOW_REVOLUTIONS,
-        transient=history.transient,
-        point=point,
-    )
-    flat = found.frequency <= FLAT_PART * history.sample_rate
-    return replace(found, frequency=found.frequency[flat], values=found.values[flat])
 
 
 def at_sensors(machine: Machine, history: History, acceleration: FloatArray) -> FloatArray:

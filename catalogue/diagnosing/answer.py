@@ -387,3 +387,17 @@ class Diagnosis(_Frozen):
     def to_json(self, indent: int | None = 2) -> str:
         """Return the JSON text."""
         return self.model_dump_json(indent=indent)
+
+    def __str__(self) -> str:
+        """Return verdict, worn joints and causes in one line."""
+        parts = []
+        for name, state in self.joints.items():
+            if state.condition == "worn":
+                low, high = state.interval_um
+                parts.append(f"{name} {state.clearance_um:.3g} um ({low:.3g} to {high:.3g})")
+        parts += [f"{cause.name} {cause.size:.3g} {cause.unit}" for cause in self.causes]
+        told = f": {', '.join(parts)}" if parts else ""
+        return f"{self.machine} {self.verdict.replace('_', ' ')}{told}; p = {self.goodness_of_fit.p_value:.2g}"
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis {self}>"

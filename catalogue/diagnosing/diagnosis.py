@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import get_args
 
-import jointplay
 from jointplay.catalogue.diagnosing.answer import (
     Cause,
     Diagnosis,
@@ -53,6 +52,7 @@ from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
 from jointplay.catalogue.signals.suspension import with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.version import __version__
 
 __all__ = ["Question", "answer", "diagnose"]
 
@@ -284,7 +284,7 @@ def answer(
         measurement_sha256=sha256,
         catalogue_sha256=catalogue.id,
         machine_sha256=catalogue.machine.content_key,
-        solver_version=jointplay.__version__,
+        solver_version=__version__,
         catalogue_solver_version=catalogue.manifest.versions.get("jointplay", ""),
         matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
         recipe=prepared.steps,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -17,7 +17,7 @@ from jointplay.catalogue.measurements.channel_units import ChannelUnit
 from jointplay.catalogue.measurements.file_bytes import decompressed, file_bytes
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
 from jointplay.catalogue.measurements.measured_columns import understood_columns
-from jointplay.catalogue.measurements.readers import Limits, RawRecording, known_ending, read_raw
+from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, known_ending, read_raw
 from jointplay.catalogue.measurements.time_base import TimeBase, even_time_base
 from jointplay.catalogue.measurements.waveform import Flaw, inspect_waveform
 from jointplay.solver.spectra.spectrum import Quantity
@@ -43,7 +43,7 @@ class Channel:
     quantity: Quantity
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """A recording in SI units.
 
@@ -77,6 +77,40 @@ class Recording:
     sha256: str
     flaws: tuple[Flaw, ...] = ()
     turns: npt.NDArray[np.float64] | None = None
+
+    @classmethod
+    def from_arrays(
+        cls, signal: npt.ArrayLike, sample_rate: float, channels: Sequence[str], *, unit: str = "m/s2",
+        name: str = "recording",
+    ) -> Recording:  # fmt: skip
+        """Make a recording of numbers that are there already.
+
+        Parameters
+        ----------
+        signal : (n, c) array
+        sample_rate : float
+            Hz.
+        channels : sequence of str, (c,)
+            Their names: those of the machine's sensors, so that they need not be mapped.
+        unit : str
+            Of all channels: "m/s2", "g", "mm/s" ...
+        name : str
+            What to call it.
+
+        Raises
+        ------
+        MeasurementError
+            As :func:`read_measurement`.
+        """
+        values = np.array(signal, np.float64)
+        if values.ndim != 2 or values.shape[1] != len(channels):
+            raise MeasurementError(name, rule=f"an array of shape {values.shape}: must be (samples, {len(channels)})")
+        columns = tuple(RawColumn(each, each, unit, f"column {place}") for place, each in enumerate(channels, start=1))
+        return measurement_of(RawRecording(name, columns, values), sample_rate=sample_rate)
+
+    def __repr__(self) -> str:
+        told = f"{', '.join(self.channel_names)}, {self.duration:.4g} s at {self.sample_rate:g} Hz"
+        return f"<Recording {self.name}: {told}>"
 
     @property
     def duration(self) -> float:

@@ -12,7 +12,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Self
 
-import jointplay
 from jointplay import solver
 from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError, PlanError
 from jointplay.catalogue.plans.entry import Recipe
@@ -25,6 +24,7 @@ from jointplay.catalogue.storage.seal import Seal, root_hash
 from jointplay.catalogue.storage.shard import ShardHeader
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.machine import Machine, parse_machine
+from jointplay.version import __version__
 
 __all__ = ["Manifest", "package_versions", "this_platform"]
 
@@ -34,7 +34,7 @@ _PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
 
 def package_versions() -> dict[str, str]:
     """Versions of Python, of this program, and of the packages that shape simulated numbers."""
-    own = {"python": platform.python_version(), "jointplay": jointplay.__version__}
+    own = {"python": platform.python_version(), "jointplay": __version__}
     return {**own, **{name: metadata.version(name) for name in _PACKAGES}}
 
 

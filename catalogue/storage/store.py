@@ -52,6 +52,9 @@ class Catalogue:
         self._shards: OrderedDict[str, Shard] = OrderedDict()
         self._lock = threading.Lock()
 
+    def __repr__(self) -> str:
+        return f"<Catalogue {self.path.name} of {self.machine.name}: {self.id[:12]}>"
+
     @classmethod
     def open(cls, directory: str | Path) -> Self:
         """Open a catalogue for reading; a build may be going on in it.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,21 @@ from jointplay.solver.cases.steps import STEP_RULES, Accuracy
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
+from jointplay.solver.spectra.spectrum import Spectrum
+from jointplay.solver.spectra.welch import welch
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 Array = NDArray[np.float64]
+
+MOTIONS = ("x", "y", "theta")
+WINDOW_REVOLUTIONS = 4.0
+"""Of spectra of a history."""
+
+FLAT_PART = 0.4
+"""Of the sample rate: up to there a simulated acceleration is flat and free of aliases."""
 
 
 class Status(StrEnum):
@@ -127,7 +140,7 @@ class Settings:
         return self.method or ("gill" if self.step is not None else "adaptive")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class History:
     """Motion of the frame in one case.
 
@@ -176,6 +189,75 @@ class History:
     seconds: float
     links: LinkMotion | None = None
     end: Start | None = None
+
+    def __repr__(self) -> str:
+        told = f"{self.t[-1]:.4g} s at {self.sample_rate:g} Hz" if len(self.t) else "no samples"
+        speed = f", drive {self.drive_speed:.4g} rad/s" if self.drive_speed else ""
+        return f"<History {self.status}: {self.case.fault.label}, {told}, transient {self.transient:.3g} s{speed}>"
+
+    def spectrum(
+        self,
+        signals: Array | None = None,
+        channels: tuple[str, ...] = MOTIONS,
+        point: str = "centre of gravity of the frame, global axes",
+    ) -> Spectrum:
+        """Return the spectral density of the acceleration after the transient, up to where it is flat.
+
+        Parameters
+        ----------
+        signals : (n, c) array, optional
+            Band-limited accelerations at t [m/s2], in place of those of the frame.
+        channels : tuple of str, (c,)
+        point : str
+            For the record.
+
+        Raises
+        ------
+        SettingsError
+            The history is too short for a window of four revolutions.
+        """
+        used = self.band_limited_acceleration if signals is None else signals
+        found = welch(
+            used[self.t >= self.transient],
+            self.sample_rate,
+            drive_speed=self.drive_speed or None,
+            channels=channels,
+            units=None if channels == MOTIONS else ("m/s2",) * len(channels),
+            revolutions_per_window=WINDOW_REVOLUTIONS,
+            transient=self.transient,
+            point=point,
+        )
+        flat = found.frequency <= FLAT_PART * self.sample_rate
+        return replace(found, frequency=found.frequency[flat], values=found.values[flat])
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the motion of the frame as a table over time, m and rad, ``acceleration_theta`` ...; needs pandas."""
+        import pandas as pd
+
+        columns = {
+            f"{quantity}_{motion}": values[:, column]
+            for quantity, values in self._motion.items()
+            for column, motion in enumerate(MOTIONS)
+            if len(values)
+        }
+        return pd.DataFrame(columns, index=pd.Index(self.t, name="t"))
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return the motion of the frame over ``t`` and ``motion``, m and rad; needs xarray."""
+        import xarray as xr
+
+        content = {name: (("t", "motion"), values) for name, values in self._motion.items() if len(values)}
+        told = {
+            "fault": self.case.fault.label,
+            "transient_s": self.transient,
+            "drive_speed_rad_per_s": self.drive_speed,
+        }
+        return xr.Dataset(content, {"t": self.t, "motion": list(MOTIONS)}, told)
+
+    @property
+    def _motion(self) -> Mapping[str, Array]:
+        names = ("displacement", "velocity", "acceleration", "band_limited_acceleration")
+        return {name: getattr(self, name) for name in names}
 
     @cached_property
     def steadiness_db(self) -> Array:

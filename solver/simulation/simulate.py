@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.equations.links import link_motion
 from jointplay.solver.equations.model import Model
 from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.adaptive_runs import adaptive_runs
 from jointplay.solver.simulation.gill_runs import gill_runs
@@ -54,9 +55,13 @@ def _runs(settings: Settings) -> Callable[..., Iterator[Run]]:
     return device_runs
 
 
-def simulate(machine: Machine, case: Case | None = None, settings: Settings | None = None) -> History:
-    """Simulate one case; see :func:`simulate_batch`."""
-    return simulate_batch(machine, [case or Case()], settings)[0]
+def simulate(
+    machine: Machine, case: Case | Mapping[str, float] | None = None, settings: Settings | None = None
+) -> History:
+    """Simulate one case, or a fault alone: radial clearance [m] by joint; see :func:`simulate_batch`."""
+    if not isinstance(case, Case):
+        case = Case(Fault(case))
+    return simulate_batch(machine, [case], settings)[0]
 
 
 def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> Start:

@@ -6,13 +6,17 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.spectra.segments import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
 Scaling = Literal["psd", "rms", "peak"]
@@ -22,7 +26,7 @@ DERIVATIVES: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "accelerat
 _PER_TIME = ("", "/s", "/s2")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Spectrum:
     """A one-sided spectrum of one or more channels.
 
@@ -72,6 +76,30 @@ class Spectrum:
                 f"spectrum: values of shape {self.values.shape} for {len(self.frequency)} lines, "
                 f"{len(self.channels)} channels and {len(self.units)} units"
             )
+
+    def __repr__(self) -> str:
+        lines = f"0 to {self.frequency[-1]:.4g} Hz by {self.resolution:.3g} Hz" if len(self.frequency) else "no lines"
+        what = f"{self.scaling} of {self.quantity}, {', '.join(self.channels)}"
+        return f"<Spectrum {what}: {lines}, {self.averages} averages>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a table over frequency [Hz], a column a channel; needs pandas."""
+        import pandas as pd
+
+        return pd.DataFrame(self.values, index=pd.Index(self.frequency, name="f"), columns=list(self.channels))
+
+    def to_xarray(self) -> xr.DataArray:
+        """Return values over ``f`` [Hz] and ``channel``, with what they are as attributes; needs xarray."""
+        import xarray as xr
+
+        coordinates = {"f": self.frequency, "channel": list(self.channels)}
+        told = {
+            "quantity": self.quantity,
+            "scaling": self.scaling,
+            "units": list(self.value_units),
+            "window": self.window,
+        }
+        return xr.DataArray(self.values, coordinates, ("f", "channel"), self.quantity, told)
 
     @property
     def value_units(self) -> tuple[str, ...]:

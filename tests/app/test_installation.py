@@ -36,7 +36,7 @@ def test_a_wheel_holds_everything_under_one_name(wheel: Path) -> None:
         f"jointplay-{jointplay.__version__}.dist-info",
     }
     inside = {name.removeprefix("jointplay/") for name in names if name.startswith("jointplay/")}
-    assert inside == modules(ROOT) | {"__init__.py", "py.typed"}
+    assert inside == modules(ROOT) | {"__init__.py", "version.py", "py.typed"}
 
 
 def test_a_source_distribution_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_another_version_of_the_product_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As long as it computes the same numbers."""
     quick_build(tmp_path)
-    monkeypatch.setattr("jointplay.__version__", "9.9.9")
+    monkeypatch.setattr("jointplay.catalogue.storage.manifest.__version__", "9.9.9")
     larger = parse_plan({**PLAN.content, "draws": {"healthy": 8, "single": 12}})
     assert quick_build(tmp_path, larger).added == 2
     assert Catalogue.open(tmp_path).manifest.versions["jointplay"] != "9.9.9"  # that of the first build
