@@ -16,13 +16,14 @@ from jointplay.app.http import handlers, openapi
 from jointplay.app.http.gate import Gate
 from jointplay.app.http.headers import SecurityHeaders
 from jointplay.app.http.limits import BodyLimit
-from jointplay.app.http.metrics import Metrics
+from jointplay.app.http.metrics import State
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.http.request_log import RequestLog
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.jobs.workers import WorkerPool
 from jointplay.app.logs import LogSettings
+from jointplay.app.metrics import Metrics
 from jointplay.app.routes import (
     asset_pages,
     assets,
@@ -78,7 +79,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
             queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log, scheduler=chosen.scheduler
         )
         service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner, metrics)
-        metrics.watch(service)
+        metrics.registry.register(State(service))
         application.state.service = service
         application.state.keys = Keys(store.database)
         runner.start()

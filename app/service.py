@@ -13,10 +13,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, TimeLimitError, WorkerDiedError
-from jointplay.app.http.metrics import Metrics
 from jointplay.app.jobs import tasks
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
+from jointplay.app.metrics import Metrics
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.settings import Settings
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer

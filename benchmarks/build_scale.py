@@ -27,6 +27,7 @@ from jointplay.catalogue.building.build import BuildReport, build
 from jointplay.catalogue.building.chunk import Chunk
 from jointplay.catalogue.building.cluster import DaskCluster
 from jointplay.catalogue.building.executors import LocalProcesses
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import Plan, parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.location import IndexLocation
@@ -182,7 +183,7 @@ def simulate_nothing(seconds: float) -> None:
 
 def plan_entries(entries: int) -> int:
     """Cases of the plan."""
-    return len(plan_of(entries).entries(shipped_machine("quick-return")))
+    return len(entries_of(plan_of(entries), shipped_machine("quick-return")))
 
 
 def said(where: str, report: BuildReport, processor: float, wall: float) -> None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from jointplay.app.commands.tables import table
+from jointplay.app.tables import table
 from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.errors import CatalogueError

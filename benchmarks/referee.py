@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.app.commands.tables import table
+from jointplay.app.tables import table
 from jointplay.catalogue.matching.calibration import kept_apart
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.libraries import library_of

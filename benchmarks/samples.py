@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from jointplay.app.commands.tables import table
+from jointplay.app.tables import table
 from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.measurements.recordings import read_recording

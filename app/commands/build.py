@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,6 @@ from jointplay.app.commands.progress import ProgressLine
 
 if TYPE_CHECKING:
     from jointplay.catalogue.building.build import BuildReport
-    from jointplay.catalogue.building.cluster import DaskCluster
 
 
 @click.command("build")
@@ -51,6 +49,7 @@ def command(
     What is there already is kept; the same command again goes on where an interrupted one stopped.
     """
     from jointplay.catalogue.building.build import build
+    from jointplay.catalogue.building.executors import count_processors
     from jointplay.catalogue.building.network_building import train_networks
     from jointplay.catalogue.plans.plan import load_plan
     from jointplay.catalogue.plans.plan_check import check_plan
@@ -60,7 +59,7 @@ def command(
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for processes here; a cluster has its own")
     if scheduler is not None:
-        from jointplay.catalogue.building.cluster import check_address
+        from jointplay.catalogue.building.cluster import DaskCluster, check_address
 
         check_address(scheduler)
     found, wanted = load_machine(machine), load_plan(plan)
@@ -69,16 +68,15 @@ def command(
         click.echo(shown, err=True)
     with ExitStack() as stack:
         line = stack.enter_context(ProgressLine("building", "cases"))
-        executor = (
-            stack.enter_context(cluster(scheduler, lambda said: click.echo(said, err=True)))
-            if scheduler is not None
-            else None
-        )
+        executor = None
+        if scheduler is not None:
+            executor = DaskCluster(scheduler, tell=lambda said: click.echo(said, err=True))
+            stack.callback(executor.close, at_once=True)
         report = build(
             found,
             wanted,
             catalogue,
-            workers=workers or processors(),
+            workers=workers or count_processors(),
             executor=executor,
             index=index,
             progress=lambda state: line.show(state.done, state.total, rate=state.rate, left=state.eta),
@@ -95,26 +93,7 @@ def command(
         )
     # Last, so that what was built is told whatever becomes of it.
     with ProgressLine("learning", "networks") as line:
-        train_networks(catalogue, workers=workers or processors(), progress=line.show)
-
-
-@contextmanager
-def cluster(address: str, tell: Callable[[str], None]) -> Iterator[DaskCluster]:
-    """Connect to a Dask cluster, telling what is waited for, and leave it in the end."""
-    from jointplay.catalogue.building.cluster import DaskCluster
-
-    workers = DaskCluster(address, tell=tell)
-    try:
-        yield workers
-    finally:
-        workers.close(at_once=True)
-
-
-def processors() -> int:
-    """Return the number of processors this process may use."""
-    import os
-
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        train_networks(catalogue, workers=workers or count_processors(), progress=line.show)
 
 
 def document(report: BuildReport, catalogue: Path) -> dict[str, object]:

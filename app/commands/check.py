@@ -9,7 +9,7 @@ import click
 
 from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import json_option, print_json
-from jointplay.app.commands.tables import indented, table
+from jointplay.app.tables import indented, table
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.fault import Fault

@@ -18,7 +18,7 @@ from jointplay.app.commands.parameters import (
     print_json,
     refuse_given,
 )
-from jointplay.app.commands.tables import indented, table
+from jointplay.app.tables import indented, table
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:

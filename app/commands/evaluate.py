@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jointplay.app.commands.build import processors
 from jointplay.app.commands.parameters import Names, Quantity, existing_catalogue, json_option, print_json, refuse_given
 from jointplay.app.commands.progress import ProgressLine
+from jointplay.catalogue.building.executors import count_processors
 
 if TYPE_CHECKING:
     from jointplay.catalogue.evaluation.study import Study
@@ -86,7 +86,7 @@ PROTOCOLS = (
 @click.option(
     "--workers",
     type=click.IntRange(1, 1024),
-    default=processors,
+    default=count_processors,
     help="Processes that build the catalogues of --sweep.",
 )
 @click.option(

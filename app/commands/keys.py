@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from jointplay.app.commands.parameters import json_option, print_json
-from jointplay.app.commands.tables import table
 from jointplay.app.scopes import Scope
+from jointplay.app.tables import table
 
 if TYPE_CHECKING:
     from jointplay.app.storage.keys import Key, Keys

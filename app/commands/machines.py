@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jointplay.app.commands.parameters import json_option, print_json
-from jointplay.app.commands.tables import table
+from jointplay.app.tables import table
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine

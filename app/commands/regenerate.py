@@ -29,14 +29,14 @@ def command(catalogue: Path, sample: int, seed: int, workers: int | None, as_jso
     machines with play take another course: levels then differ by some tenths of a decibel on average. Exit status 1: a
     status has changed, or the mean difference is above 1 dB.
     """
-    from jointplay.app.commands.build import processors
     from jointplay.app.errors import DamagedCatalogueError
+    from jointplay.catalogue.building.executors import count_processors
     from jointplay.catalogue.building.regenerate import TOLERANCE_DB, regenerate
     from jointplay.catalogue.storage.store import Catalogue
 
     opened = Catalogue.open(existing_catalogue(catalogue))
     with ProgressLine("simulating", "cases") as line:
-        report = regenerate(opened, sample, seed=seed, workers=workers or processors(), progress=line.show)
+        report = regenerate(opened, sample, seed=seed, workers=workers or count_processors(), progress=line.show)
     if as_json:
         print_json(document(report, catalogue))
     else:

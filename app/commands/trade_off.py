@@ -10,7 +10,7 @@ import click
 
 from jointplay.app.commands.parameters import Decibels, drive_speed, json_option, print_json
 from jointplay.app.commands.progress import ProgressLine
-from jointplay.app.commands.tables import indented, table
+from jointplay.app.tables import indented, table
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine

@@ -13,10 +13,10 @@ import click
 
 from jointplay.app import words
 from jointplay.app.cli import run
-from jointplay.app.commands.build import processors
 from jointplay.app.commands.diagnose import ranking
 from jointplay.app.commands.progress import ProgressLine
-from jointplay.app.commands.tables import indented
+from jointplay.app.tables import indented
+from jointplay.catalogue.building.executors import count_processors
 
 MACHINE = "quick-return"
 PLAN = "quick"
@@ -67,7 +67,7 @@ def build_catalogue() -> None:
                 machine,
                 plan,
                 CATALOGUE,
-                workers=processors(),
+                workers=count_processors(),
                 progress=lambda state: line.show(state.done, state.total),
             )
         made = f"built in {report.seconds:.1f} s" if report.added else "there already"

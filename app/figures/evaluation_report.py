@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from jointplay.app.commands.tables import indented, table
+from jointplay.app.tables import indented, table
 from jointplay.catalogue.evaluation.study import Row, Study
 from jointplay.catalogue.evaluation.sweep import Sweep
 

@@ -15,8 +15,8 @@ from starlette.types import Scope as Connection
 
 from jointplay.app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
 from jointplay.app.http.handlers import answer, problem_from
+from jointplay.app.http.page_templates import is_fragment, is_page
 from jointplay.app.http.rates import TokenBuckets
-from jointplay.app.pages.page_templates import is_fragment, is_page
 from jointplay.app.scopes import READING, scope_of
 from jointplay.app.settings import Settings
 

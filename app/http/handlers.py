@@ -15,8 +15,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
 
 from jointplay.app.errors import AppError, BadRequestError
+from jointplay.app.http.page_templates import is_page, problem_page
 from jointplay.app.jobs.workers import TaskFailedError
-from jointplay.app.pages.page_templates import is_page, problem_page
 from jointplay.app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError

@@ -1,91 +1,18 @@
-"""What can be counted of the service, in the form that Prometheus collects."""
+"""How a service is at the moment it is asked, for Prometheus."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
 
 import psutil
-from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 from sqlalchemy.exc import SQLAlchemyError
 
-if TYPE_CHECKING:
-    from jointplay.app.service import Service
+from jointplay.app.service import Service
 
 log = logging.getLogger(__name__)
-
-METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
-OTHER = "other"
-NO_ROUTE = "none"
-SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0)
-"""Upper bounds of the classes of times [s]."""
-
-
-class Metrics:
-    """Counts of one running service; every label has few values, which no client can add to.
-
-    Attributes
-    ----------
-    registry : CollectorRegistry
-        Of this service alone.
-    """
-
-    def __init__(self) -> None:
-        self.registry = CollectorRegistry()
-
-        def counter(name: str, says: str, *labels: str) -> Counter:
-            return Counter(f"jointplay_{name}", says, labels, registry=self.registry)
-
-        def histogram(name: str, says: str, *labels: str) -> Histogram:
-            return Histogram(f"jointplay_{name}", says, labels, registry=self.registry, buckets=SECONDS)
-
-        self._requests = counter("http_requests", "Requests answered.", "method", "route", "status")
-        self._request_seconds = histogram(
-            "http_request_duration_seconds", "From a request to the end of its answer.", "method", "route"
-        )
-        self._diagnoses = counter("diagnoses", "Diagnoses made.", "effort", "mode", "verdict")
-        self._refused = counter("uploads_refused", "Uploads that were not taken.", "reason")
-        self._deliveries = counter("webhook_attempts", "Attempts to tell a webhook something.", "outcome")
-        self._queue_seconds = histogram("task_queue_seconds", "Time that tasks waited for a worker.", "task")
-        self._worker_seconds = histogram("task_worker_seconds", "Time of tasks in a worker.", "task", "outcome")
-        ProcessCollector(registry=self.registry)  # of the server itself, where the system tells
-
-    def answered(self, method: str, route: str | None, status: int, seconds: float) -> None:
-        """Count an answer."""
-        labels = (method if method in METHODS else OTHER, route or NO_ROUTE)
-        self._requests.labels(*labels, str(status)).inc()
-        self._request_seconds.labels(*labels).observe(seconds)
-
-    def refused(self, reason: str) -> None:
-        """Count an upload that was refused, by the kind of problem."""
-        self._refused.labels(reason).inc()
-
-    def diagnosed(self, result: Any) -> None:
-        """Count a diagnosis."""
-        self._diagnoses.labels(result["effort"], result["mode"]["used"], result["verdict"]).inc()
-
-    def delivered(self, outcome: str) -> None:
-        """Count an attempt of a webhook: ``delivered``, ``failed``, or ``given_up`` after the last that failed."""
-        self._deliveries.labels(outcome).inc()
-
-    def waited(self, task: str, seconds: float) -> None:
-        """Count a task that got a worker."""
-        self._queue_seconds.labels(task).observe(seconds)
-
-    def worked(self, task: str, outcome: str, seconds: float) -> None:
-        """Count a task that a worker is done with."""
-        self._worker_seconds.labels(task, outcome).observe(seconds)
-
-    def watch(self, service: Service) -> None:
-        """Show the state of a service, too."""
-        self.registry.register(State(service))
-
-    def text(self) -> bytes:
-        """Return all of it in the text format of Prometheus."""
-        return generate_latest(self.registry)
 
 
 class State(Collector):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +14,7 @@ from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.schemas.resources import ProblemDocument
 from jointplay.app.scopes import scope_of
 
-API_VERSION = "2.3.0"
+API_VERSION = "2.3.1"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {
@@ -129,15 +127,3 @@ def with_security(document: dict[str, Any]) -> dict[str, Any]:
             scope = scope_of(method.upper(), path)
             operation["security"] = [{name: [scope.value]} for name in SCHEMES] if scope is not None else []
     return document
-
-
-def main() -> None:
-    """Print the document, for ``docs/openapi.json``."""
-    from jointplay.app.main import create_app
-    from jointplay.app.settings import Settings
-
-    sys.stdout.write(json.dumps(create_app(Settings(keys="required")).openapi(), indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()

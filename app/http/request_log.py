@@ -18,8 +18,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from jointplay.app import logs
 from jointplay.app.errors import NotReadyError
 from jointplay.app.http.handlers import handle
-from jointplay.app.http.metrics import Metrics
-from jointplay.app.storage.uploads import MULTIPART
+from jointplay.app.http.uploads import MULTIPART
+from jointplay.app.metrics import Metrics
 
 HEADER = "X-Request-ID"
 SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")

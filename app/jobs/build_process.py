@@ -61,14 +61,14 @@ def work(order: Order, sender: Connection) -> None:
 
 def built(order: Order, sender: Connection) -> Told:
     """Build, train, and return how it ended."""
-    from jointplay.app.commands.build import cluster, processors
     from jointplay.catalogue.building.build import Progress, build
+    from jointplay.catalogue.building.executors import count_processors
     from jointplay.catalogue.building.network_building import train_networks
     from jointplay.catalogue.plans.plan import parse_plan
     from jointplay.catalogue.storage.store import Catalogue
     from jointplay.solver.machines.machine import parse_machine
 
-    workers = order.workers or processors()
+    workers = order.workers or count_processors()
 
     def cases(state: Progress) -> None:
         values = {
@@ -88,7 +88,12 @@ def built(order: Order, sender: Connection) -> Told:
 
     machine, plan = parse_machine(order.machine), parse_plan(order.plan)
     with ExitStack() as stack:
-        executor = stack.enter_context(cluster(order.scheduler, said)) if order.scheduler else None
+        executor = None
+        if order.scheduler:
+            from jointplay.catalogue.building.cluster import DaskCluster
+
+            executor = DaskCluster(order.scheduler, tell=said)
+            stack.callback(executor.close, at_once=True)
         report = build(machine, plan, order.folder, workers=workers, progress=cases, executor=executor)
     found = {"catalogue_id": Catalogue.open(order.folder).id}
     if report.lost:

@@ -10,11 +10,11 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.http.uploads import media_type
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.service import speed_of
 from jointplay.app.storage.told import TOLD
-from jointplay.app.storage.uploads import media_type
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.signals.sensors import matched_by_name

@@ -12,12 +12,12 @@ from jointplay.app.errors import BadFieldError, UnknownMeasurementError
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
+from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, AssetOut, AssetPage
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
 from jointplay.app.storage.store import aware
-from jointplay.app.storage.uploads import JSON_TYPE, json_body
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 

@@ -12,9 +12,9 @@ from jointplay.app.errors import BadFieldError
 from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.figures.spectra import NAMES, UNITS
 from jointplay.app.http.handlers import note, problem_from
+from jointplay.app.http.page_templates import is_fragment, templates
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, plain_number
-from jointplay.app.pages.page_templates import is_fragment, templates
 from jointplay.app.routes.pages import REFUSALS, context
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer

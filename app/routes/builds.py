@@ -20,14 +20,14 @@ from jointplay.app.errors import UnsupportedMediaError
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
+from jointplay.app.http.uploads import media_type
 from jointplay.app.jobs.build_orders import order
 from jointplay.app.routes.diagnoses import JSON_TYPE, parsed
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.builds import BuildOut, BuildPage, BuildRequest, build_out
+from jointplay.app.schemas.builds import BuildOut, BuildPage, BuildRequest
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.build_queue import ENDED
+from jointplay.app.storage.build_queue import ENDED, build_out
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.uploads import media_type
 
 router = APIRouter(prefix="/builds", tags=["builds"])
 log = logging.getLogger(__name__)

@@ -18,6 +18,7 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
+from jointplay.app.http.uploads import MULTIPART, Form, media_type, received_form
 from jointplay.app.routes.findings import Only, Since
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import DiagnosisItem, DiagnosisPage, DiagnosisRequest
@@ -27,7 +28,6 @@ from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.results import DiagnosisOut, diagnosis_out
 from jointplay.app.storage.store import DiagnosisRow, aware, measurement_key
 from jointplay.app.storage.told import TOLD, Told, told_of
-from jointplay.app.storage.uploads import MULTIPART, Form, media_type, received_form
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 

@@ -10,6 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
+from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.moments import Moment
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
@@ -17,7 +18,6 @@ from jointplay.app.service import of_request
 from jointplay.app.storage.assets import Assets, FindingRow
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.store import aware
-from jointplay.app.storage.uploads import JSON_TYPE, json_body
 
 router = APIRouter(tags=["findings"])
 

@@ -13,11 +13,11 @@ from jointplay.app.errors import BadRequestError, UnsupportedMediaError
 from jointplay.app.etags import Conditions, respond, tag
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import DRAWING, problems
+from jointplay.app.http.uploads import media_type
 from jointplay.app.jobs import tasks
 from jointplay.app.schemas.resources import MachineItem, MachinePage
 from jointplay.app.service import of_request
 from jointplay.app.storage.machine_store import check_name
-from jointplay.app.storage.uploads import media_type
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.machine import Machine, shipped_machine_names
 

@@ -11,15 +11,15 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
+from jointplay.app.http.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
+from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.routes.findings import Only
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import MeasurementOut, MeasurementPage
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import measurements_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
 from jointplay.app.storage.store import MeasurementRow, aware
-from jointplay.app.storage.uploads import MULTIPART
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 

@@ -19,10 +19,11 @@ from starlette.responses import RedirectResponse, Response
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.etags import respond
 from jointplay.app.http.handlers import note, problem_from
+from jointplay.app.http.page_templates import is_fragment, templates
+from jointplay.app.http.uploads import received_form
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding
 from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, wanted
-from jointplay.app.pages.page_templates import is_fragment, templates
 from jointplay.app.pages.understood import confirmation
 from jointplay.app.pages.views import view
 from jointplay.app.problems import Problem
@@ -30,7 +31,6 @@ from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.store import DiagnosisRow
 from jointplay.app.storage.told import told_of
-from jointplay.app.storage.uploads import received_form
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from jointplay.app.schemas.resources import Page, Shape
-from jointplay.app.storage.build_queue import BuildRow, State
-from jointplay.app.storage.store import aware
+
+State = Literal["queued", "running", "done", "failed", "cancelled", "worker_lost"]
 
 CATALOGUE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
@@ -64,17 +64,3 @@ class BuildPage(Page):
     """A page of builds."""
 
     items: list[BuildOut]
-
-
-def build_out(row: BuildRow) -> BuildOut:
-    """Return the outside shape of a build."""
-    same = ("id", "plan_hash", "catalogue", "catalogue_id", "workers", "state", "message")
-    counts = ("cases_done", "cases_total", "rate_per_s", "seconds_left", "attempts")
-    return BuildOut(
-        **{name: getattr(row, name) for name in (*same, *counts)},
-        machine=row.machine["name"],
-        plan=row.plan["name"],
-        created_at=aware(row.created_at),
-        started_at=aware(row.started_at) if row.started_at else None,
-        ended_at=aware(row.ended_at) if row.ended_at else None,
-    )

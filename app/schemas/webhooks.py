@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
 from jointplay.app.schemas.resources import Page, Shape
-from jointplay.app.storage.webhooks import EVENTS, Event
+
+Event = Literal["diagnosis.created", "finding.created"]
+EVENTS: tuple[str, ...] = get_args(Event)
 
 
 class WebhookIn(Shape):

@@ -22,7 +22,8 @@ from sqlalchemy.engine import URL, make_url
 
 from jointplay.app.errors import BackupError
 from jointplay.app.storage.database import REVISION, Database, database_url
-from jointplay.app.storage.store import Base, MeasurementRow, now, recording_path
+from jointplay.app.storage.store import MeasurementRow, now, recording_path
+from jointplay.app.storage.tables import TABLES
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, sync_folder
 
 FORMAT = 1
@@ -80,7 +81,6 @@ def back_up(place: Place, target: Path, *, catalogues: bool = True) -> dict[str,
     BackupError
         There is nothing to copy, the folder is not empty, or a recording is not what it was.
     """
-    known_tables()
     if not place.database and not (place.data / ROWS).is_file():
         raise BackupError(f"{place.data}: holds no data of a service")
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
@@ -127,7 +127,6 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
     BackupError
         It is no complete backup, something in it is not what it was, or there is something at the place already.
     """
-    known_tables()
     content = sealed(source)
     if (source / "catalogues").is_dir() and any(found(place)):
         raise BackupError(f"{place.catalogues}: holds catalogues already")
@@ -170,11 +169,6 @@ def sealed(source: Path) -> dict[str, Any]:
     return content
 
 
-def known_tables() -> None:
-    """Load every module that has a table."""
-    import jointplay.app.main  # noqa: F401
-
-
 def sqlite(path: Path) -> URL:
     """Return the URL of a file."""
     return URL.create("sqlite", database=str(path))
@@ -183,7 +177,7 @@ def sqlite(path: Path) -> URL:
 @contextmanager
 def opened(url: URL) -> Iterator[Database]:
     """A database, which is made or brought up to date."""
-    database = Database(make_url(url), Base.metadata)
+    database = Database(make_url(url), TABLES)
     try:
         yield database
     finally:
@@ -193,9 +187,7 @@ def opened(url: URL) -> Iterator[Database]:
 def rows_in(database: Database) -> int:
     """Return the number of rows in all tables."""
     with database.reading() as session:
-        return sum(
-            session.scalar(select(func.count()).select_from(table)) or 0 for table in Base.metadata.sorted_tables
-        )
+        return sum(session.scalar(select(func.count()).select_from(table)) or 0 for table in TABLES.sorted_tables)
 
 
 def copy_rows(source: Database, target: Database) -> dict[str, int]:
@@ -204,7 +196,7 @@ def copy_rows(source: Database, target: Database) -> dict[str, int]:
     with source.engine.connect() as plain, target.writing() as session:
         # SQLite shows a transaction one moment anyway.
         reading = plain if source.is_sqlite else plain.execution_options(isolation_level="REPEATABLE READ")
-        for table in Base.metadata.sorted_tables:
+        for table in TABLES.sorted_tables:
             counts[table.name] = 0
             for chunk in reading.execute(select(table)).mappings().partitions(CHUNK):
                 session.execute(insert(table), [dict(row) for row in chunk])

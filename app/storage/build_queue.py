@@ -11,20 +11,19 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 from sqlalchemy import Double, String, Text, and_, func, or_, select
 from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 
 from jointplay.app.errors import BuildEndedError, UnknownBuildError
 from jointplay.app.logs import request_id
+from jointplay.app.schemas.builds import BuildOut, State
 from jointplay.app.storage.database import Database
-from jointplay.app.storage.store import Base, newest, now
+from jointplay.app.storage.store import Base, aware, newest, now
 
 ATTEMPTS = 5
 """How often a build is begun before one whose process or server dies each time is given up."""
-
-State = Literal["queued", "running", "done", "failed", "cancelled", "worker_lost"]
 
 ENDED: frozenset[State] = frozenset({"done", "failed", "cancelled", "worker_lost"})
 """States that a build does not leave."""
@@ -256,3 +255,17 @@ class BuildQueue:
         if self._database.is_sqlite:
             return time.time()
         return float(session.scalar(select(func.extract("epoch", func.clock_timestamp()))) or 0.0)
+
+
+def build_out(row: BuildRow) -> BuildOut:
+    """Return the outside shape of a build."""
+    same = ("id", "plan_hash", "catalogue", "catalogue_id", "workers", "state", "message")
+    counts = ("cases_done", "cases_total", "rate_per_s", "seconds_left", "attempts")
+    return BuildOut(
+        **{name: getattr(row, name) for name in (*same, *counts)},
+        machine=row.machine["name"],
+        plan=row.plan["name"],
+        created_at=aware(row.created_at),
+        started_at=aware(row.started_at) if row.started_at else None,
+        ended_at=aware(row.ended_at) if row.ended_at else None,
+    )

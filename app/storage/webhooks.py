@@ -12,18 +12,17 @@ import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any, Literal, get_args
+from typing import Any
 
 from sqlalchemy import JSON, ForeignKey, String, Text, delete, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from jointplay.app.errors import UnknownWebhookError
+from jointplay.app.schemas.webhooks import Event
 from jointplay.app.storage import idempotency
 from jointplay.app.storage.database import Database, is_id
 from jointplay.app.storage.store import Base, newest, now
 
-Event = Literal["diagnosis.created", "finding.created"]
-EVENTS: tuple[str, ...] = get_args(Event)
 SIGNATURE = "Jointplay-Signature"
 LEASE = timedelta(seconds=120)
 """Longer than one attempt can take: a delivery that was taken by a server that died is free again after it."""

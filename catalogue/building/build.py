@@ -11,6 +11,7 @@ from jointplay.catalogue.building.chunk import Chunk, Compute, chunked, simulate
 from jointplay.catalogue.building.executors import Executor, InProcess, LocalProcesses
 from jointplay.catalogue.building.scheduling import Scheduler, Tally
 from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.storage.database import Database
@@ -164,7 +165,7 @@ def build(
     """
     started = time.monotonic()
     plan = plan.resolved(machine)
-    wanted = plan.entries(machine)
+    wanted = entries_of(plan, machine)
     check_assembly(machine)
     layout = CatalogueDirectory(Path(directory))
     if index is not None:

@@ -14,12 +14,17 @@ from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, TypeVar
 
-__all__ = ["Executor", "InProcess", "LocalProcesses"]
+__all__ = ["Executor", "InProcess", "LocalProcesses", "count_processors"]
 
 _STARTING = threading.Lock()
 
 A = TypeVar("A")
 R = TypeVar("R")
+
+
+def count_processors() -> int:
+    """Return the number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Executor(Protocol):

@@ -34,6 +34,17 @@ class Disturbance(Protocol):
         """Return what ideal sensors report of it (n, s), m/s2, beside a signal (n, s) of the machine."""
 
 
+class Flaw(Protocol):
+    """What is wrong with sensors or the recorder."""
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Sensors that are to be named; none where the recorder is at fault."""
+
+    def of(self, names: tuple[str, ...], sample_rate: float, signal: FloatArray) -> FloatArray:
+        """Return what is recorded of a signal (n, s) of sensors of these names."""
+
+
 @dataclass(frozen=True)
 class Tones:
     """Steady tones of one force: harmonics of another machine, or a mesh of teeth.

@@ -13,11 +13,14 @@ import numpy as np
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.differences import DIFFERENCES
 from jointplay.catalogue.evaluation.spoiling import SPOILINGS
+from jointplay.catalogue.evaluation.truth import Truth, drawn_contacts
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine
 
-__all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "protocols_of", "with_noise"]
+__all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "draw_truth", "protocols_of", "with_noise"]
 
 Kind = Literal["listed", "healthy", "singles", "pairs", "triples", "sets"]
 
@@ -239,3 +242,29 @@ def with_noise(protocol: Protocol, noise: float) -> Protocol:
     x, y, theta = protocol.frame_noise
     factor = noise / max(x, y)
     return replace(protocol, name=name, frame_noise=(factor * x, factor * y, factor * theta))
+
+
+def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: Protocol, seed: int, number: int) -> Truth:
+    """Draw a machine of a hypothesis under the conditions of a protocol, without the protocol's differences.
+
+    What is drawn follows from seed, hypothesis and number alone where protocols ask for the same ranges: so the
+    recordings of two protocols differ only in what the protocols differ in.
+    """
+    draws = np.random.default_rng(seed_from("truth", seed, hypothesis.label, number))
+    joints = tuple(sorted(machine.turning_joints))
+    ranges = {joint: protocol.clearance if joint in hypothesis.joints else protocol.fits for joint in joints}
+    clearances = {
+        joint: float(math.exp(draws.uniform(math.log(low), math.log(high)))) for joint, (low, high) in ranges.items()
+    }
+    speed = nominal_drive_speed(machine) * (1.0 + float(draws.uniform(-protocol.speed, protocol.speed)))
+    friction = {f"joints.{joint}.contact.friction": float(draws.uniform(*protocol.friction)) for joint in joints}
+    parameters = {"drive.speed": speed, **friction, **drawn_contacts(machine, joints, protocol.scatter, draws)}
+    return Truth(
+        hypothesis=hypothesis,
+        machine=machine,
+        clearances=clearances,
+        parameters=parameters,
+        seconds=protocol.least_revolutions * 2.0 * math.pi / abs(speed),
+        gains=(1.0,) * len(machine.sensors),
+        seed=seed_from("noise", seed, hypothesis.label, number),
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.plans.keys import seed_from
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["SPOILINGS", "Clipped", "DropOut", "Flaw", "FlawedSensors", "Spoiling", "with_spoiling"]
+__all__ = ["SPOILINGS", "Clipped", "DropOut", "FlawedSensors", "Spoiling", "with_spoiling"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,17 +31,6 @@ SHORT_GAP, LONG_GAP = 0.025, 0.5
 
 NEIGHBOUR_HARMONICS = 5
 """Tones of another machine."""
-
-
-class Flaw(Protocol):
-    """What is wrong with sensors or the recorder."""
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Sensors that are to be named; none where the recorder is at fault."""
-
-    def of(self, names: tuple[str, ...], sample_rate: float, signal: FloatArray) -> FloatArray:
-        """Return what is recorded of a signal (n, s) of sensors of these names."""
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.evaluation.differences import with_differences
 from jointplay.catalogue.evaluation.hidden import hidden
 from jointplay.catalogue.evaluation.metrics import Answered, Figures, figures
-from jointplay.catalogue.evaluation.protocols import Protocol, protocols_of
+from jointplay.catalogue.evaluation.protocols import Protocol, draw_truth, protocols_of
 from jointplay.catalogue.evaluation.recordings import TOGETHER, Recordings, recorded
 from jointplay.catalogue.evaluation.spoiling import with_spoiling
-from jointplay.catalogue.evaluation.truth import Truth, draw_truth
+from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.matching.cosine import CosineEntry
 from jointplay.catalogue.matching.matcher import Matcher
 from jointplay.catalogue.matching.model_library import ModelLibrary

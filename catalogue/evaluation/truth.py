@@ -5,21 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jointplay.catalogue.evaluation.elsewhere import Disturbance, Flaw
 from jointplay.catalogue.evaluation.response import Response
 from jointplay.catalogue.plans.entry import Hypothesis
-from jointplay.catalogue.plans.keys import seed_from
-from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.machine import Machine
-
-if TYPE_CHECKING:
-    from jointplay.catalogue.evaluation.elsewhere import Disturbance
-    from jointplay.catalogue.evaluation.protocols import Protocol
-    from jointplay.catalogue.evaluation.spoiling import Flaw
 
 RESTITUTION = (0.5, 0.85)
 """Drawn restitutions, uniform."""
@@ -71,32 +64,6 @@ class Truth:
     def joints(self) -> tuple[str, ...]:
         """Joints with clearance: all turning joints."""
         return tuple(self.clearances)
-
-
-def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: Protocol, seed: int, number: int) -> Truth:
-    """Draw a machine of a hypothesis under the conditions of a protocol, without the protocol's differences.
-
-    What is drawn follows from seed, hypothesis and number alone where protocols ask for the same ranges: so the
-    recordings of two protocols differ only in what the protocols differ in.
-    """
-    draws = np.random.default_rng(seed_from("truth", seed, hypothesis.label, number))
-    joints = tuple(sorted(machine.turning_joints))
-    ranges = {joint: protocol.clearance if joint in hypothesis.joints else protocol.fits for joint in joints}
-    clearances = {
-        joint: float(math.exp(draws.uniform(math.log(low), math.log(high)))) for joint, (low, high) in ranges.items()
-    }
-    speed = nominal_drive_speed(machine) * (1.0 + float(draws.uniform(-protocol.speed, protocol.speed)))
-    friction = {f"joints.{joint}.contact.friction": float(draws.uniform(*protocol.friction)) for joint in joints}
-    parameters = {"drive.speed": speed, **friction, **drawn_contacts(machine, joints, protocol.scatter, draws)}
-    return Truth(
-        hypothesis=hypothesis,
-        machine=machine,
-        clearances=clearances,
-        parameters=parameters,
-        seconds=protocol.least_revolutions * 2.0 * math.pi / abs(speed),
-        gains=(1.0,) * len(machine.sensors),
-        seed=seed_from("noise", seed, hypothesis.label, number),
-    )
 
 
 def drawn_contacts(

@@ -6,21 +6,26 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations
-from typing import TYPE_CHECKING
 
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.draws import Distribution, log_uniform, unit_draws
 from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
 from jointplay.catalogue.plans.keys import seed_from
-from jointplay.catalogue.plans.parameters import LOAD, SHARED, MachineNumbers, Scatter, load_order, ripple_order
+from jointplay.catalogue.plans.parameters import (
+    LOAD,
+    SHARED,
+    MachineNumbers,
+    Scatter,
+    check_drawable,
+    load_order,
+    ripple_order,
+)
+from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
-if TYPE_CHECKING:
-    from jointplay.catalogue.plans.plan import Plan
-
-__all__ = ["cases_of", "hypotheses_of", "sequences_of", "travel"]
+__all__ = ["entries_of", "hypotheses_of", "sequences_of", "travel"]
 
 TRAVEL_SHARE = 0.1
 """Largest clearance of a joint, as a part of its distance to the next joint of its links: beyond, a pin would leave its
@@ -105,13 +110,25 @@ def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
                 yield from (Sequence(hypothesis, stratum, speed, asked) for speed in plan.speeds)
 
 
-def cases_of(plan: Plan, machine: Machine, recipe: Recipe) -> Iterator[Entry]:
-    """Every case of a plan, sequence by sequence, then by draw; see
-    :meth:`jointplay.catalogue.plans.plan.Plan.entries`.
+def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
+    """Every case of a plan for a machine: by hypothesis, stratum, speed, then by draw.
+
+    Draw i of a hypothesis, stratum and speed is point i of one space-filling sequence over clearances, contact law
+    and all that is uncertain; it does not depend on what else the plan asks for. So a plan with more draws or
+    hypotheses contains the cases of the smaller one, and any number of first draws covers everything evenly.
+
+    Raises
+    ------
+    PlanError
+        A path of `uncertain` that the machine does not have or cannot vary; a set with a joint that it does not
+        have; a machine without a constant drive speed.
     """
-    drawing = _Drawing(plan, machine, recipe)
-    for sequence in sequences_of(plan, machine):
-        yield from drawing.entries(sequence)
+    plan = plan.resolved(machine)
+    strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
+    for stratum in strata:
+        check_drawable(machine, frozenset(plan.spread(machine, stratum)))
+    drawing = _Drawing(plan, machine, plan.recipe(machine))
+    return tuple(entry for sequence in sequences_of(plan, machine) for entry in drawing.entries(sequence))
 
 
 @dataclass

@@ -11,11 +11,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from jointplay.catalogue.errors import PlanError
-from jointplay.catalogue.plans.cases import cases_of
 from jointplay.catalogue.plans.draws import Distribution
-from jointplay.catalogue.plans.entry import Entry, Recipe, Stratum
+from jointplay.catalogue.plans.entry import Recipe, Stratum
 from jointplay.catalogue.plans.keys import content_digest
-from jointplay.catalogue.plans.parameters import check_drawable, nominal_drive_speed
+from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.plans.plan_parts import Auto, Bands, ClearanceRange, Draws, Fits, Wide
 from jointplay.catalogue.plans.ranges import default_laws, default_uncertain, default_wide
 from jointplay.catalogue.plans.variants import LawChoice
@@ -179,25 +178,6 @@ class Plan(Part):
         assert plan.uncertain is not None
         assert plan.wide.uncertain is not None
         return {**plan.uncertain, **plan.wide.uncertain} if stratum == "wide" else dict(plan.uncertain)
-
-    def entries(self, machine: Machine) -> tuple[Entry, ...]:
-        """Every case of this plan for `machine`: by hypothesis, stratum, speed, then by draw.
-
-        Draw i of a hypothesis, stratum and speed is point i of one space-filling sequence over clearances, contact law
-        and all that is uncertain; it does not depend on what else the plan asks for. So a plan with more draws or
-        hypotheses contains the cases of the smaller one, and any number of first draws covers everything evenly.
-
-        Raises
-        ------
-        PlanError
-            A path of `uncertain` that the machine does not have or cannot vary; a set with a joint that it does not
-            have; a machine without a constant drive speed.
-        """
-        plan = self.resolved(machine)
-        strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
-        for stratum in strata:
-            check_drawable(machine, frozenset(plan.spread(machine, stratum)))
-        return tuple(cases_of(plan, machine, plan.recipe(machine)))
 
 
 def parse_plan(content: str | Mapping[str, object], source: str = "plan") -> Plan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import Draws
 from jointplay.solver.machines.machine import Machine
@@ -25,12 +26,12 @@ def check_plan(plan: Plan, machine: Machine, source: str = "plan") -> None:
     Raises
     ------
     PlanError
-        As :meth:`jointplay.catalogue.plans.plan.Plan.entries`, with all of it: file, dotted path in the plan, what
+        As :func:`jointplay.catalogue.plans.cases.entries_of`, with all of it: file, dotted path in the plan, what
         stands there, rule.
     """
     plan = plan.resolved(machine)
     try:
-        plan.model_copy(update={"draws": _ONCE}).entries(machine)
+        entries_of(plan.model_copy(update={"draws": _ONCE}), machine)
     except PlanError as error:
         raise _placed(error, plan, source) from None
 

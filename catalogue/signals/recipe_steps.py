@@ -20,7 +20,7 @@ class RecipeStep(BaseModel):
         "sensors", "steady part", "disturbances", "drive speed", "hum", "noise floor", "angular resampling", "bands",
         "sensors checked", "gains".
     version : str
-        :data:`jointplay.catalogue.FEATURES_VERSION` of the program that took it.
+        Of all features of the program that took it: raised when any step would do something else.
     parameters : mapping of str to number or str
         Settings of the step, SI.
     found : str

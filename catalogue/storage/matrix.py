@@ -9,26 +9,48 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cached_property
-from typing import IO, TYPE_CHECKING, Self
+from typing import IO, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.catalogue.plans.entry import Hypothesis, Recipe, Stratum
 from jointplay.catalogue.storage.cross_power import unpack
+from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.gathering import Gathered, Numbers, gather
 from jointplay.catalogue.storage.matrix_columns import Columns, IntArray, MemoryColumns, hexadecimal
 from jointplay.catalogue.storage.matrix_files import MappedColumns, write_matrix
 from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Guard, MatrixHeader, Ranges
-from jointplay.catalogue.storage.shard import OK
+from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.catalogue.storage.table import EntryTable
-
-if TYPE_CHECKING:
-    from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine
 
 __all__ = ["FeatureMatrix", "Guard", "Ranges"]
+
+
+class Source(Protocol):
+    """What a matrix is made of: a catalogue in some state."""
+
+    @property
+    def id(self) -> str:
+        """Of the catalogue in this state."""
+
+    @property
+    def layout(self) -> CatalogueDirectory:
+        """Its folder."""
+
+    @property
+    def machine(self) -> Machine:
+        """What it is of."""
+
+    @property
+    def recipe(self) -> Recipe:
+        """How every entry is computed."""
+
+    def shards(self) -> Iterator[Shard]:
+        """All of them, one at a time."""
 
 
 class FeatureMatrix:
@@ -50,7 +72,7 @@ class FeatureMatrix:
         self.nominal_speed = nominal_speed
 
     @classmethod
-    def in_memory(cls, catalogue: Catalogue) -> Self:
+    def in_memory(cls, catalogue: Source) -> Self:
         """Make the matrix of a catalogue without writing anything: about 2 kB an entry.
 
         Raises
@@ -63,7 +85,7 @@ class FeatureMatrix:
             return cls(gathered.header, MemoryColumns.of(gathered), catalogue.recipe.nominal_drive_speed)
 
     @classmethod
-    def open(cls, catalogue: Catalogue) -> Self | None:
+    def open(cls, catalogue: Source) -> Self | None:
         """Map the published matrix of a catalogue; None if there is none, or only one of another state of it.
 
         Raises
@@ -75,7 +97,7 @@ class FeatureMatrix:
         return None if columns is None else cls(columns.header, columns, catalogue.recipe.nominal_drive_speed)
 
     @classmethod
-    def publish(cls, catalogue: Catalogue) -> Self:
+    def publish(cls, catalogue: Source) -> Self:
         """Write the matrix of a catalogue, as a build and a check do at their ends, and map it.
 
         It takes its name only when it is complete; one that is there already and in order stays. What is returned was
@@ -88,7 +110,7 @@ class FeatureMatrix:
         """
         columns = MappedColumns.sound(catalogue.layout, catalogue.id)
         if columns is None:
-            with tempfile.TemporaryFile(dir=catalogue.path) as waiting:
+            with tempfile.TemporaryFile(dir=catalogue.layout.root) as waiting:
                 columns = write_matrix(catalogue.layout, _gathered(catalogue, waiting))
         return cls(columns.header, columns, catalogue.recipe.nominal_drive_speed)
 
@@ -295,8 +317,8 @@ class FeatureMatrix:
         return Guard(len(found), float(found.mean()), float(np.quantile(found, 0.9))) if len(found) else None
 
 
-def _gathered(catalogue: Catalogue, waiting: IO[bytes]) -> Gathered:
-    return gather(catalogue.id, catalogue.machine, catalogue.scheme, catalogue.shards(), waiting)
+def _gathered(catalogue: Source, waiting: IO[bytes]) -> Gathered:
+    return gather(catalogue.id, catalogue.machine, catalogue.recipe.scheme, catalogue.shards(), waiting)
 
 
 def _span(values: NDArray[np.float64]) -> tuple[float, float]:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING
 
+from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import RuleError
 from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact
 from jointplay.solver.machines.restitution import remark
-
-if TYPE_CHECKING:
-    from jointplay.solver.machines.machine import Machine
 
 __all__ = ["contact_breaches", "refuse_units_of_another_law", "restitution_remarks"]
 
@@ -52,13 +49,13 @@ def _foreign(path: str, contact: Contact) -> Iterator[_Breach]:
 
 
 def restitution_remarks(
-    machine: Machine, joints: Iterable[str], values: Mapping[str, float] | None = None
+    machine: MachineContent, joints: Iterable[str], values: Mapping[str, float] | None = None
 ) -> list[str]:
     """One line for each contact whose law returns a restitution far from the one it is asked for.
 
     Parameters
     ----------
-    machine : Machine
+    machine : MachineContent
     joints : iterable of str
         Turning joints to look at.
     values : mapping of str to float, optional

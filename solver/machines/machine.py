@@ -12,39 +12,27 @@ from collections.abc import Mapping
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, ValidationError, ValidationInfo, model_validator
+from pydantic import ValidationError, ValidationInfo, model_validator
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines import contact_rules, rules, units
-from jointplay.solver.machines.drives import Drive
-from jointplay.solver.machines.fields import Name, Quantity, Title, nearest, no_default
-from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
+from jointplay.solver.machines import contact_rules, rules
+from jointplay.solver.machines.content import MachineContent
+from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.matrix import read_matrix_form
-from jointplay.solver.machines.parts import Damper, Initial, Link, Load, Mount, Part, Sensor, Spring, Support
+from jointplay.solver.machines.parts import Damper, Mount, Spring
 from jointplay.solver.machines.refusals import first_error
 from jointplay.solver.machines.yamlfile import read_tree
 
 
-class Machine(Part):
+class Machine(MachineContent):
     """A planar machine in its drawn pose, all clearances closed.
 
     ``gravity`` [m/s2] acts in -y. ``frame`` names the link that carries the sensors; the first link unless said.
     What may be left out of a file is filled in here: the frame, each joint's pin and contact, free lengths.
     """
-
-    name: Title
-    gravity: Annotated[float, Quantity(units.ACCELERATION)] = 9.81
-    frame: Name = Field(default="", json_schema_extra=no_default)
-    links: Mapping[Name, Link]
-    defaults: Defaults = Defaults()
-    joints: Mapping[Name, Joint] = Field(default_factory=dict)
-    drive: Drive | None = None
-    initial: Initial = Initial()
-    supports: tuple[Support, ...] = ()
-    loads: tuple[Load, ...] = ()
-    sensors: tuple[Sensor, ...] = ()
 
     @model_validator(mode="before")
     @classmethod
@@ -66,16 +54,6 @@ class Machine(Part):
             return joint
         contact = joint.contact.over(self.defaults.contact)
         return joint.model_copy(update={"pin": joint.pin or joint.links[0], "contact": contact})
-
-    @property
-    def turning_joints(self) -> tuple[str, ...]:
-        """Names of the turning joints, in the order of the file."""
-        return tuple(name for name, joint in self.joints.items() if isinstance(joint, TurningJoint))
-
-    @property
-    def sliding_joints(self) -> tuple[str, ...]:
-        """Names of the sliding joints, in the order of the file."""
-        return tuple(name for name, joint in self.joints.items() if isinstance(joint, SlidingJoint))
 
     def canonical_json(self) -> str:
         """Return the whole machine as JSON, the same text for the same content: sorted keys, shortest exact numbers."""

@@ -12,12 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jointplay.solver.errors import MachineError
-
-if TYPE_CHECKING:
-    from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.content import MachineContent
 
 __all__ = ["MatrixForm", "MechanismMatrix", "matrix_tree", "read_matrix_form"]
 
@@ -40,12 +38,12 @@ class MechanismMatrix:
     rows: tuple[tuple[str, ...], ...]
 
     @classmethod
-    def from_machine(cls, machine: Machine, clearance_joints: Iterable[str] = ()) -> MechanismMatrix:
+    def from_machine(cls, machine: MachineContent, clearance_joints: Iterable[str] = ()) -> MechanismMatrix:
         """Write a machine's topology as a matrix.
 
         Parameters
         ----------
-        machine : Machine
+        machine : MachineContent
         clearance_joints : iterable of str
             Turning joints that have clearance.
 
@@ -135,7 +133,7 @@ def _symbols(row: object, count: int, path: str, source: str) -> tuple[str, ...]
     return tuple(str(item).removeprefix("+") for item in items)
 
 
-def _support_counts(machine: Machine) -> tuple[int, int]:
+def _support_counts(machine: MachineContent) -> tuple[int, int]:
     springs = dampers = 0
     for support in machine.supports:
         if support.link == machine.frame and support.to_link is None:
@@ -161,7 +159,7 @@ class MatrixForm:
     matrix: MechanismMatrix
     clearance_joints: tuple[str, ...]
 
-    def check_supports(self, machine: Machine, source: str) -> None:
+    def check_supports(self, machine: MachineContent, source: str) -> None:
         """Refuse a matrix whose corners do not count the supports that the file lists.
 
         Raises
@@ -265,7 +263,7 @@ def _joint(key: str, data: object, links: tuple[str, str], symbol: str, source: 
     return {**data, **derived}
 
 
-def matrix_tree(machine: Machine, clearance_joints: Iterable[str] = ()) -> dict[str, Any]:
+def matrix_tree(machine: MachineContent, clearance_joints: Iterable[str] = ()) -> dict[str, Any]:
     """Return a machine as a file's content in matrix form, as :func:`~jointplay.solver.machines.machine.parse_machine`
     reads.
 

@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.contact_rules import contact_breaches
+from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.parts import Damper, Spring
 from jointplay.solver.machines.refusals import shown
-
-if TYPE_CHECKING:
-    from jointplay.solver.machines.machine import Machine
 
 __all__ = ["check"]
 
@@ -30,7 +27,7 @@ class Breach:
     rule: str
 
 
-def check(machine: Machine, source: str) -> None:
+def check(machine: MachineContent, source: str) -> None:
     """Check everything that a single part cannot know about the others.
 
     Raises
@@ -49,7 +46,7 @@ def _known(path: str, name: str, names: Iterable[str], noun: str) -> Iterator[Br
         yield Breach(path, name, f"is not a {noun} of this machine{nearest(name, names)}")
 
 
-def _links(machine: Machine) -> Iterator[Breach]:
+def _links(machine: MachineContent) -> Iterator[Breach]:
     if not machine.links:
         yield Breach("links", None, "a machine needs at least one link, the frame")
     yield from _known("frame", machine.frame, machine.links, "link")
@@ -63,7 +60,7 @@ def _links(machine: Machine) -> Iterator[Breach]:
             yield Breach(f"{path}.locked", ", ".join(link.locked), "must name each motion once")
 
 
-def _joints(machine: Machine) -> Iterator[Breach]:
+def _joints(machine: MachineContent) -> Iterator[Breach]:
     for name, joint in machine.joints.items():
         path = f"joints.{name}"
         for index, link in enumerate(joint.links):
@@ -74,14 +71,14 @@ def _joints(machine: Machine) -> Iterator[Breach]:
             yield Breach(f"{path}.pin", joint.pin, f"must be one of the joint's links, {' or '.join(joint.links)}")
 
 
-def _contacts(machine: Machine) -> Iterator[Breach]:
+def _contacts(machine: MachineContent) -> Iterator[Breach]:
     turning = {name: joint for name, joint in machine.joints.items() if isinstance(joint, TurningJoint)}
     contacts = {f"joints.{name}.contact": joint.contact for name, joint in turning.items()}
     for path, value, rule in contact_breaches(machine.defaults.contact, contacts):
         yield Breach(path, value, rule)
 
 
-def _drive(machine: Machine) -> Iterator[Breach]:
+def _drive(machine: MachineContent) -> Iterator[Breach]:
     drive = machine.drive
     if drive is None:
         return
@@ -102,7 +99,7 @@ def _one_of(path: str, choices: Mapping[str, object]) -> Iterator[Breach]:
         yield Breach(path, None, rule)
 
 
-def _initial(machine: Machine) -> Iterator[Breach]:
+def _initial(machine: MachineContent) -> Iterator[Breach]:
     for name in machine.initial.velocities:
         if name not in machine.links:
             rule = f"is not a link of this machine{nearest(name, machine.links)}"
@@ -111,7 +108,7 @@ def _initial(machine: Machine) -> Iterator[Breach]:
             yield Breach(f"initial.velocities.{name}", None, "is fixed and cannot have a velocity")
 
 
-def _supports(machine: Machine) -> Iterator[Breach]:
+def _supports(machine: MachineContent) -> Iterator[Breach]:
     for index, support in enumerate(machine.supports):
         path = f"supports.{index}"
         yield from _known(f"{path}.link", support.link, machine.links, "link")
@@ -129,7 +126,7 @@ def _supports(machine: Machine) -> Iterator[Breach]:
                              "would make the free length negative")  # fmt: skip
 
 
-def _loads(machine: Machine) -> Iterator[Breach]:
+def _loads(machine: MachineContent) -> Iterator[Breach]:
     for index, load in enumerate(machine.loads):
         path = f"loads.{index}"
         yield from _known(f"{path}.link", load.link, machine.links, "link")
@@ -148,7 +145,7 @@ def _loads(machine: Machine) -> Iterator[Breach]:
                     yield Breach(f"{path}.{name}", None, "needs a rotation or torque drive: there is no drive angle")
 
 
-def _sensors(machine: Machine) -> Iterator[Breach]:
+def _sensors(machine: MachineContent) -> Iterator[Breach]:
     seen: set[str] = set()
     for index, sensor in enumerate(machine.sensors):
         if sensor.name in seen:
@@ -156,7 +153,7 @@ def _sensors(machine: Machine) -> Iterator[Breach]:
         seen.add(sensor.name)
 
 
-def _connections(machine: Machine) -> Iterator[Breach]:
+def _connections(machine: MachineContent) -> Iterator[Breach]:
     ground = object()  # a support without to_link holds a link on the ground, where the frame stands or floats
     neighbours: dict[object, set[object]] = {name: set() for name in (*machine.links, ground)}
     pairs: list[tuple[object, object]] = [joint.links for joint in machine.joints.values()]

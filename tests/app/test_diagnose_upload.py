@@ -11,10 +11,10 @@ from typing import Any, cast
 import pytest
 
 from jointplay.app.errors import AppError, BadFieldError, TimeLimitError, UnknownCatalogueError, WorkerDiedError
-from jointplay.app.http.metrics import Metrics
 from jointplay.app.jobs import tasks
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool, attempt
+from jointplay.app.metrics import Metrics
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.service import Service
 from jointplay.app.settings import Settings

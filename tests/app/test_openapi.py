@@ -15,7 +15,7 @@ from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("2.3.0", "470a126f22f09d4c")
+OF_VERSION = ("2.3.1", "789431559bac66ab")
 ASSET_MEASUREMENT = "/api/v1/assets/{external_id}/measurements/{measurement}"
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
@@ -28,7 +28,7 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_the_committed_document_is_up_to_date(document: dict[str, Any]) -> None:
     written = json.loads(COMMITTED.read_text(encoding="utf-8"))
     assert written == document, (
-        "run `python -m jointplay.app.http.openapi > docs/openapi.json`, and raise API_VERSION if it changed"
+        "run `python -m jointplay.app.openapi_document > docs/openapi.json`, and raise API_VERSION if it changed"
     )
 
 

@@ -15,9 +15,9 @@ from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 from webhook_listener import listening, tell
 
-from jointplay.app.http.metrics import Metrics
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.main import create_app
+from jointplay.app.metrics import Metrics
 from jointplay.app.scopes import Scope
 from jointplay.app.settings import Settings
 from jointplay.app.storage.build_queue import BuildQueue

@@ -8,6 +8,7 @@ import numpy as np
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.building.chunk import Chunk
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.shard import OK, Outcome
 from jointplay.solver.machines.machine import shipped_machine
@@ -41,6 +42,6 @@ def make(folder: Path) -> tuple[int, int]:
     """Make the catalogue; returns how many cases it has, and how many of them failed."""
     machine = shipped_machine("slider-crank")
     report = build(machine, PLAN, folder, workers=0, compute=compute)
-    failed = sum(fails(entry.key) for entry in PLAN.entries(machine))
+    failed = sum(fails(entry.key) for entry in entries_of(PLAN, machine))
     assert 0 < failed == sum(report.failed.values())
-    return len(PLAN.entries(machine)), failed
+    return len(entries_of(PLAN, machine)), failed

@@ -10,11 +10,12 @@ import numpy as np
 from fake_simulator import MACHINE, PLAN, compute, diverges
 
 from jointplay.catalogue.building.build import BuildReport, build
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import Plan, parse_plan
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.verify import verify
 
-KEYS = [entry.key for entry in PLAN.entries(MACHINE)]
+KEYS = [entry.key for entry in entries_of(PLAN, MACHINE)]
 FAILING = {key for key in KEYS if diverges(key)}
 
 
@@ -26,7 +27,7 @@ def quick_build(directory: Path, plan: Plan = PLAN, **options: Any) -> BuildRepo
 def assert_complete(directory: Path, plan: Plan = PLAN) -> None:
     """The catalogue holds exactly the plan, each entry once, and is sound."""
     catalogue = Catalogue.open(directory)
-    keys = {entry.key for entry in plan.entries(MACHINE)}
+    keys = {entry.key for entry in entries_of(plan, MACHINE)}
     assert sorted([*catalogue.entries.key, *catalogue.failed.key]) == sorted(keys)
     assert set(catalogue.failed.key) == {key for key in keys if diverges(key)}
     for key, power in zip(catalogue.entries.key, catalogue.power(), strict=True):

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import Plan, parse_plan
@@ -28,7 +29,7 @@ TREE: dict[str, Any] = {
 
 
 def keys(plan: Plan, machine: Machine = QUICK_RETURN) -> list[str]:
-    return [entry.key for entry in plan.entries(machine)]
+    return [entry.key for entry in entries_of(plan, machine)]
 
 
 def plan_of(**changes: Any) -> Plan:

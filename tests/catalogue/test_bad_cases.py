@@ -15,6 +15,7 @@ from jointplay.catalogue.building.executors import InProcess
 from jointplay.catalogue.errors import (
     BuildError,
 )
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.storage.index import ChunkStatus, Index
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.errors import MachineError
@@ -22,7 +23,7 @@ from jointplay.solver.errors import MachineError
 
 def test_case_that_cannot_be_computed_is_found_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path, with_draws(1))
-    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.joints and entry.draw == 7)
+    victim = next(entry.key for entry in entries_of(PLAN, MACHINE) if entry.joints and entry.draw == 7)
     monkeypatch.setenv("FAKE_RAISES", victim)
     report = quick_build(tmp_path)
     assert report.lost == (victim,)
@@ -40,7 +41,7 @@ def test_one_bad_case_of_a_large_first_chunk_does_not_end_the_build(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Halves that can be computed count as a success, though their chunk is stored only when all of it is done."""
-    first = chunked(MACHINE, PLAN.recipe(MACHINE), PLAN.entries(MACHINE), 64)[0]
+    first = chunked(MACHINE, PLAN.recipe(MACHINE), entries_of(PLAN, MACHINE), 64)[0]
     victim = first.entries[-1].key
     monkeypatch.setattr(scheduling, "HOPELESS", 3)  # the chunk, its half and a half of that fail
     monkeypatch.setenv("FAKE_RAISES", victim)
@@ -71,7 +72,7 @@ class Mortal(InProcess):
 def test_all_but_the_cases_that_kill_workers_are_computed(
     tmp_path: Path, victims: list[tuple[str, int]], workers: int
 ) -> None:
-    planned = PLAN.entries(MACHINE)
+    planned = entries_of(PLAN, MACHINE)
     deadly = {entry.key for entry in planned if (entry.hypothesis.label, entry.draw) in victims}
     assert len(deadly) == len(victims)
 

@@ -18,6 +18,7 @@ from jointplay.catalogue.errors import (
     CatalogueBusyError,
     CatalogueFileError,
 )
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.directory import STALE, CatalogueDirectory
 from jointplay.catalogue.storage.index import ChunkStatus, Index
@@ -89,7 +90,7 @@ def test_a_larger_plan_adds_what_is_missing(
     before = {path.name: path.read_bytes() for path in (directory / "shards").iterdir()}
     plan = parse_plan({**PLAN.content, **larger, "name": "large"})
     report = quick_build(directory, plan)
-    total = len(plan.entries(MACHINE))
+    total = len(entries_of(plan, MACHINE))
     assert (report.added, report.present) == (total - len(KEYS), len(KEYS))
     assert len((tmp_path / "log").read_text().split()) == total
     assert all((directory / "shards" / name).read_bytes() == content for name, content in before.items())

@@ -18,6 +18,7 @@ from fake_simulator import MACHINE, PLAN
 
 from jointplay.catalogue.building import executors, scheduling
 from jointplay.catalogue.building.build import BuildReport
+from jointplay.catalogue.plans.cases import entries_of
 
 
 def start(directory: Path, **environment: str) -> subprocess.Popen[str]:
@@ -92,7 +93,7 @@ def test_case_that_kills_its_worker_is_found_and_the_others_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scheduling, "ATTEMPTS", 1)
-    victim = next(entry.key for entry in PLAN.entries(MACHINE) if entry.draw == 3)
+    victim = next(entry.key for entry in entries_of(PLAN, MACHINE) if entry.draw == 3)
     monkeypatch.setenv("FAKE_DEADLY", victim)
     report = quick_build(tmp_path, workers=1)
     assert report.lost == (victim,)

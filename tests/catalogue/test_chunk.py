@@ -11,6 +11,7 @@ import pytest
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.building.chunk import Chunk, chunked, simulate_chunk
 from jointplay.catalogue.building.guard import mean_difference_db
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.errors import AssemblyError
@@ -56,7 +57,7 @@ def test_all_hypotheses_have_spectra(catalogue: Catalogue) -> None:
 
 
 def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
-    wanted = [entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",)]
+    wanted = [entry for entry in entries_of(PLAN, MACHINE) if entry.worn == ("A",)]
     settings = Settings(sample_rate=4000.0, accuracy="draft", revolutions=4.01, settled=True)
     # In the order in which a catalogue writes its machine: equations in another order round otherwise, which machines
     # with contacts in all joints amplify.
@@ -80,7 +81,7 @@ def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
 
 def test_spectra_do_not_depend_on_which_order_of_the_machine_file_was_met_first(catalogue: Catalogue) -> None:
     """The catalogue was built in another process, which has seen no other order than its own."""
-    wanted = next(entry for entry in PLAN.entries(MACHINE) if entry.worn == ("O",))
+    wanted = next(entry for entry in entries_of(PLAN, MACHINE) if entry.worn == ("O",))
     simulate_batch(MACHINE, [Case(wanted.fault, wanted.parameters)], Settings(sample_rate=4000.0, revolutions=3.0))
     (outcome,) = simulate_chunk(Chunk(MACHINE.canonical_json(), PLAN.recipe(MACHINE), (wanted,)))
     assert np.array_equal(outcome.power, catalogue.entry(wanted.key).power)  # type: ignore[arg-type]
@@ -96,7 +97,7 @@ def test_machine_that_cannot_be_assembled_is_refused_before_anything_is_stored(t
 
 
 def test_chunks_are_of_one_hypothesis_and_take_turns() -> None:
-    entries = PLAN.entries(MACHINE)
+    entries = entries_of(PLAN, MACHINE)
     chunks = chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)
     labels = [{entry.hypothesis.label for entry in chunk.entries} for chunk in chunks]
     assert labels == [{"healthy"}, {"A"}, {"B"}, {"O"}, {"A"}, {"B"}, {"O"}]
@@ -111,7 +112,7 @@ def test_chunks_are_of_one_hypothesis_and_take_turns() -> None:
 
 def test_chunks_do_not_depend_on_what_is_missing() -> None:
     """Blocks of draws are absolute, so that two builders, or a larger plan, cut the same chunks."""
-    recipe, entries = PLAN.recipe(MACHINE), PLAN.entries(MACHINE)
+    recipe, entries = PLAN.recipe(MACHINE), entries_of(PLAN, MACHINE)
     missing = [entry for entry in entries if not (entry.worn == ("A",) and entry.draw < 2)]
     ids = {chunk.id for chunk in chunked(MACHINE, recipe, entries, 2)}
     assert {chunk.id for chunk in chunked(MACHINE, recipe, missing, 2)} < ids
@@ -121,7 +122,7 @@ def test_chunks_have_one_law_one_stratum_and_one_speed() -> None:
     tree = {**PLAN.content, "laws": {"own": 1, "hertz": 1}, "wide": {"draws": 1}, "speeds": [1, 1.1]}
     tree |= {"draws": {"healthy": 8, "single": 8}}
     plan = parse_plan(tree)
-    entries = plan.entries(MACHINE)
+    entries = entries_of(plan, MACHINE)
     chunks = chunked(MACHINE, plan.recipe(MACHINE), entries, 64)
     kinds = [{(e.hypothesis, e.stratum, e.variant, e.speed, e.joints) for e in chunk.entries} for chunk in chunks]
     assert all(len(kind) == 1 for kind in kinds)
@@ -135,7 +136,7 @@ def test_guarded_cases_are_compared_with_finer_steps(catalogue: Catalogue) -> No
     """The guard is the difference from the same case at accuracy standard, and only some cases have it."""
     table = catalogue.entries
     assert (np.isfinite(table.guard_db) == (table.draw % 3 == 0)).all()
-    wanted = next(entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",) and entry.guarded)
+    wanted = next(entry for entry in entries_of(PLAN, MACHINE) if entry.worn == ("A",) and entry.guarded)
     finer = Chunk(MACHINE.canonical_json(), replace(PLAN.recipe(MACHINE), accuracy="standard"), (wanted,))
     (outcome,) = simulate_chunk(finer)
     stored = catalogue.entry(wanted.key)
@@ -160,7 +161,7 @@ def test_mean_difference_of_levels() -> None:
 
 def test_outcomes_are_in_the_order_of_the_entries() -> None:
     recipe = PLAN.recipe(MACHINE)
-    entries = [entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",)]
+    entries = [entry for entry in entries_of(PLAN, MACHINE) if entry.worn == ("A",)]
     entries = [entries[i] for i in (2, 0, 3, 1)]
     outcomes = simulate_chunk(Chunk(MACHINE.canonical_json(), recipe, tuple(entries)))
     assert [outcome.drive_speed for outcome in outcomes] == [entry.parameters["drive.speed"] for entry in entries]

@@ -14,6 +14,7 @@ from fake_simulator import MACHINE, PLAN, compute, diverges
 
 from jointplay.catalogue.building.build import Progress, build
 from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry, Hypothesis
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.plans.plan import parse_plan
@@ -118,7 +119,7 @@ def test_rows_are_found_by_hypothesis_draw_and_speed(mapped: FeatureMatrix) -> N
 
 
 def test_failed_cases_are_rows_behind_the_others(mapped: FeatureMatrix) -> None:
-    keys = [entry.key for entry in ALL.entries(MACHINE)]
+    keys = [entry.key for entry in entries_of(ALL, MACHINE)]
     failed = mapped.table(mapped.failed_rows)
     assert sorted(failed.key) == sorted(key for key in keys if diverges(key))
     assert set(failed.status) == {"diverged"}
@@ -185,7 +186,7 @@ def test_seal_says_of_what_the_catalogue_consists(directory: Path) -> None:
     assert sealed.names == CatalogueDirectory(directory).shard_names()
     assert sealed.root == catalogue.id == catalogue.manifest.root_of(sealed.names)
     assert catalogue.size == sum(path.stat().st_size for path in (directory / "shards").iterdir())
-    assert sum(shard.entries for shard in sealed.shards) == len(ALL.entries(MACHINE))
+    assert sum(shard.entries for shard in sealed.shards) == len(entries_of(ALL, MACHINE))
     assert sealed.hypotheses == {
         label: int(np.sum(catalogue.entries.hypothesis == label)) for label in sealed.hypotheses
     }

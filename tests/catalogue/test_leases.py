@@ -15,6 +15,7 @@ from sqlalchemy import text
 
 from jointplay.catalogue.building.chunk import chunked
 from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.storage.database import VERSION_TABLE, Database, database_url
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.index import EntriesPresentError, Index
@@ -35,7 +36,7 @@ def index(url: str) -> Iterator[Index]:
 
 
 def shard_of(first: int, last: int) -> Shard:
-    entries = [entry for entry in PLAN.entries(MACHINE) if entry.worn == ("A",)][first:last]
+    entries = [entry for entry in entries_of(PLAN, MACHINE) if entry.worn == ("A",)][first:last]
     manifest = Manifest.of(MACHINE, PLAN)
     (chunk,) = chunked(MACHINE, manifest.recipe, entries, 64)
     return Shard.of(manifest.header(PLAN), entries, compute(chunk))

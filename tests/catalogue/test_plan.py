@@ -12,6 +12,7 @@ import pytest
 from small_plans import MOUNTS, QUICK_RETURN, counted, draws, keys, plan_of, sizes_of
 
 from jointplay.catalogue.errors import CatalogueMismatchError, PlanError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Recipe
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import parse_plan, preset, preset_names
@@ -25,9 +26,9 @@ from jointplay.solver.simulation.simulate import Settings, simulate_batch
 
 
 def test_presets_hold_what_they_say() -> None:
-    quick = preset("quick").entries(QUICK_RETURN)
+    quick = entries_of(preset("quick"), QUICK_RETURN)
     assert counted(quick) == {"healthy": 256, **dict.fromkeys("ACEFO", 192)}
-    standard = preset("standard").entries(QUICK_RETURN)
+    standard = entries_of(preset("standard"), QUICK_RETURN)
     pairs, triples = (["+".join(worn) for worn in itertools.combinations("ACEFO", count)] for count in (2, 3))
     # As many again in which the machine's own data are uncertain.
     numbers = {
@@ -38,7 +39,7 @@ def test_presets_hold_what_they_say() -> None:
     }
     assert counted(standard) == {label: 2 * count for label, count in numbers.items()}
     assert Counter(entry.stratum for entry in standard) == dict.fromkeys(("trusted", "wide"), len(standard) // 2)
-    thorough = preset("thorough").entries(QUICK_RETURN)
+    thorough = entries_of(preset("thorough"), QUICK_RETURN)
     assert counted(thorough) == {label: 4 * count for label, count in numbers.items()}
     for entries in (quick, standard):
         sizes = [sizes_of(entry)[joint] for entry in entries for joint in entry.worn]
@@ -76,7 +77,7 @@ def test_what_a_joint_draws_does_not_depend_on_the_numbers_of_others() -> None:
     tree: dict[str, Any] = QUICK_RETURN.model_dump(mode="json")
     tree["joints"]["A"]["contact"] = {"law": "flores", "stiffness": 1e10, "restitution": 0.8}  # no damping
     plan = plan_of(uncertain={"contact.damping": {"lognormal": 0.4}}, hypotheses=["healthy"])
-    some, every = (plan.entries(machine)[0].parameters for machine in (parse_machine(tree), QUICK_RETURN))
+    some, every = (entries_of(plan, machine)[0].parameters for machine in (parse_machine(tree), QUICK_RETURN))
     assert set(every) - set(some) == {"joints.A.contact.damping"}
     assert {path: every[path] for path in some} == some
 
@@ -120,14 +121,14 @@ def test_what_is_drawn_differently_is_named(change: dict[str, Any], name: str) -
 
 
 def test_without_scatter_cases_still_differ_in_their_fits() -> None:
-    entries = plan_of(uncertain={}).entries(QUICK_RETURN)
+    entries = entries_of(plan_of(uncertain={}), QUICK_RETURN)
     assert counted(entries) == {"healthy": 3, **dict.fromkeys("ACEFO", 6)}
     assert all(not entry.parameters for entry in entries)
     assert len({entry.clearances for entry in entries}) == len(entries)
 
 
 def test_drawn_numbers_have_their_distributions() -> None:
-    entries = plan_of(draws=draws(single=256), hypotheses=["singles"]).entries(QUICK_RETURN)
+    entries = entries_of(plan_of(draws=draws(single=256), hypotheses=["singles"]), QUICK_RETURN)
     numbers = {path: np.array([e.parameters[path] for e in entries]) for path in entries[0].parameters}
     speed = numbers["drive.speed"] / QUICK_RETURN.drive.speed  # type: ignore[union-attr, operator]
     assert 0.97 <= speed.min() < 0.971
@@ -146,7 +147,7 @@ def test_numbers_of_one_draw_are_not_tied_to_each_other() -> None:
     many = plan_of(
         draws=draws(pair=512), sets=[["C", "F"]], hypotheses=["healthy"], wide={"draws": 1}, fits={"silent": 0}
     )
-    entries = many.entries(QUICK_RETURN)
+    entries = entries_of(many, QUICK_RETURN)
     for stratum in ("trusted", "wide"):
         some = [e for e in entries if e.worn == ("C", "F") and e.stratum == stratum]
         # Both supports share a factor, and both directions of each another one.
@@ -161,33 +162,36 @@ def test_numbers_of_one_draw_are_not_tied_to_each_other() -> None:
 
 
 def test_laws_are_drawn_by_their_weights() -> None:
-    entries = plan_of(laws={"own": 3, "hertz": 1}, draws=draws(single=256), hypotheses=["singles"]).entries(
-        QUICK_RETURN
+    entries = entries_of(
+        plan_of(laws={"own": 3, "hertz": 1}, draws=draws(single=256), hypotheses=["singles"]), QUICK_RETURN
     )
     laws = Counter(entry.variant.law for entry in entries)
     assert laws == {"own": 960, "hertz": 320}
     for entry in entries:
         drawn = {path.split(".contact.")[1] for path in entry.parameters if ".contact." in path} - {"friction"}
         assert drawn == {"stiffness", "hysteresis" if entry.variant.law == "hertz" else "damping"}
-    healthy = plan_of(laws="auto", draws=draws(healthy=64), hypotheses=["healthy"]).entries(QUICK_RETURN)
+    healthy = entries_of(plan_of(laws="auto", draws=draws(healthy=64), hypotheses=["healthy"]), QUICK_RETURN)
     assert Counter(entry.variant.law for entry in healthy) == {"own": 32, "hertz": 32}  # its fits are contacts, too
 
 
 def test_each_joint_draws_its_own_contact_and_keeps_it_whatever_the_law() -> None:
-    entries = plan_of(laws={"own": 1, "hertz": 1}, draws=draws(healthy=64), hypotheses=["healthy"]).entries(
-        QUICK_RETURN
+    entries = entries_of(
+        plan_of(laws={"own": 1, "hertz": 1}, draws=draws(healthy=64), hypotheses=["healthy"]), QUICK_RETURN
     )
     paths = [path for path in entries[0].parameters if path.endswith("contact.friction")]
     assert paths == [f"joints.{joint}.contact.friction" for joint in "ACEFO"]
     assert all(len({entry.parameters[path] for path in paths}) == 5 for entry in entries)
     # A number that a law does not have leaves its columns empty: the others of a draw are the same under any law.
     both = plan_of(laws={"own": 1, "hertz": 1}).spread(QUICK_RETURN, "trusted")
-    hertz = plan_of(
-        laws={"own": 1e-9, "hertz": 1},
-        uncertain=parse_plan({"uncertain": both}).content["uncertain"],
-        draws=draws(healthy=64),
-        hypotheses=["healthy"],
-    ).entries(QUICK_RETURN)
+    hertz = entries_of(
+        plan_of(
+            laws={"own": 1e-9, "hertz": 1},
+            uncertain=parse_plan({"uncertain": both}).content["uncertain"],
+            draws=draws(healthy=64),
+            hypotheses=["healthy"],
+        ),
+        QUICK_RETURN,
+    )
     for entry, other in zip(entries, hertz, strict=True):
         assert other.variant.law == "hertz"
         assert (entry.key == other.key) == (entry.variant.law == "hertz")
@@ -197,7 +201,7 @@ def test_each_joint_draws_its_own_contact_and_keeps_it_whatever_the_law() -> Non
 
 def test_only_numbers_of_the_laws_that_are_drawn_are_uncertain() -> None:
     for law, number in (("hertz", "hysteresis"), ("linear", "damping"), ("own", "damping")):
-        entries = plan_of(laws={law: 1}, draws=draws(healthy=8), hypotheses=["healthy"]).entries(QUICK_RETURN)
+        entries = entries_of(plan_of(laws={law: 1}, draws=draws(healthy=8), hypotheses=["healthy"]), QUICK_RETURN)
         drawn = {path.split(".contact.")[1] for path in entries[0].parameters if ".contact." in path}
         assert drawn == {"friction", "stiffness", number}
 
@@ -213,7 +217,7 @@ def test_a_fitted_law_is_as_stiff_at_a_usual_penetration() -> None:
 
 
 def test_wide_draws_vary_the_machine_by_common_factors_and_each_mount_by_one_of_its_own() -> None:
-    entries = plan_of(hypotheses=["singles"], wide={"draws": 1}).entries(QUICK_RETURN)
+    entries = entries_of(plan_of(hypotheses=["singles"], wide={"draws": 1}), QUICK_RETURN)
     wide = [entry for entry in entries if entry.stratum == "wide"]
     assert len(wide) == len(entries) // 2
     assert wide[0].variant == Variant("own", (1, 2, 3, 4, 6, 12), "ram", (1, 2, 3))
@@ -281,9 +285,9 @@ def test_a_plan_is_shown_in_words() -> None:
 
 
 def test_one_draw_in_so_many_is_guarded() -> None:
-    entries = plan_of(draws=draws(single=101), hypotheses=["singles"]).entries(QUICK_RETURN)
+    entries = entries_of(plan_of(draws=draws(single=101), hypotheses=["singles"]), QUICK_RETURN)
     assert {entry.draw for entry in entries if entry.guarded} == {0, 50, 100}
-    assert not any(entry.guarded for entry in plan_of(guard=0).entries(QUICK_RETURN))
+    assert not any(entry.guarded for entry in entries_of(plan_of(guard=0), QUICK_RETURN))
 
 
 def test_factor_on_unequal_joints_keeps_their_ratio() -> None:
@@ -291,9 +295,9 @@ def test_factor_on_unequal_joints_keeps_their_ratio() -> None:
     tree = parse_machine(text).model_dump()
     tree["joints"]["A"]["contact"]["stiffness"] = 3e7
     machine = parse_machine(tree)
-    entry = plan_of(hypotheses=["singles"]).entries(machine)[0]
+    entry = entries_of(plan_of(hypotheses=["singles"]), machine)[0]
     stiff, soft = (entry.parameters[f"joints.{joint}.contact.stiffness"] for joint in "AC")
-    same = plan_of(hypotheses=["singles"]).entries(QUICK_RETURN)[0]
+    same = entries_of(plan_of(hypotheses=["singles"]), QUICK_RETURN)[0]
     assert stiff / soft == pytest.approx(
         3.0 * same.parameters["joints.A.contact.stiffness"] / same.parameters["joints.C.contact.stiffness"]
     )
@@ -307,7 +311,7 @@ def test_numbers_of_a_contact_law() -> None:
     tree["joints"]["C"]["contact"] = {"stiffness": 1e7, "damping": 0}
     machine = parse_machine(tree)
     uncertain = {"contact.restitution": {"uniform": [0.5, 0.9]}, "contact.damping": {"lognormal": 1.2}}
-    entry = plan_of(hypotheses=["singles"], uncertain=uncertain).entries(machine)[0]
+    entry = entries_of(plan_of(hypotheses=["singles"], uncertain=uncertain), machine)[0]
     drawn = {path: number for path, number in entry.parameters.items() if ".contact." in path}
     assert len({path.split(".")[1] for path in drawn}) == 5
     for joint in QUICK_RETURN.turning_joints:
@@ -317,18 +321,18 @@ def test_numbers_of_a_contact_law() -> None:
     values = full_paths(machine, Case(entry.fault, entry.parameters))
     assert {path: values[path] for path in drawn} == drawn
     with pytest.raises(PlanError, match=r"uncertain\.contact\.restitution: is not a number of machine quick-return"):
-        plan_of(uncertain=uncertain).entries(QUICK_RETURN)
+        entries_of(plan_of(uncertain=uncertain), QUICK_RETURN)
 
 
 def test_chosen_sets_are_lists_of_joints() -> None:
     plan = plan_of(hypotheses=["healthy"], sets=[["F", "A", "C"], ["O", "E"]])
-    entries = plan.entries(QUICK_RETURN)
+    entries = entries_of(plan, QUICK_RETURN)
     assert counted(entries) == {"healthy": 3, "A+C+F": 5, "E+O": 4}
     assert {entry.worn for entry in entries} == {(), ("A", "C", "F"), ("E", "O")}
     with pytest.raises(
         PlanError, match=r"^plan: sets\.0: Z: is no turning joint of machine quick-return; these are A, C"
     ):
-        plan_of(sets=[["A", "Z"]]).entries(QUICK_RETURN)
+        entries_of(plan_of(sets=[["A", "Z"]]), QUICK_RETURN)
 
 
 def test_recipe_covers_the_asked_time_and_revolutions() -> None:

@@ -8,6 +8,7 @@ import pytest
 from small_plans import QUICK_RETURN, plan_of
 
 from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import load_plan, parse_plan
 from jointplay.solver.machines.machine import parse_machine
 
@@ -66,26 +67,26 @@ def test_numbers_that_no_equation_holds_are_refused(path: str) -> None:
     tree = QUICK_RETURN.model_dump()
     tree["drive"]["ripple"] = [{"order": 1, "amplitude": 0.01, "phase": 0.5}]
     with pytest.raises(PlanError, match=rf"^plan: uncertain\.{path}: no equation of this machine holds such a number$"):
-        plan_of(uncertain={path: {"uniform": [0, 1]}}).entries(parse_machine(tree))
+        entries_of(plan_of(uncertain={path: {"uniform": [0, 1]}}), parse_machine(tree))
 
 
 def test_paths_the_machine_does_not_have_are_refused() -> None:
     plan = parse_plan({"uncertain": {"contact.frictoin": {"uniform": [0, 1]}}})
     with pytest.raises(PlanError, match=r'^plan: uncertain\.contact\.frictoin: .*did you mean "contact\.friction"\?$'):
-        plan.entries(QUICK_RETURN)
+        entries_of(plan, QUICK_RETURN)
 
 
 def test_joints_whose_names_make_two_hypotheses_of_one_name_are_refused() -> None:
     text = QUICK_RETURN.canonical_json().replace('"C"', '"E+F"')
     with pytest.raises(PlanError, match=r"^plan: hypotheses: E\+F: names two hypotheses of machine quick-return"):
-        plan_of(hypotheses=["singles", "pairs"]).entries(parse_machine(text))
+        entries_of(plan_of(hypotheses=["singles", "pairs"]), parse_machine(text))
 
 
 def test_machine_without_constant_speed_is_refused() -> None:
     tree = QUICK_RETURN.model_dump()
     tree["drive"]["speed"] = [[0, 0], [1, 10]]
     with pytest.raises(PlanError, match="a catalogue needs a drive of kind rotation with one speed"):
-        plan_of().entries(parse_machine(tree))
+        entries_of(plan_of(), parse_machine(tree))
 
 
 def test_unknown_presets_are_refused(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from hypothesis.extra import numpy as hnp
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.errors import CatalogueFileError, EntryNotFoundError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import parse_plan
@@ -60,7 +61,7 @@ def test_says_what_it_is_of(catalogue: Catalogue, directory: Path) -> None:
 
 def test_entries_are_those_of_the_plan_in_a_stated_order(catalogue: Catalogue) -> None:
     table = catalogue.entries
-    wanted = {entry.key: entry for entry in ALL.entries(MACHINE)}
+    wanted = {entry.key: entry for entry in entries_of(ALL, MACHINE)}
     filed = {path: MachineNumbers(MACHINE).nominal(path) for path in table.parameters}
     assert set(table.key) == {key for key in wanted if not diverges(key)}
     for row, key in enumerate(table.key.tolist()):
@@ -210,7 +211,7 @@ def test_numbers_only_some_entries_vary_have_the_value_of_the_file(tmp_path: Pat
 
 
 def some_shard() -> Shard:
-    entries = [entry for entry in PLAN.entries(MACHINE) if entry.hypothesis.label == "A"]
+    entries = [entry for entry in entries_of(PLAN, MACHINE) if entry.hypothesis.label == "A"]
     from jointplay.catalogue.building.chunk import Chunk
     from jointplay.catalogue.storage.manifest import Manifest
 
@@ -226,7 +227,9 @@ def test_shard_reads_back_and_says_all_about_itself() -> None:
     back = hdf5.decode_shard(content, Path("x.h5"))
     assert back.header == shard.header
     assert [back.entry(i) for i in range(back.count)] == [shard.entry(i) for i in range(shard.count)]
-    assert [back.entry(i) for i in range(back.count)] == [e for e in PLAN.entries(MACHINE) if e.hypothesis.label == "A"]
+    assert [back.entry(i) for i in range(back.count)] == [
+        e for e in entries_of(PLAN, MACHINE) if e.hypothesis.label == "A"
+    ]
     for name in ("status", "message", "hypothesis", "stratum", "variant"):
         assert getattr(back, name) == getattr(shard, name)
     for name in ("power", "spread_db", "row", "segments", "drive_speed", "transient", "guard_db"):

@@ -12,12 +12,13 @@ from jointplay.catalogue.diagnosing import synthesis
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
 from jointplay.catalogue.diagnosing.synthesis import Recorded, Refined, Synthesis, refine
-from jointplay.catalogue.evaluation.protocols import PROTOCOLS
+from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
-from jointplay.catalogue.evaluation.truth import Truth, draw_truth
+from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.matching.libraries import library_of
 from jointplay.catalogue.matching.matcher import MatchResult, Mode, ranked
 from jointplay.catalogue.matching.population import Population
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry, Hypothesis
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
@@ -132,7 +133,7 @@ def test_the_search_begins_with_the_nearest_of_all_draws(
     _, record, result = doubtful
     match = next(match for match in result.hypotheses if match.label == "B")
     whole = synthesis._Search.of(record, small_catalogue, match, "trusted", Synthesis()).population
-    planned = {entry.key: entry for entry in entries_of(small_catalogue, "B")}
+    planned = {entry.key: entry for entry in cases_of_joint(small_catalogue, "B")}
     assert all(planned[entry.key].clearances == entry.clearances for entry in whole.start)
     assert all(planned[entry.key].parameters == entry.parameters for entry in whole.start)
     # However few draws say where new cases may lie, and without the table of all entries.
@@ -150,7 +151,7 @@ def test_simulates_hypotheses_that_the_last_plan_does_not_hold(
     expected = refined(small_catalogue, doubtful, short)
     # Healthy machines were added last, with a plan of their own: the manifest names no other plan.
     plan = parse_plan({"name": "more", "hypotheses": ["healthy"], "seconds": 1.0})
-    assert {entry.hypothesis.label for entry in plan.entries(small_catalogue.machine)} == {"healthy"}
+    assert {entry.hypothesis.label for entry in entries_of(plan, small_catalogue.machine)} == {"healthy"}
     monkeypatch.setattr(Catalogue, "plan", plan)
     found = refined(small_catalogue, doubtful, short)
     assert found.simulations == expected.simulations
@@ -200,14 +201,14 @@ def test_distance_is_that_of_the_levels_shown(
     assert best.distance_db < before.distance_db
 
 
-def entries_of(catalogue: Catalogue, joint: str) -> list[Entry]:
+def cases_of_joint(catalogue: Catalogue, joint: str) -> list[Entry]:
     """Cases of one worn joint in machines that are not silent: those are of a kind of their own."""
-    entries = catalogue.plan.entries(catalogue.machine)
+    entries = entries_of(catalogue.plan, catalogue.machine)
     return [entry for entry in entries if entry.hypothesis.joints == (joint,) and len(entry.joints) == 3]
 
 
 def test_cases_are_drawn_where_the_best_ones_lie(small_catalogue: Catalogue) -> None:
-    entries = entries_of(small_catalogue, "B")
+    entries = cases_of_joint(small_catalogue, "B")
     population = Population.of(entries, entries[:5])
     start = list(population.drawn([], 16, np.random.default_rng(1)))
     assert [(case.key, clearances) for case, clearances, *_ in start] == [

@@ -15,6 +15,7 @@ from fake_simulator import MACHINE, PLAN, compute
 from jointplay import solver
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
 from jointplay.catalogue.storage.hdf5 import decode_shard, encode_shard
@@ -22,7 +23,7 @@ from jointplay.catalogue.storage.shard import Shard
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.verify import reindex, verify
 
-TOTAL = len(PLAN.entries(MACHINE))
+TOTAL = len(entries_of(PLAN, MACHINE))
 
 
 @pytest.fixture(scope="module")

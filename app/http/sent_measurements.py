@@ -14,10 +14,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.http.uploads import MULTIPART, base_name, media_type, received_form
 from jointplay.app.schemas.resources import Shape
 from jointplay.app.storage.store import Store, Upload
 from jointplay.app.storage.told import TOLD, Told, told_of
-from jointplay.app.storage.uploads import MULTIPART, base_name, media_type, received_form
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 JSON_TYPE = "application/json"

@@ -1,0 +1,40 @@
+"""What a machine file holds, before anything that is left out has been filled in and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import Field
+
+from jointplay.solver.machines import units
+from jointplay.solver.machines.drives import Drive
+from jointplay.solver.machines.fields import Name, Quantity, Title, no_default
+from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
+from jointplay.solver.machines.parts import Initial, Link, Load, Part, Sensor, Support
+
+
+class MachineContent(Part):
+    """The members of a machine; what they have to do with each other is for :mod:`jointplay.solver.machines.rules`."""
+
+    name: Title
+    gravity: Annotated[float, Quantity(units.ACCELERATION)] = 9.81
+    frame: Name = Field(default="", json_schema_extra=no_default)
+    links: Mapping[Name, Link]
+    defaults: Defaults = Defaults()
+    joints: Mapping[Name, Joint] = Field(default_factory=dict)
+    drive: Drive | None = None
+    initial: Initial = Initial()
+    supports: tuple[Support, ...] = ()
+    loads: tuple[Load, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+
+    @property
+    def turning_joints(self) -> tuple[str, ...]:
+        """Names of the turning joints, in the order of the file."""
+        return tuple(name for name, joint in self.joints.items() if isinstance(joint, TurningJoint))
+
+    @property
+    def sliding_joints(self) -> tuple[str, ...]:
+        """Names of the sliding joints, in the order of the file."""
+        return tuple(name for name, joint in self.joints.items() if isinstance(joint, SlidingJoint))
