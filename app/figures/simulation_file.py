@@ -14,7 +14,6 @@ from jointplay.solver.cases.history import MOTIONS
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import Case, History, Settings
-from jointplay.solver.spectra.sensor import sensor_signals
 from jointplay.solver.spectra.spectrum import order_levels
 
 FloatArray = npt.NDArray[np.float64]
@@ -70,7 +69,7 @@ def record(machine: Machine, history: History, settings: Settings, version: str)
         "frame_velocity": "m/s,m/s,rad/s",
         "frame_acceleration": "m/s2,m/s2,rad/s2",
     }
-    instantaneous = at_sensors(machine, history, history.acceleration)
+    instantaneous = history.at_sensors(machine, history.acceleration)
     for column, sensor in enumerate(machine.sensors):
         arrays[f"sensor_{sensor.name}"] = instantaneous[:, column]
         units[f"sensor_{sensor.name}"] = "m/s2"
@@ -154,7 +153,7 @@ def spectra_of(machine: Machine, history: History) -> SimulationFile:
     units = {"f": "Hz", "psd_frame": ",".join(frame.value_units)}
     if machine.sensors:
         names = tuple(sensor.name for sensor in machine.sensors)
-        signals = at_sensors(machine, history, history.band_limited_acceleration)
+        signals = history.at_sensors(machine)
         sensors = history.spectrum(signals, names, "at each sensor along its direction")
         for column, name in enumerate(names):
             arrays[f"psd_sensor_{name}"] = sensors.values[:, column]
@@ -177,17 +176,3 @@ def spectra_of(machine: Machine, history: History) -> SimulationFile:
         units["order_level_frame"] = ",".join(f"{unit} rms" for unit in frame.units)
         attributes["order_level"] = "rms in the band one order wide around each order"
     return SimulationFile(arrays, units, attributes)
-
-
-def at_sensors(machine: Machine, history: History, acceleration: FloatArray) -> FloatArray:
-    """Return the signals (n, s) of the machine's sensors [m/s2]; none gives an array of no columns."""
-    if not machine.sensors:
-        return np.empty((len(history.t), 0))
-    return sensor_signals(
-        history.displacement,
-        history.velocity,
-        acceleration,
-        [sensor.at for sensor in machine.sensors],
-        [sensor.direction for sensor in machine.sensors],
-        machine.links[machine.frame].cg,
-    )

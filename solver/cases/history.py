@@ -17,6 +17,8 @@ from jointplay.solver.cases.steps import STEP_RULES, Accuracy
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.sensor import sensor_signals
 from jointplay.solver.spectra.spectrum import Spectrum
 from jointplay.solver.spectra.welch import welch
 
@@ -229,6 +231,27 @@ class History:
         )
         flat = found.frequency <= FLAT_PART * self.sample_rate
         return replace(found, frequency=found.frequency[flat], values=found.values[flat])
+
+    def at_sensors(self, machine: Machine, acceleration: Array | None = None) -> Array:
+        """Return what the sensors of a machine feel (n, s) [m/s2], in the order of its file.
+
+        Parameters
+        ----------
+        machine : Machine
+            The one that was simulated, with its motion.
+        acceleration : (n, 3) array, optional
+            Of the frame at t; the band-limited one unless given.
+        """
+        if not machine.sensors:
+            return np.empty((len(self.t), 0))
+        return sensor_signals(
+            self.displacement,
+            self.velocity,
+            self.band_limited_acceleration if acceleration is None else acceleration,
+            [sensor.at for sensor in machine.sensors],
+            [sensor.direction for sensor in machine.sensors],
+            machine.links[machine.frame].cg,
+        )
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the motion of the frame as a table over time, m and rad, ``acceleration_theta`` ...; needs pandas."""
