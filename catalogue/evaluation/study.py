@@ -6,6 +6,8 @@ import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib.metadata import EntryPoint
 from itertools import product
 
 import numpy as np
@@ -31,18 +33,26 @@ from jointplay.catalogue.matching.trees import ExtraTrees
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.extensions import installed
 
 __all__ = ["METHODS", "Row", "Setup", "Study", "evaluate", "setups_of"]
 
 GAUSSIAN = "gaussian"
 
+
+def _made(method: EntryPoint) -> Matcher:
+    found: Matcher = method.load()()
+    return found
+
+
 METHODS: Mapping[str, Callable[[], Matcher] | None] = {
+    **{name: partial(_made, method) for name, method in installed("matchers").items()},
     GAUSSIAN: None,
     "cosine": CosineEntry,
     "nearest": NearestEntry,
     "extra-trees": ExtraTrees,
 }
-"""Methods by name: the one that a diagnosis uses by itself, and cross-checks."""
+"""Methods by name: the one that a diagnosis uses by itself, and cross-checks, those of other packages among them."""
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,31 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    WithJsonSchema,
+    model_serializer,
+    model_validator,
+)
 
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import Direction, Name, Point, Quantity, RuleError, no_default
 from jointplay.solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
 from jointplay.solver.machines.parts import Damping, Part
-from jointplay.solver.machines.restitution import HYSTERESIS, ContactLaw
+from jointplay.solver.machines.restitution import HYSTERESIS, LAWS
 
+
+def _known(law: str) -> str:
+    if law not in LAWS:
+        *first, last = LAWS
+        raise RuleError(f"must be {', '.join(first)} or {last}")
+    return law
+
+
+#: A law of :data:`jointplay.solver.machines.restitution.LAWS`; other packages may add some.
+ContactLaw = Annotated[str, AfterValidator(_known), WithJsonSchema({"enum": list(LAWS), "type": "string"})]
 FrictionCoefficient = Annotated[float, Quantity(units.RATIO, at_least=0)]
 FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]
 

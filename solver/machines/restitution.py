@@ -13,20 +13,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, TypeAlias, TypeVar
+from functools import partial
+from importlib.metadata import EntryPoint
+from typing import Any, TypeVar
 
-__all__ = ["HYSTERESIS", "ContactLaw", "effective_restitution", "hysteresis_factor", "remark", "returned"]
+from jointplay.solver.extensions import installed
 
-ContactLaw: TypeAlias = Literal["linear", "hertz", "hunt-crossley", "flores", "gonthier", "lankarani-nikravesh"]
+__all__ = ["HYSTERESIS", "LAWS", "effective_restitution", "hysteresis_factor", "remark", "returned"]
+
 _Number = TypeVar("_Number")
 
+
+def _loaded(law: EntryPoint, e: Any) -> Any:
+    return law.load()(e)
+
+
 #: c of each law that takes a restitution e; of numbers and of symbols.
-HYSTERESIS: Mapping[str, Callable[[Any], Any]] = {
+_OWN: Mapping[str, Callable[[Any], Any]] = {
     "hunt-crossley": lambda e: 1.5 * (1 - e),
     "flores": lambda e: 1.6 * (1 - e) / e,
     "gonthier": lambda e: (1 - e * e) / e,
     "lankarani-nikravesh": lambda e: 0.75 * (1 - e * e),
 }
+_OTHER = {name: partial(_loaded, law) for name, law in installed("contact_laws").items() if name not in _OWN}
+HYSTERESIS: Mapping[str, Callable[[Any], Any]] = {**_OWN, **_OTHER}
+LAWS = ("linear", "hertz", *HYSTERESIS)
 #: A law that misses what it was asked for by more than this part says so.
 WORTH_SAYING = 0.05
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.solver.extensions import installed
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -68,6 +69,15 @@ FOREIGN = {
 }
 
 
+#: Kinds that other packages read, told by the ending of a name alone, which is the name of their entry point.
+INSTALLED = {
+    ending.upper(): Kind(ending.upper(), (f".{ending}",), point.module, point.attr)
+    for ending, point in installed("readers").items()
+    if ending.upper() not in FOREIGN
+}
+KINDS = {**FOREIGN, **INSTALLED}
+
+
 def ending_of(name: str) -> str:
     """Ending of a file name in small letters; ``.gz`` at its end does not count."""
     path = PurePath(name)
@@ -84,7 +94,7 @@ def known_ending(name: str) -> str:
         When none has it.
     """
     ending = ending_of(name)
-    endings = sorted({*TEXT_ENDINGS, *(each for kind in FOREIGN.values() for each in kind.endings)})
+    endings = sorted({*TEXT_ENDINGS, *(each for kind in KINDS.values() for each in kind.endings)})
     if ending not in endings:
         rule = f"kind of file {ending or 'without suffix'!s} is not read; known: {', '.join(endings)}"
         raise MeasurementError(name, rule=rule)
@@ -105,7 +115,9 @@ def kind_of(data: bytes, name: str) -> Kind | None:
         if told is None or told == "UFF":  # a table may begin with -1
             return None
         raise MeasurementError(name, rule=f"ends in {ending}, but is a {told} file: name it so")
-    named = next((kind for kind in FOREIGN.values() if ending in kind.endings), None)
+    named = next((kind for kind in KINDS.values() if ending in kind.endings), None)
+    if named is not None and named.name in INSTALLED:
+        return named
     if told is None:
         assert named is not None
         if named.name in ("JSON", "MAT"):  # JSON and MAT version 4 begin in no way of their own

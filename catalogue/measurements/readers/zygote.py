@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.readers.answers import encoded
-from jointplay.catalogue.measurements.readers.kinds import FOREIGN
+from jointplay.catalogue.measurements.readers.kinds import KINDS
 from jointplay.catalogue.measurements.readers.raw import Limits
 
 #: Beyond the arrays, an answer holds facts; they are short.
@@ -32,7 +32,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     while line := requests.readline():
         asked = json.loads(line)
         data = requests.read(asked["bytes"])
-        kind, limits = FOREIGN[asked["kind"]], Limits(**asked["limits"])
+        kind, limits = KINDS[asked["kind"]], Limits(**asked["limits"])
         for name in kind.libraries:
             import_module(name)
         with tempfile.TemporaryFile() as file:
@@ -59,7 +59,7 @@ def answer_and_leave(asked: dict[str, Any], data: bytes, limits: Limits, file: A
         os.dup2(silence, 2)  # libraries print whole damaged files
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of libraries; what matters is checked
-            kind = FOREIGN[asked["kind"]]
+            kind = KINDS[asked["kind"]]
             reader = getattr(import_module(kind.module), kind.function)
             raw = reader(data, asked["source"], limits)
         write(file, encoded(raw))
