@@ -1,6 +1,6 @@
 """Units of recorded channels as people write them, and column labels that carry one.
 
-``m/s2``, ``m/s²``, ``m/s^2``, ``m s-2`` and ``m/s/s`` are one unit; ``g`` is standard gravity here, never the gram.
+``m/s2``, ``m/s²``, ``m/s^2``, ``m s-2`` and ``m/s/s`` are one unit; the table is that of machine files.
 """
 
 from __future__ import annotations
@@ -10,44 +10,22 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-#: Standard acceleration of free fall [m/s2], exact by definition (3rd CGPM, 1901).
-STANDARD_GRAVITY = 9.80665
+from jointplay.solver.machines import units
 
 ChannelQuantity = Literal["displacement", "velocity", "acceleration", "time", "frequency"]
 
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
-_TIMES = {"s": 1.0, "sec": 1.0, "sek": 1.0, "second": 1.0, "seconds": 1.0, "sekunden": 1.0,
-          "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "min": 60.0}  # fmt: skip
-
-
-def _table() -> dict[str, tuple[ChannelQuantity, float]]:
-    table: dict[str, tuple[ChannelQuantity, float]] = {}
-    for name, factor in _LENGTHS.items():
-        table[name] = ("displacement", factor)
-        table[f"{name}/s"] = table[f"{name}/sec"] = ("velocity", factor)
-        table[f"{name}/s2"] = table[f"{name}/sec2"] = ("acceleration", factor)
-    table["mil"] = table["mils"] = ("displacement", 2.54e-5)
-    table["ips"] = ("velocity", 0.0254)
-    for name in ("g", "gn", "g0", "G"):
-        table[name] = ("acceleration", STANDARD_GRAVITY)
-    table["mg"] = ("acceleration", 1e-3 * STANDARD_GRAVITY)
-    table["ug"] = ("acceleration", 1e-6 * STANDARD_GRAVITY)
-    for name, factor in _TIMES.items():
-        table[name] = ("time", factor)
-    for name, factor in (
-        ("Hz", 1.0),
-        ("hz", 1.0),
-        ("kHz", 1e3),
-        ("S/s", 1.0),
-        ("kS/s", 1e3),
-        ("1/s", 1.0),
-        ("sps", 1.0),
-    ):
-        table[name] = ("frequency", factor)
-    return table
-
-
-_UNITS = _table()
+_DIMENSIONS: dict[units.Dimension, ChannelQuantity] = {
+    units.LENGTH: "displacement",
+    units.SPEED: "velocity",
+    units.ACCELERATION: "acceleration",
+    units.TIME: "time",
+    units.FREQUENCY: "frequency",
+}
+#: As loggers write them.
+_ALIASES = {
+    "G": "g", "sek": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "usec": "us", "hz": "Hz",
+    "S/s": "Hz", "kS/s": "kHz", "sps": "Hz",
+}  # fmt: skip
 _VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
 
 
@@ -73,10 +51,16 @@ class ChannelUnit:
 def parse_unit(text: str) -> ChannelUnit | None:
     """Unit from its text, or None when it is not one of length, speed, acceleration, time or frequency."""
     plain = _plain(text)
-    found = _UNITS.get(plain)
+    found = _known(plain)
     if found is None and (plain.isupper() or (len(plain) > 2 and plain.isalpha())):  # M/S2, Sec; but Mm is not mm
-        found = _UNITS.get(plain.lower())
-    return None if found is None else ChannelUnit(text.strip(), *found)
+        found = _known(plain.lower())
+    return None if found is None else ChannelUnit(text.strip(), _DIMENSIONS[found[0]], found[1])
+
+
+def _known(plain: str) -> tuple[units.Dimension, float] | None:
+    found = units.factor_of(_ALIASES.get(plain, plain), tuple(_DIMENSIONS))
+    # Nobody's machine shakes by kilometres: Mm was meant to be something else.
+    return None if found is not None and found[0] in (units.LENGTH, units.SPEED) and found[1] > 1.0 else found
 
 
 def parse_sensitivity(text: str) -> tuple[float, str] | None:
@@ -140,7 +124,6 @@ def split_label(label: str) -> tuple[str, str | None]:
 def _plain(text: str) -> str:
     plain = text.strip().strip("[]()").translate(str.maketrans("²¹µμ⁻·*", "21uu-  ")).replace("^", "")
     plain = re.sub(r"\s+2$", "2", plain)  # what is left of s**2
-    plain = re.sub(r"/\s*s\s*/\s*s$", "/s2", plain)
     # m s-2, m.s-2, ms-2 and m s-1
     power = re.fullmatch(r"(\w+?)[ .]?\s*s-([12])", plain)
     if power:

@@ -1,5 +1,8 @@
 """Numbers with units: ``"0.2 mm"``, ``"600 rpm"``, ``"4 N/mm"`` to SI, by the dimension that is expected.
 
+Machine files and recordings have one table. ``g``, and ``mg`` and ``ug`` with it, is standard gravity (exact, 3rd CGPM,
+1901) where an acceleration may stand, else the gram.
+
 Angles count as a dimension of their own here, so that ``"30 deg"`` is refused where a length or a plain ratio belongs
 and ``"10 Hz"`` is not silently taken for 10 rad/s.
 """
@@ -9,6 +12,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -35,6 +39,7 @@ __all__ = [
     "TORQUE",
     "Dimension",
     "UnitError",
+    "factor_of",
     "to_si",
 ]
 
@@ -132,6 +137,9 @@ _PLAIN = {
     "1": _ONE,
     "%": _unit("0.01"),
     "micron": _unit("1e-6", 1),
+    "mil": _unit("2.54e-5", 1),
+    "mils": _unit("2.54e-5", 1),
+    "ips": _unit("0.0254", 1, 0, -1),
     "in": _unit("0.0254", 1),
     "inch": _unit("0.0254", 1),
     "ft": _unit("0.3048", 1),
@@ -140,6 +148,7 @@ _PLAIN = {
     "lbf": _unit("4.4482216152605", 1, 1, -2),
     "kgf": _unit("9.80665", 1, 1, -2),
     "gn": _unit("9.80665", 1, 0, -2),
+    "sec": _unit("1", 0, 0, 1),
     "min": _unit("60", 0, 0, 1),
     "h": _unit("3600", 0, 0, 1),
     "deg": _unit("1/180", 0, 0, 0, 1, pi=1),
@@ -147,6 +156,7 @@ _PLAIN = {
     "rev": _unit("2", 0, 0, 0, 1, pi=1),
     "rpm": _unit("1/30", 0, 0, -1, 1, pi=1),
 }
+_GRAVITY = {"g": "1", "g0": "1", "mg": "1e-3", "ug": "1e-6", "µg": "1e-6", "μg": "1e-6"}
 _UNITS = {
     **{p + name: _unit(scale).times(unit) for name, unit in _PREFIXED.items() for p, scale in _PREFIXES.items()},
     **_PREFIXED,
@@ -166,7 +176,7 @@ def to_si(value: object, dimension: Dimension) -> float:
     value : float, int or str
         A number is SI already; a string is a number followed by a unit ("0.2 mm"), or a bare number (SI).
     dimension : Dimension
-        What is expected; it also decides what ``g`` means: standard gravity for an acceleration, else gram.
+        What is expected; it also decides what ``g`` means.
 
     Returns
     -------
@@ -202,8 +212,8 @@ def _from_text(text: str, dimension: Dimension) -> float:
         return number
     if re.match(r",\d", unit_text):
         raise UnitError("must use a point, not a comma, for decimals")
-    unit = _UNITS["gn"] if unit_text == "g" and dimension is ACCELERATION else _parse_unit(unit_text)
-    if unit.powers[:3] != dimension.exponents or unit.powers[3] not in dimension.angles:
+    unit = _unit_where(unit_text, (dimension,))
+    if not _is_of(unit, dimension):
         found = _name_of(unit)
         is_found = f"is {found}, " if found else ""
         raise UnitError(f'"{unit_text}" {is_found}must be {dimension.name}, for example "{dimension.example}"')
@@ -215,11 +225,36 @@ def _from_text(text: str, dimension: Dimension) -> float:
         return math.inf
 
 
+def factor_of(text: str, dimensions: Sequence[Dimension]) -> tuple[Dimension, float] | None:
+    """Return which of some dimensions a unit has, and how many SI units it is; None where it has none of them.
+
+    Parameters
+    ----------
+    text : str
+        "mm/s", "g", "m/s^2" ...
+    dimensions : sequence of Dimension
+    """
+    try:
+        unit = _unit_where(text, dimensions)
+    except UnitError:
+        return None
+    found = next((dimension for dimension in dimensions if _is_of(unit, dimension)), None)
+    return None if found is None else (found, float(unit.factor) * math.pi ** unit.powers[4])
+
+
+def _unit_where(text: str, dimensions: Sequence[Dimension]) -> _Unit:
+    """Read a unit where some dimensions may stand."""
+    if text in _GRAVITY and ACCELERATION in dimensions:
+        return _unit(_GRAVITY[text]).times(_UNITS["gn"])
+    return _parse_unit(text)
+
+
+def _is_of(unit: _Unit, dimension: Dimension) -> bool:
+    return unit.powers[:3] == dimension.exponents and unit.powers[3] in dimension.angles
+
+
 def _name_of(unit: _Unit) -> str:
-    for dimension in DIMENSIONS:
-        if unit.powers[:3] == dimension.exponents and unit.powers[3] in dimension.angles:
-            return dimension.name
-    return ""
+    return next((dimension.name for dimension in DIMENSIONS if _is_of(unit, dimension)), "")
 
 
 @lru_cache(maxsize=256)

@@ -19,6 +19,7 @@ from jointplay.catalogue.measurements.channel_units import parse_unit, split_lab
 from jointplay.catalogue.measurements.measurement import Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording
 from jointplay.catalogue.measurements.readers.kinds import known_ending
+from jointplay.solver.machines import units
 
 HEADER = "time [s],s1-x [m/s2],s1-y [g]"
 
@@ -151,6 +152,27 @@ def test_labels_and_units(label: str, name: str, quantity: str, factor: float) -
     unit = parse_unit(unit_text or "")
     assert found == name and unit is not None
     assert unit.quantity == quantity and unit.factor == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension"),
+    [
+        ("mg", units.ACCELERATION),
+        ("ug", units.ACCELERATION),
+        ("m/s/s", units.ACCELERATION),
+        ("ips", units.SPEED),
+        ("km/h", units.SPEED),
+        ("mil", units.LENGTH),
+        ("micron", units.LENGTH),
+        ("h", units.TIME),
+        ("sec", units.TIME),
+        ("kHz", units.FREQUENCY),
+    ],
+)
+def test_machine_files_and_recordings_have_one_table(text: str, dimension: units.Dimension) -> None:
+    found = parse_unit(text)
+    assert found is not None
+    assert found.factor == units.to_si(f"1 {text}", dimension)
 
 
 @pytest.mark.parametrize("label", ["s1-x", "in/out", "a/b", "x g", "a [V]", "a [g rms]", "a [Mm]", "a []"])

@@ -66,6 +66,8 @@ def test_g_is_gram_or_gravity_by_what_is_expected() -> None:
     assert to_si("2 g", units.MASS) == 0.002
     assert to_si("2 g", units.ACCELERATION) == 2 * 9.80665
     assert to_si("2 g mm2", units.INERTIA) == 2e-9
+    assert to_si("5 mg", units.ACCELERATION) == 5e-3 * 9.80665
+    assert to_si("5 mg", units.MASS) == 5e-6
 
 
 @pytest.mark.parametrize(
