@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Any, Literal, NamedTuple
 
-OWN = ("app", "catalogue", "solver", "uvicorn")
+OWN = ("jointplay", "uvicorn")
 """Loggers that the level is for."""
 
 MEMBERS = "members"
