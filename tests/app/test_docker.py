@@ -59,7 +59,8 @@ def test_the_images_are_built_from_what_there_is() -> None:
                 assert (ROOT / source).exists(), source
     packages = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     copied = " ".join(rest for word, rest in stages()["build"][1] if word == "COPY").split()
-    assert set(packages["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]) <= set(copied)
+    files = packages["tool"]["hatch"]["build"]["targets"]["wheel"]["only-include"]
+    assert {name.partition("/")[0] for name in files} <= set(copied)
     (extra,) = re.findall(r"'\.\[(\w+)\]'", " ".join(rest for _word, rest in stages()["build"][1]))
     assert extra in packages["project"]["optional-dependencies"]
 
