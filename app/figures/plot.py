@@ -10,14 +10,15 @@ from jointplay.app.figures.plots import draw_density, draw_diagnosis, draw_over_
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.measurements.measurement import SI_UNITS, Recording
 from jointplay.solver.cases.history import MOTIONS, History
-from jointplay.solver.spectra.spectrum import Spectrum
+from jointplay.solver.errors import SettingsError
+from jointplay.solver.spectra.spectrum import Spectrum, frame_units
 
 __all__ = ["plot"]
 
 
 @functools.singledispatch
 def plot(result: object) -> Figure:
-    """Draw a history, a spectrum, a recording or a diagnosis.
+    """Draw a history, a spectrum, a recording over time or a diagnosis.
 
     Parameters
     ----------
@@ -38,14 +39,23 @@ def plot(result: object) -> Figure:
 
 @plot.register
 def _(result: History) -> Figure:
-    spectrum = result.spectrum()
+    spectrum, missing = None, ""
+    try:
+        spectrum = result.spectrum()
+    except SettingsError as error:
+        missing = f"no spectrum: {error}"
     figure = Figure(figsize=(11, 8), layout="constrained")
     figure.suptitle(f"{result.case.fault.label}: acceleration of the frame")
     for row, motion in enumerate(MOTIONS):
         left, right = figure.add_subplot(3, 2, 2 * row + 1), figure.add_subplot(3, 2, 2 * row + 2)
         draw_over_time(left, result.t, result.band_limited_acceleration[:, row], result.drive_speed)
-        left.set_ylabel(f"{motion} [{spectrum.units[row]}]")
-        draw_density(right, spectrum.frequency, spectrum.values[:, row], result.drive_speed, spectrum.value_units[row])
+        left.set_ylabel(f"{motion} [{frame_units((motion,), 'acceleration')[0]}]")
+        if spectrum is None:
+            right.set_axis_off()
+            right.text(0.0, 0.5, missing if row == 0 else "", wrap=True)
+        else:
+            unit = spectrum.value_units[row]
+            draw_density(right, spectrum.frequency, spectrum.values[:, row], result.drive_speed, unit)
     left.set_xlabel("time [s]")
     return figure
 

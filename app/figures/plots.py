@@ -71,6 +71,8 @@ def plot_simulation(recording: SimulationFile, path: Path) -> None:
 def draw_over_time(axes: Axes, time: npt.ArrayLike, values: npt.ArrayLike, drive_speed: float = 0.0) -> None:
     """Draw the last revolutions of one motion; all of it where nothing turns."""
     t = np.asarray(time, dtype=np.float64)
+    if not len(t):
+        return
     span = SHOWN_REVOLUTIONS * 2 * math.pi / abs(drive_speed) if drive_speed else math.inf
     shown = t >= max(t[0], t[-1] - span)
     axes.plot(t[shown], np.asarray(values)[shown], color=BLUE, linewidth=0.8)

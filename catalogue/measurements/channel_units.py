@@ -21,6 +21,10 @@ _DIMENSIONS: dict[units.Dimension, ChannelQuantity] = {
     units.TIME: "time",
     units.FREQUENCY: "frequency",
 }
+#: Nobody's machine shakes by kilometres: Mm was meant to be something else.
+_LARGEST = {units.LENGTH: 1.0, units.SPEED: 1.0, units.ACCELERATION: 9.80665, units.TIME: 3600.0, units.FREQUENCY: 1e9}
+#: mm, mm/s, mm/s2, mm/s/s, 1/s; not all that has the right dimension.
+_FORM = re.compile(r"([A-Za-z]{1,12}|g0)(/(s|sec|min|h))?|[A-Za-z]{1,12}/(s|sec)(2|/(s|sec))|1/s")
 #: As loggers write them.
 _ALIASES = {
     "G": "g", "sek": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "usec": "us", "hz": "Hz",
@@ -52,15 +56,15 @@ def parse_unit(text: str) -> ChannelUnit | None:
     """Unit from its text, or None when it is not one of length, speed, acceleration, time or frequency."""
     plain = _plain(text)
     found = _known(plain)
-    if found is None and (plain.isupper() or (len(plain) > 2 and plain.isalpha())):  # M/S2, Sec; but Mm is not mm
+    if found is None and len(plain) > 1 and (plain.isupper() or (len(plain) > 2 and plain.isalpha())):  # not Mm
         found = _known(plain.lower())
     return None if found is None else ChannelUnit(text.strip(), _DIMENSIONS[found[0]], found[1])
 
 
 def _known(plain: str) -> tuple[units.Dimension, float] | None:
-    found = units.factor_of(_ALIASES.get(plain, plain), tuple(_DIMENSIONS))
-    # Nobody's machine shakes by kilometres: Mm was meant to be something else.
-    return None if found is not None and found[0] in (units.LENGTH, units.SPEED) and found[1] > 1.0 else found
+    plain = _ALIASES.get(plain, plain)
+    found = units.factor_of(plain, tuple(_DIMENSIONS)) if _FORM.fullmatch(plain) else None
+    return found if found is not None and found[1] <= _LARGEST[found[0]] else None
 
 
 def parse_sensitivity(text: str) -> tuple[float, str] | None:

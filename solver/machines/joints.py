@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
-    AfterValidator,
+    BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
     WithJsonSchema,
@@ -20,15 +20,15 @@ from jointplay.solver.machines.parts import Damping, Part
 from jointplay.solver.machines.restitution import HYSTERESIS, LAWS
 
 
-def _known(law: str) -> str:
-    if law not in LAWS:
+def _known(law: object) -> object:
+    if not isinstance(law, str) or law not in LAWS:
         *first, last = LAWS
         raise RuleError(f"must be {', '.join(first)} or {last}")
     return law
 
 
 #: A law of :data:`jointplay.solver.machines.restitution.LAWS`; other packages may add some.
-ContactLaw = Annotated[str, AfterValidator(_known), WithJsonSchema({"enum": list(LAWS), "type": "string"})]
+ContactLaw = Annotated[str, BeforeValidator(_known), WithJsonSchema({"enum": list(LAWS), "type": "string"})]
 FrictionCoefficient = Annotated[float, Quantity(units.RATIO, at_least=0)]
 FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]
 

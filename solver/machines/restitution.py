@@ -35,7 +35,8 @@ _OWN: Mapping[str, Callable[[Any], Any]] = {
     "gonthier": lambda e: (1 - e * e) / e,
     "lankarani-nikravesh": lambda e: 0.75 * (1 - e * e),
 }
-_OTHER = {name: partial(_loaded, law) for name, law in installed("contact_laws").items() if name not in _OWN}
+_KNOWN = ("linear", "hertz", *_OWN)
+_OTHER = {name: partial(_loaded, law) for name, law in installed("contact_laws").items() if name not in _KNOWN}
 HYSTERESIS: Mapping[str, Callable[[Any], Any]] = {**_OWN, **_OTHER}
 LAWS = ("linear", "hertz", *HYSTERESIS)
 #: A law that misses what it was asked for by more than this part says so.

@@ -46,6 +46,9 @@ __all__ = [
 LONGEST = 100
 """Characters of a number with its unit."""
 
+LONGEST_UNIT = 24
+"""Characters of a unit by itself."""
+
 
 @dataclass(frozen=True)
 class Dimension:
@@ -234,12 +237,15 @@ def factor_of(text: str, dimensions: Sequence[Dimension]) -> tuple[Dimension, fl
         "mm/s", "g", "m/s^2" ...
     dimensions : sequence of Dimension
     """
+    if len(text) > LONGEST_UNIT:
+        return None
     try:
         unit = _unit_where(text, dimensions)
-    except UnitError:
+        factor = float(unit.factor) * math.pi ** unit.powers[4]
+    except (UnitError, OverflowError):
         return None
     found = next((dimension for dimension in dimensions if _is_of(unit, dimension)), None)
-    return None if found is None else (found, float(unit.factor) * math.pi ** unit.powers[4])
+    return None if found is None or not factor > 0.0 else (found, factor)
 
 
 def _unit_where(text: str, dimensions: Sequence[Dimension]) -> _Unit:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from jointplay.solver.machines.restitution import LAWS
+
 MODULE = """
 import numpy as np
 
@@ -36,9 +38,12 @@ ENTRY_POINTS = """
 [jointplay.contact_laws]
 others-law = others:hysteresis
 flores = others:hysteresis
+hertz = others:hysteresis
 
 [jointplay.readers]
 xyz = others:read
+DAT = others:read
+h5 = others:read
 
 [jointplay.matchers]
 others-method = others:Method
@@ -69,19 +74,21 @@ def test_a_contact_law(package: Path) -> None:
     code = """
 import json
 import jointplay as jp
-from jointplay.solver.machines.restitution import hysteresis_factor
+from jointplay.solver.machines.restitution import LAWS, hysteresis_factor
 
 machine = jp.load_machine("slider-crank").model_dump()
 contact = {"law": "others-law", "stiffness": 1e8, "restitution": 0.8}
 machine["joints"]["B"]["contact"] = contact
 settings = jp.Settings(duration=0.2, accuracy="draft")
 found = jp.simulate(jp.Machine.model_validate(machine), {"B": 2e-4}, settings)
-print(json.dumps([found.status, len(found.t), hysteresis_factor("flores", 0.8), hysteresis_factor("others-law", 0.8)]))
+factors = [hysteresis_factor(name, 0.8) for name in ("flores", "others-law")]
+print(json.dumps([found.status, len(found.t), *factors, list(LAWS)]))
 """
-    status, samples, ours, theirs = json.loads(run(package, code))
+    status, samples, ours, theirs, laws = json.loads(run(package, code))
     assert (status, samples) == ("ok", 4001)
     assert ours == pytest.approx(0.4)  # a name of ours keeps its formula
     assert theirs == pytest.approx(0.54)
+    assert laws == [*LAWS, "others-law"]
 
 
 def test_a_reader(package: Path) -> None:
@@ -91,13 +98,14 @@ import jointplay as jp
 from jointplay.catalogue.errors import MeasurementError
 
 values = np.sin(np.arange(300.0))
-print(np.array_equal(jp.read_recording(b"xyz" + values.tobytes(), name="run.xyz").signal[:, 0], values))
+for name in ("run.xyz", "run.DAT"):
+    print(np.array_equal(jp.read_recording(b"xyz" + values.tobytes(), name=name).signal[:, 0], values))
 try:
     jp.read_recording(b"abc", name="run.xyz")
 except MeasurementError as error:
     print(error)
 """
-    assert run(package, code).splitlines() == ["True", "run.xyz: does not begin with xyz"]
+    assert run(package, code).splitlines() == ["True", "True", "run.xyz: does not begin with xyz"]
 
 
 def test_a_method(package: Path) -> None:

@@ -32,7 +32,7 @@ TOKEN = "jp_0123456789ab_" + "s3cret-" * 6
 
 
 def record(message: str, **members: Any) -> logging.LogRecord:
-    found = logging.LogRecord("app.x", logging.WARNING, "x.py", 1, message, (), None)
+    found = logging.LogRecord("jointplay.app.x", logging.WARNING, "x.py", 1, message, (), None)
     setattr(found, logs.MEMBERS, members)
     return found
 
@@ -71,7 +71,7 @@ def test_a_record_is_one_line_whatever_it_says(formatter: logging.Formatter) -> 
 def test_json_lines_have_these_members() -> None:
     line = json.loads(logs.JsonFormatter().format(record("m", status=200)))
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", line.pop("time"))
-    assert line == {"level": "warning", "logger": "app.x", "message": "m", "status": 200}
+    assert line == {"level": "warning", "logger": "jointplay.app.x", "message": "m", "status": 200}
 
 
 @pytest.mark.parametrize("given", ["a", "7f3c1c1e-2f5b-4d0e", "A_b.9" * 12])

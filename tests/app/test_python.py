@@ -79,6 +79,8 @@ def test_results_compare_hash_and_convert(history) -> None:  # type: ignore[no-u
     np.testing.assert_array_equal(spectrum.to_pandas()["y"], spectrum.values[:, 1])
     np.testing.assert_array_equal(spectrum.to_xarray().sel(channel="y"), spectrum.values[:, 1])
     assert len(jp.plot(history).axes) == 6
+    short = jp.simulate(jp.load_machine("slider-crank"), None, jp.Settings(duration=0.05, sample_rate=4000))
+    assert jp.plot(short).axes[1].texts[0].get_text().startswith("no spectrum: ")
     assert len(jp.plot(spectrum).axes) == 3
 
 

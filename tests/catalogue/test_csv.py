@@ -175,7 +175,25 @@ def test_machine_files_and_recordings_have_one_table(text: str, dimension: units
     assert found.factor == units.to_si(f"1 {text}", dimension)
 
 
-@pytest.mark.parametrize("label", ["s1-x", "in/out", "a/b", "x g", "a [V]", "a [g rms]", "a [Mm]", "a []"])
+@pytest.mark.parametrize(
+    "label",
+    [
+        "s1-x",
+        "in/out",
+        "a/b",
+        "x g",
+        "a [V]",
+        "a [g rms]",
+        "a [Mm]",
+        "a []",
+        "a [Mm/s2]",
+        "a [km/s2]",
+        "a [kN/kg]",
+        "x/H",
+        "a [GN9/N9*GN9/N9*GN9/N9*m]",
+        "a [" + "GN9*" * 20_000 + "m]",
+    ],
+)
 def test_labels_without_a_unit_are_not_guessed(label: str) -> None:
     assert parse_unit(split_label(label)[1] or "") is None
 

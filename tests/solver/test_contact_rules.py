@@ -63,6 +63,8 @@ def test_a_machine_is_read_again_as_it_was_written(law: Tree) -> None:
     [
         ({"law": "flors"}, None,
          "defaults.contact.law: flors: must be linear, hertz, hunt-crossley, flores, gonthier or lankarani-nikravesh"),
+        ({"law": 5}, None,
+         "defaults.contact.law: 5: must be linear, hertz, hunt-crossley, flores, gonthier or lankarani-nikravesh"),
         ({"restitution": 0.9}, None,
          "defaults.contact.restitution: 0.9: law linear has no restitution, it has stiffness and damping"),
         ({}, {"exponent": 1.5},

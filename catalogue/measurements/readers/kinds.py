@@ -70,10 +70,11 @@ FOREIGN = {
 
 
 #: Kinds that other packages read, told by the ending of a name alone, which is the name of their entry point.
+_OWN_ENDINGS = {*TEXT_ENDINGS, *(ending for kind in FOREIGN.values() for ending in kind.endings)}
 INSTALLED = {
-    ending.upper(): Kind(ending.upper(), (f".{ending}",), point.module, point.attr)
-    for ending, point in installed("readers").items()
-    if ending.upper() not in FOREIGN
+    name.upper(): Kind(name.upper(), (f".{name.lower()}",), point.module, point.attr)
+    for name, point in installed("readers").items()
+    if f".{name.lower()}" not in _OWN_ENDINGS and name.upper() not in FOREIGN
 }
 KINDS = {**FOREIGN, **INSTALLED}
 
