@@ -246,7 +246,7 @@ def load_plan(name_or_path: str | Path) -> Plan:
     if name in preset_names() and not path.is_file():
         return preset(name)
     if not path.exists():
-        raise PlanError("", "", name, f"is neither a file nor a shipped plan{nearest(name, preset_names())}")
+        raise PlanError(name, "", None, f"is neither a file nor a shipped plan{nearest(name, preset_names())}")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:

@@ -163,7 +163,7 @@ def load_machine(name_or_path: str | Path) -> Machine:
     if name in names and not path.is_file():
         return shipped_machine(name)
     if not path.exists():
-        raise MachineError("", "", name, f"is neither a file nor a shipped machine{nearest(name, names)}")
+        raise MachineError(name, "", None, f"is neither a file nor a shipped machine{nearest(name, names)}")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
