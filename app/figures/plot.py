@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from jointplay.app.figures.plots import draw_density, draw_diagnosis, draw_over_time
@@ -72,7 +73,7 @@ def _(result: Spectrum) -> Figure:
 @plot.register
 def _(result: Recording) -> Figure:
     figure = Figure(figsize=(9, 2.0 * len(result.channels)), layout="constrained")
-    time = [sample / result.sample_rate for sample in range(len(result.signal))]
+    time = np.arange(len(result.signal)) / result.sample_rate
     for column, channel in enumerate(result.channels):
         axes = figure.add_subplot(len(result.channels), 1, column + 1)
         draw_over_time(axes, time, result.signal[:, column])

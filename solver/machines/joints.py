@@ -17,18 +17,18 @@ from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import Direction, Name, Point, Quantity, RuleError, no_default
 from jointplay.solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
 from jointplay.solver.machines.parts import Damping, Part
-from jointplay.solver.machines.restitution import HYSTERESIS, LAWS
+from jointplay.solver.machines.restitution import CONTACT_LAWS, HYSTERESIS
 
 
 def _known(law: object) -> object:
-    if not isinstance(law, str) or law not in LAWS:
-        *first, last = LAWS
+    if not isinstance(law, str) or law not in CONTACT_LAWS:
+        *first, last = CONTACT_LAWS
         raise RuleError(f"must be {', '.join(first)} or {last}")
     return law
 
 
-#: A law of :data:`jointplay.solver.machines.restitution.LAWS`; other packages may add some.
-ContactLaw = Annotated[str, BeforeValidator(_known), WithJsonSchema({"enum": list(LAWS), "type": "string"})]
+#: A law of :data:`jointplay.solver.machines.restitution.CONTACT_LAWS`; other packages may add some.
+ContactLaw = Annotated[str, BeforeValidator(_known), WithJsonSchema({"enum": list(CONTACT_LAWS), "type": "string"})]
 FrictionCoefficient = Annotated[float, Quantity(units.RATIO, at_least=0)]
 FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from jointplay.solver.extensions import installed
 
-__all__ = ["HYSTERESIS", "LAWS", "effective_restitution", "hysteresis_factor", "remark", "returned"]
+__all__ = ["CONTACT_LAWS", "HYSTERESIS", "effective_restitution", "hysteresis_factor", "remark", "returned"]
 
 _Number = TypeVar("_Number")
 
@@ -38,7 +38,7 @@ _OWN: Mapping[str, Callable[[Any], Any]] = {
 _KNOWN = ("linear", "hertz", *_OWN)
 _OTHER = {name: partial(_loaded, law) for name, law in installed("contact_laws").items() if name not in _KNOWN}
 HYSTERESIS: Mapping[str, Callable[[Any], Any]] = {**_OWN, **_OTHER}
-LAWS = ("linear", "hertz", *HYSTERESIS)
+CONTACT_LAWS = ("linear", "hertz", *HYSTERESIS)
 #: A law that misses what it was asked for by more than this part says so.
 WORTH_SAYING = 0.05
 

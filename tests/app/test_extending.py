@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from jointplay.solver.machines.restitution import LAWS
+from jointplay.solver.machines.restitution import CONTACT_LAWS
 
 MODULE = """
 import numpy as np
@@ -74,7 +74,7 @@ def test_a_contact_law(package: Path) -> None:
     code = """
 import json
 import jointplay as jp
-from jointplay.solver.machines.restitution import LAWS, hysteresis_factor
+from jointplay.solver.machines.restitution import CONTACT_LAWS, hysteresis_factor
 
 machine = jp.load_machine("slider-crank").model_dump()
 contact = {"law": "others-law", "stiffness": 1e8, "restitution": 0.8}
@@ -82,13 +82,13 @@ machine["joints"]["B"]["contact"] = contact
 settings = jp.Settings(duration=0.2, accuracy="draft")
 found = jp.simulate(jp.Machine.model_validate(machine), {"B": 2e-4}, settings)
 factors = [hysteresis_factor(name, 0.8) for name in ("flores", "others-law")]
-print(json.dumps([found.status, len(found.t), *factors, list(LAWS)]))
+print(json.dumps([found.status, len(found.t), *factors, list(CONTACT_LAWS)]))
 """
     status, samples, ours, theirs, laws = json.loads(run(package, code))
     assert (status, samples) == ("ok", 4001)
     assert ours == pytest.approx(0.4)  # a name of ours keeps its formula
     assert theirs == pytest.approx(0.54)
-    assert laws == [*LAWS, "others-law"]
+    assert laws == [*CONTACT_LAWS, "others-law"]
 
 
 def test_a_reader(package: Path) -> None:
@@ -119,5 +119,5 @@ print(list(METHODS), type(METHODS["others-method"]()).__name__)
 
 
 def test_nothing_is_there_without_it() -> None:
-    code = "from jointplay.solver.machines.restitution import LAWS; print(len(LAWS))"
+    code = "from jointplay.solver.machines.restitution import CONTACT_LAWS; print(len(CONTACT_LAWS))"
     assert run(Path(), code).strip() == "6"

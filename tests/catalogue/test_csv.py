@@ -143,6 +143,8 @@ def test_fifty_thousand_rows_of_four_columns() -> None:
         ("d / mm", "d", "displacement", 1e-3),
         ("d [mil]", "d", "displacement", 2.54e-5),
         ("Zeit/s", "Zeit", "time", 1.0),
+        ("T [S]", "T", "time", 1.0),
+        ("d [M]", "d", "displacement", 1.0),
         ("Time (ms)", "Time", "time", 1e-3),
         ("f [Hz]", "f", "frequency", 1.0),
     ],
