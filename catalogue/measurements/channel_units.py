@@ -27,7 +27,8 @@ _LARGEST = {units.LENGTH: 1.0, units.SPEED: 1.0, units.ACCELERATION: 9.80665, un
 _FORM = re.compile(r"([A-Za-z]{1,12}|g0)(/(s|sec|min|h))?|[A-Za-z]{1,12}/(s|sec)(2|/(s|sec))|1/s")
 #: As loggers write them.
 _ALIASES = {
-    "G": "g", "M": "m", "S": "s", "sek": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "usec": "us", "hz": "Hz",
+    "G": "g", "M": "m", "S": "s",
+    "sek": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "usec": "us", "hz": "Hz",
     "S/s": "Hz", "kS/s": "kHz", "sps": "Hz",
 }  # fmt: skip
 _VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
