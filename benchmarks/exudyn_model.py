@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import RATE
-from jointplay.solver.machines.drives import RotationDrive
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Mount
+from jointplay.solver.machines.parts import Mount, RotationDrive
 from jointplay.solver.simulation.simulate import Case, Settings, simulate
 
 Array = NDArray[np.float64]

@@ -30,9 +30,9 @@ def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_jso
         from jointplay.app.figures.pictures import check_ending
 
         check_ending(drawing)
-    from jointplay.solver.machines.contact_rules import restitution_remarks
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
+    from jointplay.solver.machines.rules import restitution_remarks
     from jointplay.solver.simulation.account import account
     from jointplay.solver.simulation.simulate import check_assembly
 
@@ -189,7 +189,7 @@ def fits_document(machine: Machine) -> dict[str, object]:
 
 def arrays_of(matrix: MechanismMatrix) -> str:
     """Return the paper's arrays as tables: counts, neighbour lists (without the zeros that fill them up), factors."""
-    from jointplay.solver.machines.matrix_arrays import matrix_arrays
+    from jointplay.solver.machines.matrix import matrix_arrays
 
     arrays = matrix_arrays(matrix)
     size = range(len(arrays.links))
@@ -220,7 +220,7 @@ def arrays_of(matrix: MechanismMatrix) -> str:
 
 def arrays_document(matrix: MechanismMatrix) -> dict[str, object]:
     """Return the paper's arrays as JSON values, links counted from 1."""
-    from jointplay.solver.machines.matrix_arrays import matrix_arrays
+    from jointplay.solver.machines.matrix import matrix_arrays
 
     arrays = matrix_arrays(matrix)
     return {

@@ -10,13 +10,13 @@ from functools import lru_cache
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.draws import Distribution
 from jointplay.catalogue.plans.variants import output_load
-from jointplay.solver.cases.parameters import SHORTHANDS
+from jointplay.solver.cases.groups import SHORTHANDS
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.drives import RotationDrive
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive
 
 __all__ = [
     "LOAD",

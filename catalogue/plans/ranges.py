@@ -7,10 +7,9 @@ from collections.abc import Mapping
 
 from jointplay.catalogue.plans.draws import Distribution
 from jointplay.catalogue.plans.variants import LawChoice, output_load
-from jointplay.solver.machines.drives import RotationDrive
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Damper, Mount, Spring
+from jointplay.solver.machines.parts import Damper, Mount, RotationDrive, Spring
 
 __all__ = ["default_laws", "default_uncertain", "default_wide"]
 

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Self, get_args
 
-from jointplay.solver.machines.drives import Ripple, RotationDrive
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.kept import kept
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Load
+from jointplay.solver.machines.parts import Load, Ripple, RotationDrive
 
 __all__ = ["AS_FILED", "LawChoice", "ProcessLoad", "Variant", "output_load"]
 

@@ -1,20 +1,96 @@
-"""A table of cases, those with equal equations together."""
+"""A table of cases, those with equal equations together, and parameters as full paths within the file's bounds."""
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from jointplay.solver.cases.history import Case, Settings
-from jointplay.solver.cases.parameters import full_paths
 from jointplay.solver.cases.preparation import Prepared, model_of, prepare
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.equations.model import Model
-from jointplay.solver.equations.numbers import contact_paths
-from jointplay.solver.errors import AssemblyError
+from jointplay.solver.equations.numbers import CONTACT_NUMBERS, contact_path, contact_paths
+from jointplay.solver.errors import AssemblyError, MachineError
 from jointplay.solver.machines.fault import check_fault
+from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.joints import LEAST_RESTITUTION, TurningJoint
 from jointplay.solver.machines.machine import Machine
+
+_CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
+#: Shorthand for all joints with clearance.
+SHORTHANDS = (*_CONTACT, "pin_radius")
+#: Last part of paths whose numbers must be greater than 0, and of those that must not be negative.
+_POSITIVE = ("mass", "inertia", "friction_velocity")
+_NOT_NEGATIVE = ("damping", "friction", "viscous", "pin_radius", "stiffness", "free_length", "hysteresis")
+
+
+def _check(machine: Machine, path: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise MachineError(machine.name, path, value, "must be finite")
+    parts = path.split(".")
+    name = parts[-2] if parts[-1].isdigit() and len(parts) > 1 else parts[-1]
+    contact_stiffness = name == "stiffness" and "contact" in parts
+    if (name in _POSITIVE or contact_stiffness) and value <= 0:
+        raise MachineError(machine.name, path, value, "must be greater than 0")
+    if name in _NOT_NEGATIVE and value < 0:
+        raise MachineError(machine.name, path, value, "must not be negative")
+    if name == "restitution" and not LEAST_RESTITUTION <= value <= 1:
+        raise MachineError(machine.name, path, value, f"must be between {LEAST_RESTITUTION:g} and 1")
+    return float(value)
+
+
+def _has(machine: Machine, joint: str, name: str) -> bool:
+    """Whether a contact number means something in a turning joint."""
+    found = machine.joints[joint]
+    return isinstance(found, TurningJoint) and found.contact.has(name)
+
+
+def full_paths(machine: Machine, case: Case) -> dict[str, float]:
+    """Parameters of a case by full path, and its clearances.
+
+    Numbers of a contact that is closed in this case, and the viscous resistance of a joint that has clearance, have no
+    effect there and are left out. A short path means the joints whose contact law has such a number.
+
+    Parameters
+    ----------
+    machine : Machine
+    case : Case
+
+    Raises
+    ------
+    MachineError
+        An unknown path, or a value outside the bounds of the machine file.
+    """
+    values: dict[str, float] = {}
+    for path, given in case.parameters.items():
+        value = _check(machine, path, given)
+        first, _, rest = path.partition(".")
+        joint, _, number = rest.partition(".")
+        if path in SHORTHANDS:
+            name = path.rpartition(".")[2]
+            if value and not any(_has(machine, turning, name) for turning in machine.turning_joints):
+                raise MachineError(machine.name, path, given, f"no contact law of this machine has a {name}")
+            for worn in case.fault.joints:
+                if _has(machine, worn, name):
+                    values.setdefault(contact_path(worn, name), value)
+        elif first == "joints" and joint in machine.turning_joints:
+            if number not in (*SHORTHANDS, "viscous"):
+                rule = f"no such number{nearest(number, [*SHORTHANDS, 'viscous'])}"
+                raise MachineError(machine.name, path, given, rule)
+            name = number.rpartition(".")[2]
+            if not _has(machine, joint, name):
+                # Nothing is what every law has of the numbers that it does not have.
+                if value:
+                    raise MachineError(machine.name, path, given, f"the contact law of this joint has no {name}")
+            elif (joint in case.fault) != (number == "viscous"):
+                values[path] = value
+        else:
+            values[path] = value
+    for joint, clearance in case.fault.items():
+        values[contact_path(joint, "clearance")] = clearance
+    return values
 
 
 @dataclass(frozen=True)

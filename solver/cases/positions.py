@@ -9,16 +9,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.solver.cases.assembly import follow, walk
-from jointplay.solver.cases.friction_rates import friction_rate
+from jointplay.solver.cases.rates import friction_rate
+from jointplay.solver.cases.start import follow, walk
 from jointplay.solver.cases.steps import contact_mobility
 from jointplay.solver.equations.drive import travel_range
-from jointplay.solver.equations.evaluation import evaluate
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
-from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
+from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.kept import kept
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 Array = NDArray[np.float64]
 

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.solver.cases.assembly import check_closures
-from jointplay.solver.cases.contact_rates import contact_rates
-from jointplay.solver.cases.friction_rates import without_sliding_friction
 from jointplay.solver.cases.history import Settings
 from jointplay.solver.cases.positions import check_travel, mobility_of, rubbing_rate
-from jointplay.solver.cases.scales import pace_of
-from jointplay.solver.cases.start import start_pose, start_velocity
+from jointplay.solver.cases.rates import contact_rates, pace_of, without_sliding_friction
+from jointplay.solver.cases.start import check_closures, start_pose, start_velocity
 from jointplay.solver.cases.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
@@ -28,10 +25,10 @@ from jointplay.solver.cases.steps import (
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.errors import AssemblyError, MachineError, SettingsError
-from jointplay.solver.machines.contact_rules import restitution_remarks
-from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
 from jointplay.solver.machines.kept import kept
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.rules import restitution_remarks
 
 Array = NDArray[np.float64]
 
@@ -54,7 +51,7 @@ class Prepared:
     z, v : (n,) arrays
         Start.
     memory : (m,) array
-        What contacts remember at the start, see :mod:`jointplay.solver.equations.contact_laws`.
+        What contacts remember at the start, see :mod:`jointplay.solver.equations.contact`.
     begin : float
         Time of the start, s.
     speed : float
@@ -71,7 +68,7 @@ class Prepared:
         How far the frame moves against what it would at a fast drive, see
         :func:`jointplay.solver.cases.steps.response`.
     pace : float
-        Time in which the machine moves by its own size, see :func:`jointplay.solver.cases.scales.pace_of`.
+        Time in which the machine moves by its own size, see :func:`jointplay.solver.cases.rates.pace_of`.
     accuracy : str
         How finely it is resolved.
     longest_step : float

@@ -1,19 +1,181 @@
-"""Where a run starts: as drawn or in static equilibrium, with velocities that fulfil constraints and drive."""
+"""Where a run starts: as drawn or in static equilibrium, with velocities that fulfil constraints and drive.
+
+Closures are met by Newton's method, followed over the positions of the drive, or refused by name.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.solver.cases.assembly import CLOSED, NEWTON_STEPS, close, inner_coordinates
-from jointplay.solver.equations.evaluation import evaluate
 from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.errors import AssemblyError
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 Array = NDArray[np.float64]
+
+#: Closures count as closed below this (m, rad): some thousand times rounding at the size of a machine.
+CLOSED = 1e-11
+#: A closure of which less than this part is not in those before it repeats them.
+_INDEPENDENT = 1e-9
+#: Newton's method gives up after so many steps.
+NEWTON_STEPS = 30
+_WALK_STEPS = 120
+
+
+def close(model: Model, t: float, z: Array, p: Sequence[float], free: Sequence[int]) -> tuple[Array, float, str]:
+    """Newton on closures and concentric pins, moving the `free` coordinates as little as possible.
+
+    Returns the coordinates, the largest remaining gap and the name of the closure that has it.
+    """
+    z = z.copy()
+    names = [c.name for c in model.kinematics.closures] + [j for j in model.clearance_joints for _ in range(2)]
+    zero = np.zeros(model.size)
+    gap = np.zeros(0)
+    for _ in range(NEWTON_STEPS):
+        residual, jacobian, _ = evaluate(model.constraint, t, z, zero, p)
+        gap = residual[:, 0]
+        if gap.size == 0 or np.abs(gap).max() < CLOSED:
+            break
+        step = np.linalg.lstsq(jacobian[:, free], gap, rcond=1e-12)[0]
+        # A full step from a dead centre may leave for infinity; half a radian or half a metre is far enough.
+        z[free] -= step * min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
+    if gap.size == 0:
+        return z, 0.0, ""
+    worst = int(np.abs(gap).argmax())
+    return z, float(abs(gap[worst])), names[worst]
+
+
+def inner_coordinates(model: Model) -> list[int]:
+    """Coordinates other than the frame's."""
+    return [i for i in range(model.size) if i not in model.frame_indices]
+
+
+def drive_period(model: Model, speed: float) -> float:
+    """Time in which the drive goes through all its positions, s; 0 where it has none to go through."""
+    drive = model.machine.drive
+    if isinstance(drive, RotationDrive):
+        return 2 * math.pi / abs(speed) if speed else 0.0
+    if isinstance(drive, TranslationDrive) and drive.harmonics:
+        return 1.0 / min(h.frequency for h in drive.harmonics if h.frequency > 0)
+    return 0.0
+
+
+def walk(model: Model, p: Sequence[float], speed: float, steps: int = _WALK_STEPS) -> list[tuple[float, Array]]:
+    """Assembled poses of the ideal machine over one period of the drive, the frame where it was drawn.
+
+    Parameters
+    ----------
+    model : Model
+    p : sequence of float
+        Lane parameters.
+    speed : float
+        Drive speed, rad/s.
+    steps : int
+        Poses to compute.
+
+    Returns
+    -------
+    list of (float, (n,) array)
+        Times and coordinates.
+
+    Raises
+    ------
+    AssemblyError
+        The machine cannot be assembled at some drive angle, or a joint is redundant; the message names it.
+    """
+    period = drive_period(model, speed)
+    return follow(model, p, [period * k / steps for k in range(steps)] if period else [0.0])
+
+
+def follow(model: Model, p: Sequence[float], times: Sequence[float]) -> list[tuple[float, Array]]:
+    """Assembled poses of the ideal machine at given times of its drive, each from the one before; as :func:`walk`."""
+    check_closures(model, p)
+    free = inner_coordinates(model)
+    poses: list[tuple[float, Array]] = []
+    z = np.zeros(model.size)
+    previous = 0.0
+    for t in times:
+        closed, gap, name = close(model, t, z, p, free)
+        if gap >= CLOSED:
+            raise _cannot_assemble(model, p, *_last_pose(model, p, z, previous, t, free), gap, name)
+        poses.append((t, closed))
+        z, previous = closed, t
+    return poses
+
+
+def check_closures(model: Model, p: Sequence[float]) -> None:
+    """Refuse a joint that only repeats what others hold: its reaction would have no value.
+
+    Raises
+    ------
+    AssemblyError
+        Names the first closure, as drawn, that follows from those before it.
+    """
+    closures = model.kinematics.closures
+    rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1][: len(closures)]
+    scale = float(np.abs(rows).max(initial=0.0))
+    basis: list[Array] = []
+    for closure, row in zip(closures, rows, strict=True):
+        size = float(np.linalg.norm(row))
+        left = row.copy()
+        for _ in range(2):  # once more, or rounding would stay in
+            for other in basis:
+                left -= (other @ left) * other
+        if size <= _INDEPENDENT * scale or np.linalg.norm(left) <= _INDEPENDENT * size:
+            rule = (
+                "cannot be driven from the drawn pose, a dead centre: draw another one"
+                if closure.name.endswith(".drive")
+                else "holds as drawn only what other joints hold already: leave one of them out, or draw another pose "
+                "if this is a change point"
+            )
+            raise AssemblyError(model.machine.name, _place(closure.name), None, rule)
+        basis.append(left / np.linalg.norm(left))
+
+
+def _last_pose(
+    model: Model, p: Sequence[float], z: Array, good: float, bad: float, free: Sequence[int]
+) -> tuple[float, Array]:
+    """Time and coordinates of the last pose that closes, between one that does and one that does not."""
+    for _ in range(12):
+        middle = 0.5 * (good + bad)
+        closed, gap, _ = close(model, middle, z, p, free)
+        if gap < CLOSED:
+            good, z = middle, closed
+        else:
+            bad = middle
+    return good, z
+
+
+def _place(closure: str) -> str:
+    """Path in the machine file of what a closure stands for."""
+    owner, _, kind = closure.partition(".")
+    return f"links.{owner}.locked" if kind.startswith("locked") else f"joints.{owner}"
+
+
+def _cannot_assemble(model: Model, p: Sequence[float], t: float, z: Array, gap: float, name: str) -> AssemblyError:
+    """Refusal after the last pose `z` that closes, at time `t`; `gap` is what stays open at the next of the walk."""
+    machine, kin = model.machine, model.kinematics
+    where = "as drawn"
+    if isinstance(machine.drive, RotationDrive | TranslationDrive):
+        joint = machine.joints[machine.drive.joint]
+        if isinstance(joint, TurningJoint):
+            first, second = (kin.poses[link].theta for link in joint.links)
+            position, factor, text = first - second, 180 / math.pi, "a drive angle of {:.1f} deg"
+        else:
+            position, factor, text = kin.slide(joint)[0], 1e3, "a drive travel of {:.3g} mm"
+        now = float(model.function("position", position)(t, z, np.zeros(model.size), p))
+        where = "at " + text.format(factor * now)
+    owner, _, kind = name.partition(".")
+    what = f"link {owner}, locked," if kind.startswith("locked") else f"joint {owner}"
+    rule = f"cannot be assembled {where}: a little further {what} stays {gap * 1e3:.3g} mm open"
+    return AssemblyError(machine.name, _place(name), None, rule)
 
 
 @dataclass(frozen=True, eq=False)

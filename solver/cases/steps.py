@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from jointplay.solver.cases.contact_rates import ContactRates
-from jointplay.solver.equations.evaluation import evaluate
+from jointplay.solver.cases.rates import ContactRates
 from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.numbers import evaluate
 
 Array = NDArray[np.float64]
 Accuracy = Literal["draft", "standard", "reference"]
@@ -74,7 +74,7 @@ def contact_mobility(model: Model, poses: Sequence[tuple[float, Array]], p: Sequ
     ----------
     model : Model
     poses : sequence of (float, (n,) array)
-        Times and coordinates, see :func:`jointplay.solver.cases.assembly.walk`.
+        Times and coordinates, see :func:`jointplay.solver.cases.start.walk`.
     p : sequence of float
         Lane parameters.
     """
@@ -143,7 +143,7 @@ def largest_step(
     speed : float
         Fastest prescribed motion, rad/s.
     rubbing : float
-        Largest rate of friction, 1/s, see :mod:`jointplay.solver.cases.friction_rates`.
+        Largest rate of friction, 1/s, see :mod:`jointplay.solver.cases.rates`.
     """
     limits = [math.inf]
     for rates in contacts:

@@ -79,7 +79,7 @@ class Layout:
 
     @property
     def memory(self) -> int:
-        """What contacts remember, see :mod:`jointplay.solver.equations.contact_laws`."""
+        """What contacts remember, see :mod:`jointplay.solver.equations.contact`."""
         return self._row(2 + 5 * self.size + self.extra + self.parameters)
 
     @property

@@ -1,20 +1,114 @@
-"""The drive: a prescribed relative motion, or a known effort."""
+"""The drive: a prescribed relative motion, or a known effort, made of harmonics or of tables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
-from jointplay.solver.equations.harmonics import Harmonics
 from jointplay.solver.equations.numbers import Number, Numbers
-from jointplay.solver.equations.tables import linear, linear_integral
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.drives import ForceDrive, Ripple, RotationDrive, TorqueDrive, TranslationDrive
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import ForceDrive, Ripple, RotationDrive, TorqueDrive, TranslationDrive
+
+
+class Harmonics:
+    """Sines and cosines of multiples of an angle.
+
+    Parameters
+    ----------
+    angle : casadi.SX
+        rad.
+    """
+
+    def __init__(self, angle: ca.SX) -> None:
+        self._angle = angle
+        self._known: dict[int, tuple[ca.SX, ca.SX]] = {}
+
+    def wave(self, order: float, phase: float) -> tuple[ca.SX, ca.SX]:
+        """Return sin(order angle + phase) and cos(order angle + phase)."""
+        whole = round(order)
+        if order != whole or whole < 1:
+            turned = order * self._angle + phase
+            return ca.sin(turned), ca.cos(turned)
+        sine, cosine = self._multiple(whole)
+        s, c = _exact(phase)
+        return sine * c + cosine * s, cosine * c - sine * s
+
+    def _multiple(self, order: int) -> tuple[ca.SX, ca.SX]:
+        if order not in self._known:
+            if order == 1:
+                self._known[1] = (ca.sin(self._angle), ca.cos(self._angle))
+            else:
+                (s, c), (t, d) = self._multiple(order // 2), self._multiple(order - order // 2)
+                self._known[order] = (s * d + c * t, c * d - s * t)
+        return self._known[order]
+
+
+def _exact(phase: float) -> tuple[float, float]:
+    """Sine and cosine of a phase; of quarter turns without rounding, so that one of the products vanishes."""
+    quarters = phase / (0.5 * math.pi)
+    if quarters == round(quarters):
+        return ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))[round(quarters) % 4]
+    return math.sin(phase), math.cos(phase)
+
+
+def interpolate(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
+    """Linear between the points, ends held.
+
+    Parameters
+    ----------
+    x : symbol
+        Argument.
+    points : sequence of (x, y)
+        Strictly increasing in x; one point is a constant.
+    """
+    value = ca.SX(points[0][1])
+    for (x0, y0), (x1, y1) in pairwise(points):
+        # Each segment adds its own rise, clamped outside of it: no nest of conditions.
+        value += (y1 - y0) / (x1 - x0) * (ca.fmin(ca.fmax(x, x0), x1) - x0)
+    return value
+
+
+def linear_integral(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
+    """Integral of :func:`linear` from 0 to `x`, exact, for x >= 0.
+
+    Its second derivative at a point of the table is the slope that follows: comparisons, because that of `fmin` and
+    `fmax` where both are equal would be half of either, and runs begin at such a point.
+    """
+
+    def primitive(s: Number) -> ca.SX:
+        y0 = points[0][1]
+        total = y0 * s
+        for (xa, ya), (xb, yb) in pairwise(points):
+            slope = (yb - ya) / (xb - xa)
+            inside = ca.if_else(s < xa, 0.0, ca.if_else(s < xb, s - xa, xb - xa))
+            total += slope * (inside * inside / 2 + inside * ca.if_else(s < xb, 0.0, s - xb))
+        return ca.SX(total)
+
+    return primitive(x) - primitive(0.0)
+
+
+def interpolate_periodic(angle: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
+    """Linear between the points, repeated with 2 pi, linear across the seam.
+
+    Parameters
+    ----------
+    angle : symbol
+        Drive angle, rad, unbounded.
+    points : sequence of (angle, value)
+        Angles strictly increasing within one turn (last - first < 2 pi).
+    """
+    turn = 2 * math.pi
+    first = points[0][0]
+    closed = [(a - first, v) for a, v in points] + [(turn, points[0][1])]
+    wrapped = angle - first
+    return interpolate(wrapped - turn * ca.floor(wrapped / turn), closed)
+
 
 #: Orders that are this far from a whole number count as one.
 _WHOLE = 1e-6
@@ -177,7 +271,7 @@ def known_effort(machine: Machine, number: Numbers, rate: Number) -> ca.SX | Non
     """Torque (N m) or force (N) of the drive on links[0] at the relative `rate`; ``None`` for a prescribed motion."""
     drive = machine.drive
     if isinstance(drive, TorqueDrive):
-        return linear(rate, drive.curve) if drive.curve else ca.SX(number("drive.torque", drive.torque or 0.0))
+        return interpolate(rate, drive.curve) if drive.curve else ca.SX(number("drive.torque", drive.torque or 0.0))
     if isinstance(drive, ForceDrive):
-        return linear(rate, drive.curve) if drive.curve else ca.SX(number("drive.force", drive.force or 0.0))
+        return interpolate(rate, drive.curve) if drive.curve else ca.SX(number("drive.force", drive.force or 0.0))
     return None

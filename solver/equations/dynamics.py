@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from jointplay.solver.equations.forces import Scene
-from jointplay.solver.equations.vectors import GROUND, ONE, Complex, Terms
+from jointplay.solver.equations.geometry import GROUND, ONE, Complex, Terms
 
 
 @dataclass(frozen=True)

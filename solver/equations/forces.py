@@ -10,14 +10,19 @@ from dataclasses import dataclass, fields
 
 import casadi as ca
 
-from jointplay.solver.equations import contact_laws
-from jointplay.solver.equations.contact import ContactForce, ContactNumbers, NormalLaw, impact_pair
-from jointplay.solver.equations.drive import known_effort
-from jointplay.solver.equations.harmonics import Harmonics
+from jointplay.solver.equations.contact import (
+    ContactForce,
+    ContactNumbers,
+    NormalForce,
+    NormalLaw,
+    hertzian_force,
+    impact_hysteresis,
+    impact_pair,
+    linear_force,
+)
+from jointplay.solver.equations.drive import Harmonics, interpolate, interpolate_periodic, known_effort
+from jointplay.solver.equations.geometry import Complex, Kinematics, Vector, constant
 from jointplay.solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
-from jointplay.solver.equations.poses import Kinematics
-from jointplay.solver.equations.tables import linear, periodic
-from jointplay.solver.equations.vectors import Complex, Vector, constant
 from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount, Spring
@@ -202,9 +207,12 @@ def loads(scene: Scene) -> None:
     for i, load in enumerate(scene.machine.loads):
         path = f"loads.{i}"
         if load.over_time is not None:
-            values = [linear(scene.t, [(row[0], row[k]) for row in load.over_time]) for k in (1, 2, 3)]
+            values = [interpolate(scene.t, [(row[0], row[k]) for row in load.over_time]) for k in (1, 2, 3)]
         elif load.over_angle is not None:
-            values = [periodic(_drive_angle(scene), [(row[0], row[k]) for row in load.over_angle]) for k in (1, 2, 3)]
+            values = [
+                interpolate_periodic(_drive_angle(scene), [(row[0], row[k]) for row in load.over_angle])
+                for k in (1, 2, 3)
+            ]
         else:
             names = (("force.0", load.force[0]), ("force.1", load.force[1]), ("torque", load.torque))
             values = [ca.SX(scene.number(f"{path}.{name}", value)) for name, value in names]
@@ -249,7 +257,7 @@ def viscous_joints(scene: Scene, open_joints: frozenset[str]) -> None:
 def contact(scene: Scene, name: str, touching: ca.SX, memory: ca.SX) -> tuple[ca.SX, ContactForce]:
     """Contact of one clearance joint: the vector from socket to pin centre (m), and the force on the pin.
 
-    `memory` is what a law that takes a restitution remembers, see :mod:`jointplay.solver.equations.contact_laws`.
+    `memory` is what a law that takes a restitution remembers, see :mod:`jointplay.solver.equations.contact`.
     """
     joint = scene.machine.joints[name]
     assert isinstance(joint, TurningJoint)
@@ -274,14 +282,14 @@ def contact(scene: Scene, name: str, touching: ca.SX, memory: ca.SX) -> tuple[ca
 def _normal_law(contact: Contact, numbers: dict[str, Number], memory: ca.SX) -> NormalLaw:
     """The law of the machine file with its numbers, as a function of penetration and approach."""
 
-    def law(penetration: ca.SX, approach: ca.SX) -> contact_laws.NormalForce:
+    def law(penetration: ca.SX, approach: ca.SX) -> NormalForce:
         stiffness = numbers["stiffness"]
         if contact.exponent is None:
-            return contact_laws.linear(stiffness, numbers["damping"], penetration, approach)
+            return linear_force(stiffness, numbers["damping"], penetration, approach)
         if contact.restitution is None:
             hysteresis = numbers["hysteresis"]
         else:
-            hysteresis = contact_laws.impact_hysteresis(contact.law, numbers["restitution"], approach, memory)
-        return contact_laws.hertzian(stiffness, contact.exponent, hysteresis, penetration, approach)
+            hysteresis = impact_hysteresis(contact.law, numbers["restitution"], approach, memory)
+        return hertzian_force(stiffness, contact.exponent, hysteresis, penetration, approach)
 
     return law

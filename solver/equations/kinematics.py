@@ -9,16 +9,235 @@ turning joint. A joint with clearance is in neither; its pin floats.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import casadi as ca
 
 from jointplay.solver.equations.drive import PrescribedMotion
+from jointplay.solver.equations.geometry import (
+    FRAME,
+    GROUND,
+    ONE,
+    ZERO,
+    Closure,
+    Complex,
+    I,
+    Kinematics,
+    Pose,
+    Term,
+    Terms,
+    Vector,
+    constant,
+    slide,
+)
 from jointplay.solver.equations.numbers import Number
-from jointplay.solver.equations.poses import Closure, Kinematics, slide
-from jointplay.solver.equations.tree import Tree
-from jointplay.solver.equations.vectors import constant
+from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
+
+#: Joints from the frame after which a link gets coordinates of its own: the mass matrix stays sparse in long chains.
+MAX_DEPTH = 6
+
+
+@dataclass(frozen=True)
+class _Angle:
+    """Angle shared by a set of links: base coordinate plus k times the drive."""
+
+    turn: str
+    theta: ca.SX
+    omega: ca.SX
+    index: int | None
+
+
+class Tree:
+    """Coordinates, angles and poses while they are being chosen, link by link; parameters as of ``kinematics``."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        open_joints: frozenset[str],
+        rubbing: frozenset[str],
+        motion: PrescribedMotion | None,
+        gravity: Number,
+        expanded: bool,
+    ) -> None:
+        self.machine = machine
+        self.open = open_joints
+        self.rubbing = rubbing
+        self.motion = motion
+        self.gravity = gravity
+        self.expanded = expanded
+        self.names: list[str] = []
+        self.z: list[ca.SX] = []
+        self.v: list[ca.SX] = []
+        self.terms = Terms()
+        self.origin_pairs: list[tuple[int, int]] = []
+        self.poses: dict[str, Pose] = {}
+        self.eliminated: list[str] = []
+        self.angles: dict[str, _Angle] = {}
+
+    def coordinate(self, name: str) -> int:
+        """Add a coordinate; returns its index."""
+        self.names.append(name)
+        self.z.append(ca.SX.sym(name))
+        self.v.append(ca.SX.sym(f"{name}'"))
+        return len(self.names) - 1
+
+    def drives(self, joint: str, *, rotation: bool) -> PrescribedMotion | None:
+        """The prescribed motion, where it is this joint's and of this kind."""
+        motion = self.motion
+        return motion if motion is not None and motion.joint == joint and motion.rotation == rotation else None
+
+    def frame_moves(self, motion: str) -> bool:
+        """Whether the frame is free in ``x``, ``y`` or ``theta``."""
+        frame = self.machine.links[self.machine.frame]
+        return not frame.fixed and motion not in frame.locked
+
+    def assign_angles(self) -> None:
+        """One angle for each set of links whose orientations are tied together."""
+        ties: list[tuple[str, str, str, int]] = []  # theta(first) = theta(second) + k * drive
+        for name, joint in self.machine.joints.items():
+            first, second = joint.links
+            if isinstance(joint, SlidingJoint):
+                ties.append((name, first, second, 0))
+            elif self.drives(name, rotation=True):
+                ties.append((name, first, second, 1))
+        if self.expanded:
+            ties.clear()
+        turns: dict[str, int] = {}
+        for root in (self.machine.frame, *self.machine.links):
+            if root in turns:
+                continue
+            turns[root] = 0
+            members = [root]
+            for here in members:  # grows while it is walked
+                for name, first, second, k in ties:
+                    if here not in (first, second):
+                        continue
+                    far, step = (first, k) if here == second else (second, -k)
+                    if far not in turns:
+                        turns[far] = turns[here] + step
+                        members.append(far)
+                    elif turns[far] != turns[here] + step:
+                        rule = f"the angle between {first!r} and {second!r} is fixed by sliding joints already"
+                        raise AssemblyError(self.machine.name, f"joints.{name}", None, rule)
+            self.share_angle(root, {link: turns[link] for link in members})
+
+    def share_angle(self, root: str, members: dict[str, int]) -> None:
+        """Give links the angle of `root` plus a multiple of the drive, and their unit vectors."""
+        frame = root == self.machine.frame
+        index = None if frame and not self.frame_moves("theta") else self.coordinate(f"theta({root})")
+        base, rate = (self.z[index], self.v[index]) if index is not None else (ca.SX(0.0), ca.SX(0.0))
+        if frame:
+            self.frame_theta = base
+            self.terms.frame_rotation = Complex(ca.cos(base), ca.sin(base))
+            self.terms.rotation[GROUND] = self.terms.frame_rotation.conjugate
+            self.terms.terms[GROUND] = Term(GROUND, ONE, ZERO, GROUND, {}, ZERO)
+        for link, k in members.items():
+            turn = FRAME if frame and not k else f"turn({root},{k})"
+            driven = [ca.SX(0.0)] * 3
+            if k and self.motion is not None:
+                driven = [k * part for part in (self.motion.value, self.motion.rate, self.motion.acceleration)]
+            omega = rate + driven[1]
+            self.angles[link] = _Angle(turn, base + driven[0], omega, index)
+            if turn not in self.terms.terms:
+                relative = driven[0] if frame else base + driven[0] - self.frame_theta
+                self.terms.rotation[turn] = ONE if turn == FRAME else Complex(ca.cos(relative), ca.sin(relative))
+                partials = {} if index is None else {index: I}
+                bias = Complex(-omega * omega, driven[2])
+                self.terms.terms[turn] = Term(turn, ONE, Complex(0.0, omega), turn, partials, bias)
+
+    def place(self, link: str, centre: Vector) -> None:
+        """Place a link by its centre of gravity."""
+        angle = self.angles[link]
+        cg = self.machine.links[link].cg
+        self.poses[link] = Pose(centre, angle.turn, angle.theta, angle.omega, angle.index, cg)
+
+    def place_at(self, link: str, drawn: tuple[float, float], now: Vector) -> None:
+        """Place a link so that its point `drawn` is at `now`."""
+        cg = self.machine.links[link].cg
+        self.place(link, now - Vector({self.angles[link].turn: complex(drawn[0] - cg[0], drawn[1] - cg[1])}))
+
+    def place_root(self, link: str) -> None:
+        """Place a link that no ideal joint holds: its centre of gravity gets coordinates of its own."""
+        frame = link == self.machine.frame
+        indices = [self.coordinate(f"{axis}({link})") if not frame or self.frame_moves(axis) else None for axis in "xy"]
+        place = [self.z[i] if i is not None else 0.0 for i in indices]
+        rate = [self.v[i] if i is not None else 0.0 for i in indices]
+        upward = Complex(0.0, self.gravity)
+        x, y = indices
+        if x is not None and y is not None:
+            # Both free: their accelerations are solved for in the axes of the frame.
+            self.origin_pairs.append((x, y))
+            moving, partials, bias = FRAME, {x: ONE, y: I}, self.terms.to_frame(upward)
+        else:
+            moving, bias = GROUND, upward
+            partials = {i: unit for i, unit in ((x, ONE), (y, I)) if i is not None}
+        key = f"origin({link})"
+        self.terms.terms[key] = Term(GROUND, Complex(*place), Complex(*rate), moving, partials, bias)
+        self.place(link, constant(self.machine.links[link].cg) + Vector({key: 1.0}))
+
+    def grow(self, root: str) -> None:
+        """Place every link that ideal joints reach from `root`, turning joints before sliding ones."""
+        depth = {root: 0}
+        queue = [] if self.expanded else [root]
+        while queue:
+            here = queue.pop(0)
+            for name, joint in self.machine.joints.items():
+                if not isinstance(joint, TurningJoint) or name in self.open or here not in joint.links:
+                    continue
+                far = joint.links[1] if here == joint.links[0] else joint.links[0]
+                if far in self.poses or depth[here] >= MAX_DEPTH:
+                    continue
+                self.place_at(far, joint.at, self.poses[here].point(joint.at))
+                self.eliminated.append(name)
+                depth[far] = depth[here] + 1
+                queue.append(far)
+            if not queue:
+                queue.extend(self.grow_slide(depth))
+
+    def grow_slide(self, depth: dict[str, int]) -> list[str]:
+        """Place one more link through a sliding joint, if any reaches out of what is placed."""
+        for name, joint in self.machine.joints.items():
+            if not isinstance(joint, SlidingJoint) or name in self.rubbing:
+                continue  # friction needs the normal force, hence the closure equation
+            near = [link for link in joint.links if link in depth and depth[link] < MAX_DEPTH]
+            far = [link for link in joint.links if link not in self.poses]
+            if not near or not far:
+                continue
+            self.add_slide(name, joint)
+            along = complex(*joint.direction) * (1 if far[0] == joint.links[0] else -1)
+            point = self.poses[near[0]].point(joint.at)
+            self.place_at(far[0], joint.at, point + Vector({f"slide({name})": along}))
+            self.eliminated.append(name)
+            depth[far[0]] = depth[near[0]] + 1
+            return far
+        return []
+
+    def add_slide(self, name: str, joint: SlidingJoint) -> None:
+        """The term of a sliding distance, free or prescribed, in the axes of the guide."""
+        motion, angle = self.drives(name, rotation=False), self.angles[joint.links[1]]
+        turning = self.terms.terms[angle.turn]
+        if motion is not None:
+            s, rate, drift, partials = motion.value, motion.rate, motion.acceleration, {}
+        else:
+            index = self.coordinate(f"slide({name})")
+            s, rate, drift, partials = self.z[index], self.v[index], ca.SX(0.0), {index: ONE}
+        if angle.index is not None:
+            partials[angle.index] = Complex(0.0, s)
+        bias = Complex(drift + s * turning.bias.re, 2 * rate * angle.omega + s * turning.bias.im)
+        self.terms.terms[f"slide({name})"] = Term(
+            angle.turn, Complex(s, 0.0), Complex(rate, s * angle.omega), angle.turn, partials, bias
+        )
+
+    def axes(self) -> ca.SX:
+        """Rotation of accelerations, see :class:`~jointplay.solver.equations.geometry.Kinematics`."""
+        turned = ca.SX.eye(len(self.z))
+        rotation = self.terms.frame_rotation
+        for x, y in self.origin_pairs:
+            turned[x, x] = turned[y, y] = rotation.re
+            turned[x, y], turned[y, x] = -rotation.im, rotation.im
+        return turned
 
 
 def _closures(tree: Tree) -> Iterator[Closure]:

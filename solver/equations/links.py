@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from jointplay.solver.equations.geometry import Complex
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.equations.numbers import contact_paths
-from jointplay.solver.equations.vectors import Complex
 from jointplay.solver.machines.kept import kept
 from jointplay.solver.machines.machine import Machine
 

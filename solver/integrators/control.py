@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.solver.equations.contact_laws import SLOWEST_APPROACH
+from jointplay.solver.equations.contact import SLOWEST_APPROACH
 
 #: Outcome of a case; `RUNNING` before it has one.
 OK, DIVERGING, STALLED, JAMMED, RUNNING = 0, 1, 2, 3, -1
@@ -250,7 +250,7 @@ def next_step(
 
 
 def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: int) -> None:
-    """What one contact remembers (:mod:`jointplay.solver.equations.contact_laws`), brought up to date with an accepted
+    """What one contact remembers (:mod:`jointplay.solver.equations.contact`), brought up to date with an accepted
     state.
 
     Nothing where the surfaces are apart; the velocity of approach where they have just met.

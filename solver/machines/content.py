@@ -8,10 +8,9 @@ from typing import Annotated
 from pydantic import Field
 
 from jointplay.solver.machines import units
-from jointplay.solver.machines.drives import Drive
 from jointplay.solver.machines.fields import Name, Quantity, Title, no_default
 from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
-from jointplay.solver.machines.parts import Initial, Link, Load, Part, Sensor, Support
+from jointplay.solver.machines.parts import Drive, Initial, Link, Load, Part, Sensor, Support
 
 
 class MachineContent(Part):

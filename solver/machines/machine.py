@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError, ValidationInfo, model_validator
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines import contact_rules, rules
+from jointplay.solver.machines import rules
 from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
@@ -37,7 +37,7 @@ class Machine(MachineContent):
     @model_validator(mode="before")
     @classmethod
     def _refuse_units_of_another_law(cls, data: Any) -> Any:
-        contact_rules.refuse_units_of_another_law(data)
+        rules.refuse_units_of_another_law(data)
         return data
 
     @model_validator(mode="after")
@@ -94,7 +94,7 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine") 
     Returns
     -------
     Machine
-        Complete and checked. Whether it can be assembled and driven is for :mod:`jointplay.solver.cases.assembly` to
+        Complete and checked. Whether it can be assembled and driven is for :mod:`jointplay.solver.cases.start` to
         say.
 
     Raises

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from jointplay.solver.equations.drive import prescribes_motion
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.integrators.kernel import kernel_code
-from jointplay.solver.machines.drives import TranslationDrive
 from jointplay.solver.machines.fault import Fault, check_fault
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import TranslationDrive
 
 
 @dataclass(frozen=True)

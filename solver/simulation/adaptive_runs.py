@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import Prepared, model_of
-from jointplay.solver.cases.scales import error_scales
+from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.model import MODELS_KEPT, Model
 from jointplay.solver.integrators import adaptive, control

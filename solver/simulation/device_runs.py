@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 from jointplay.solver.cases.history import Settings
 from jointplay.solver.cases.preparation import Prepared, model_of
-from jointplay.solver.cases.scales import error_scales
+from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.device import DeviceKernel, Records, compile_device, memory
 from jointplay.solver.machines.kept import kept

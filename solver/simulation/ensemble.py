@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jointplay.solver.cases.contact_rates import extent_of
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import SETTLING_REVOLUTIONS
 from jointplay.solver.equations.drive import repeating_frequency

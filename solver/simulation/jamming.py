@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.solver.equations.evaluation import evaluate
 from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.numbers import evaluate
 
 Array = NDArray[np.float64]
 

@@ -21,9 +21,9 @@ from jointplay.solver.cases.start import start_with_frame
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.equations.model import Model
 from jointplay.solver.errors import AssemblyError, SettingsError
-from jointplay.solver.machines.drives import RotationDrive
 from jointplay.solver.machines.fault import HEALTHY
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run
 from jointplay.solver.spectra import sampling
 

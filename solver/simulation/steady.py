@@ -10,10 +10,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from jointplay.solver.cases.assembly import walk
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
-from jointplay.solver.cases.start import Start, start_with_frame
+from jointplay.solver.cases.start import Start, start_with_frame, walk
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.machines.fault import HEALTHY
 from jointplay.solver.machines.machine import Machine

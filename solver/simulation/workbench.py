@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointplay.solver.cases.contact_rates import extent_of
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.preparation import model_of
+from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.cases.start import Start
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.drive import repeating_frequency

@@ -17,10 +17,9 @@ from jointplay.catalogue.measurements.measurement import Channel, Recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.history import Case, Settings, Status
-from jointplay.solver.machines.drives import Ripple, RotationDrive
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
-from jointplay.solver.machines.parts import Load, Spring
+from jointplay.solver.machines.parts import Load, Ripple, RotationDrive, Spring
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.sensor import sensor_signals
 

@@ -11,8 +11,8 @@ from laws import Array, Tree, drawn, run, states, tree_of
 
 from jointplay.solver.cases.history import History
 from jointplay.solver.equations.links import LinkMotion
-from jointplay.solver.machines.drives import TorqueDrive
 from jointplay.solver.machines.machine import Machine, parse_machine
+from jointplay.solver.machines.parts import TorqueDrive
 
 RPM = 2 * math.pi / 60
 TORQUE: Tree = {"kind": "torque", "joint": "O", "torque": 2.0}

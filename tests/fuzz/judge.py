@@ -15,7 +15,7 @@ from oracle.state import State
 from scipy.integrate import solve_ivp
 
 from jointplay.solver.cases.history import History
-from jointplay.solver.equations.contact_laws import remembers
+from jointplay.solver.equations.contact import remembers
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.solver.cases.preparation import model_of
-from jointplay.solver.cases.scales import error_scales
+from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.compiler.layout import Layout
 from jointplay.solver.compiler.scalar import SCALAR
 from jointplay.solver.equations.model import Model

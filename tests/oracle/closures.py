@@ -8,9 +8,9 @@ import numpy as np
 from oracle.state import Array, State
 from oracle.tables import prescribed
 
-from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 
 def lacking(machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array) -> float:

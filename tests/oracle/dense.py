@@ -22,10 +22,9 @@ from oracle.closures import blocked_motions
 from oracle.state import Array, ContactState, Slide, State, across, cross
 from oracle.tables import periodic_row, prescribed, table, time_row
 
-from jointplay.solver.machines.drives import ForceDrive, RotationDrive, TorqueDrive, TranslationDrive
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Mount, Spring
+from jointplay.solver.machines.parts import ForceDrive, Mount, RotationDrive, Spring, TorqueDrive, TranslationDrive
 
 
 class JammedError(Exception):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 Points = Sequence[tuple[float, float]]
 

@@ -17,9 +17,9 @@ from oracle.state import ContactState, State
 from jointplay.solver.equations.links import LinkMotion, link_motion
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
-from jointplay.solver.machines.drives import RotationDrive, TranslationDrive
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 #: Largest difference, as part of the largest term of the equations. What is not the solver's fault sets it: a pin
 #: pressed 1e-6 m into a socket of 1e8 N/m loses six digits of sixteen before any equation is written.

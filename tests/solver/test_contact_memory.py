@@ -10,7 +10,7 @@ import pytest
 from trajectory import Trajectory, trajectories
 
 from jointplay.solver.cases.history import History
-from jointplay.solver.equations.contact_laws import SLOWEST_APPROACH
+from jointplay.solver.equations.contact import SLOWEST_APPROACH
 from jointplay.solver.errors import MachineError
 from jointplay.solver.integrators.control import remember
 from jointplay.solver.machines.fault import Fault

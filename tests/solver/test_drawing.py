@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.drawing import machine_svg
-from jointplay.solver.machines.labels import place_labels
+from jointplay.solver.machines.drawing import machine_svg, place_labels
 from jointplay.solver.machines.machine import (
     Machine,
     load_machine,

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointplay.solver.machines.fields import RuleError
-from jointplay.solver.machines.iso286 import FitClass, ToleranceClass
+from jointplay.solver.machines.fits import FitClass, ToleranceClass
 
 HOLES, SHAFTS, GRADES = "DEFGH", "defgh", range(5, 12)
 diameters = st.floats(1e-3, 0.5)

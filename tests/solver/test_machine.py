@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from machine_trees import MISSING, SLIDER_CRANK, SPRING, changed
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.drives import RotationDrive
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.machine import (
     Machine,
@@ -23,7 +22,7 @@ from jointplay.solver.machines.machine import (
     shipped_machine_names,
     shipped_machine_text,
 )
-from jointplay.solver.machines.parts import Mount, Spring
+from jointplay.solver.machines.parts import Mount, RotationDrive, Spring
 from jointplay.solver.machines.yamlfile import read_tree
 
 SHAPER = Path(__file__).parents[1] / "data" / "machines" / "quick-return-shaper.yaml"

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from jointplay.solver.machines.fits import DEFAULT_PLAY, LIMIT_FACTOR
-from jointplay.solver.machines.iso286 import ToleranceClass
+from jointplay.solver.machines.fits import DEFAULT_PLAY, LIMIT_FACTOR, ToleranceClass
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.machines.matrix import read_matrix_form
 from jointplay.solver.machines.yamlfile import read_tree

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 
 from jointplay.solver.machines.machine import shipped_machine
-from jointplay.solver.machines.matrix import MechanismMatrix
-from jointplay.solver.machines.matrix_arrays import SELECTIONS, matrix_arrays
+from jointplay.solver.machines.matrix import SELECTIONS, MechanismMatrix, matrix_arrays
 
 #: Frame, crank, block, rocker, coupler, ram; the pins of block on crank and of rocker on frame are worn. By hand from
 #:    4  B  0 -C  0 -A

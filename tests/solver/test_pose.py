@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.assembly import walk
-from jointplay.solver.cases.start import start_pose, start_velocity
+from jointplay.solver.cases.start import start_pose, start_velocity, walk
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names

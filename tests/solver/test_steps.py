@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from test_simulate import crank_at
 
-from jointplay.solver.cases.assembly import walk
-from jointplay.solver.cases.contact_rates import ContactRates, contact_rates
-from jointplay.solver.cases.friction_rates import friction_rate
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.positions import mobility_of
+from jointplay.solver.cases.rates import ContactRates, contact_rates, friction_rate
+from jointplay.solver.cases.start import walk
 from jointplay.solver.cases.steps import (
     LEAST_RESPONSE,
     RESIDUE,

@@ -1,0 +1,192 @@
+"""How fast contacts and friction are, estimated before anything has moved: what fixed and first steps are chosen by.
+
+Below the friction velocity v0 the law of friction is a damper of mu F / v0 that acts on the mobility w of the surfaces:
+a rate of mu F w / v0. F is not known before the run; it is estimated from the ideal machine in motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointplay.solver.cases.start import inner_coordinates
+from jointplay.solver.equations.contact import SLOWEST_APPROACH
+from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.numbers import contact_path, evaluate
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
+
+#: Velocity (m/s) at which surfaces are taken to meet at least. The frequency follows its fifth root (n = 1.5).
+_LEAST_IMPACT = 1.0
+
+
+@dataclass(frozen=True)
+class ContactRates:
+    """Frequency, rad/s, and damping rate, 1/s, of one contact."""
+
+    frequency: float
+    decay: float
+
+
+@lru_cache(maxsize=64)
+def extent_of(machine: Machine) -> float:
+    """Largest distance between joints and centres of gravity as drawn, m; 1 where all are in one place."""
+    points = [joint.at for joint in machine.joints.values()] + [link.cg for link in machine.links.values()]
+    return max((math.dist(p, q) for p in points for q in points), default=0.0) or 1.0
+
+
+def contact_rates(
+    machine: Machine, mobility: Mapping[str, float], values: Mapping[str, float], speed: float
+) -> dict[str, ContactRates]:
+    """Estimates for every clearance joint.
+
+    Parameters
+    ----------
+    machine : Machine
+    mobility : mapping of str to float
+        Of each clearance joint, 1/kg.
+    values : mapping of str to float
+        Contact numbers by path; what is missing is 0.
+    speed : float
+        Fastest prescribed motion, rad/s.
+
+    Notes
+    -----
+    The linear law has sqrt(K w) and C w. With K d^n both follow the penetration, and that the velocity v of the impact:
+    w K D^(n+1) = (n + 1)/2 v^2 at the deepest point D, where the frequency is sqrt(n w K D^(n-1)). A pin that
+    crosses its clearance c from side to side under the acceleration a arrives at 2 sqrt(a c); a is gravity and
+    the machine's extent times the square of the drive's speed, and v no less than 1 m/s.
+    """
+    acceleration = abs(values.get("gravity", machine.gravity)) + extent_of(machine) * speed * speed
+    return {joint: _rates(machine, joint, w, values, acceleration) for joint, w in mobility.items()}
+
+
+def deepest_point(stiffness: float, exponent: float, speed: float) -> float:
+    """Penetration D of an impact at `speed`, m, with k D^(n+1) = (n + 1)/2 v^2; k is stiffness times mobility."""
+    return float((0.5 * (exponent + 1) * speed**2 / stiffness) ** (1 / (exponent + 1)))
+
+
+def _rates(machine: Machine, joint: str, w: float, values: Mapping[str, float], acceleration: float) -> ContactRates:
+    found = machine.joints[joint]
+    assert isinstance(found, TurningJoint)
+    law, n = found.contact.law, found.contact.exponent
+
+    def number(name: str) -> float:
+        return values.get(contact_path(joint, name), 0.0)
+
+    stiffness, drag = number("stiffness") * w, number("viscous") * w
+    if not stiffness:  # neither body can move: nothing swings
+        return ContactRates(0.0, 0.0)
+    if n is None:
+        return ContactRates(math.sqrt(stiffness), number("damping") * w + drag)
+    impact = max(_LEAST_IMPACT, 2 * math.sqrt(acceleration * number("clearance")))
+    depth = deepest_point(stiffness, n, impact)
+    force = stiffness * depth**n  # times mobility: an acceleration
+    if law in HYSTERESIS:
+        # An impact loses at the rate c F / v; a contact that began at a creep and is pressed since, at c a / v0.
+        decay = hysteresis_factor(law, number("restitution")) * max(force / impact, acceleration / SLOWEST_APPROACH)
+    else:
+        decay = number("hysteresis") * force
+    return ContactRates(math.sqrt(n * stiffness * depth ** (n - 1)), decay + drag)
+
+
+Array = NDArray[np.float64]
+
+_NUMBERS = ("clearance", "stiffness", "friction", "friction_velocity")
+
+
+def without_sliding_friction(machine: Machine) -> Machine:
+    """The machine as it moves where no guide rubs."""
+    rubbing = {name: j for name, j in machine.joints.items() if isinstance(j, SlidingJoint) and j.friction}
+    smooth = {name: joint.model_copy(update={"friction": 0.0}) for name, joint in rubbing.items()}
+    return machine.model_copy(update={"joints": {**machine.joints, **smooth}}) if rubbing else machine
+
+
+def friction_rate(
+    model: Model, poses: Sequence[tuple[float, Array]], p: Sequence[float], values: Mapping[str, float],
+    mobility: Mapping[str, float],
+) -> float:  # fmt: skip
+    """Largest rate of the friction of all joints, 1/s.
+
+    Parameters
+    ----------
+    model : Model
+        At its top speed.
+    poses : sequence of (float, (n,) array)
+        Times and coordinates.
+    p : sequence of float
+        Lane parameters.
+    values : mapping of str to float
+        Numbers of the machine by path; of a contact, what is missing is 0.
+    mobility : mapping of str to float
+        Of the clearance joints, 1/kg.
+
+    Notes
+    -----
+    A pin is pressed by the force F that its joint would carry were it ideal, and hits with the speed that F gives it
+    across the play 2 c: at its peak by F + sqrt(K / w) sqrt(4 c F w), with d^n by F + K D^n, D the depth. A guide
+    is pressed by its normal force in the ideal machine and by what the impacts of all clearance joints add.
+    """
+    count = len(model.kinematics.closures)
+    reactions = np.abs([_ideal_reactions(model, t, z, p) for t, z in poses])
+    rates, impacts = [0.0], 0.0
+    for i, joint in enumerate(model.clearance_joints):
+        number = {name: values.get(contact_path(joint, name), 0.0) for name in _NUMBERS}
+        pressed = float(np.hypot(*reactions[:, count + 2 * i : count + 2 * i + 2].T).max())
+        found = model.machine.joints[joint]
+        exponent = found.contact.exponent or 1.0 if isinstance(found, TurningJoint) else 1.0
+        speed = math.sqrt(4 * number["clearance"] * pressed * mobility[joint])
+        depth = deepest_point(number["stiffness"] * mobility[joint], exponent, speed)
+        impact = number["stiffness"] * depth**exponent
+        impacts += impact
+        if number["friction"]:
+            rates.append(number["friction"] * (pressed + impact) * mobility[joint] / number["friction_velocity"])
+    if model.rubbing is not None:
+        names = [closure.name for closure in model.kinematics.closures]
+        rows = [names.index(f"{joint}.normal") for joint in model.rubbing.joints]
+        rest = np.zeros(model.size)
+        for (t, z), normal in zip(poses, reactions[:, rows], strict=True):
+            state = (part[:, 0] for part in evaluate(model.rubbing_state, t, z, rest, p))
+            friction, slow, _, _, swing, *_ = state
+            rates.append(float(np.max(friction * np.abs(swing) * (normal + impacts) / slow)))
+    return max(rates)
+
+
+def _ideal_reactions(model: Model, t: float, z: Array, p: Sequence[float]) -> Array:
+    """Multipliers of closures and eccentricities, pins kept concentric; without friction, from a frame at rest."""
+    v = np.zeros(model.size)
+    _, jacobian, drift = evaluate(model.constraint, t, z, v, p)
+    free = inner_coordinates(model)
+    if free and drift.size:
+        v[free] = np.linalg.lstsq(jacobian[:, free], -drift[:, 0], rcond=1e-9)[0]
+    mass, force = evaluate(model.inertia, t, z, v, p)
+    (bias,) = evaluate(model.constraint_bias, t, z, v, p)
+    spread = np.linalg.solve(mass, np.column_stack([jacobian.T, force]))
+    missing = jacobian @ spread[:, -1] + bias[:, 0]
+    return np.asarray(-np.linalg.pinv(jacobian @ spread[:, :-1], rcond=1e-12) @ missing)
+
+
+def error_scales(machine: Machine, model: Model) -> list[float]:
+    """Sizes of the coordinates: the machine's extent, a radian."""
+    extent = extent_of(machine)
+    return [1.0 if name.startswith("theta(") else extent for name in model.kinematics.names]
+
+
+def pace_of(machine: Machine, values: Mapping[str, float]) -> float:
+    """Time in which the machine moves by its own size, s: by its drive, or by falling; a second at most."""
+    extent = extent_of(machine)
+    drive, rate = machine.drive, 0.0
+    if isinstance(drive, RotationDrive | TranslationDrive):
+        speeds = [speed for _, speed in drive.speed] if isinstance(drive.speed, tuple) else [drive.speed]
+        fastest = abs(values.get("drive.speed", max(speeds, key=abs)))
+        rate = fastest / (1.0 if isinstance(drive, RotationDrive) else extent)
+        if isinstance(drive, TranslationDrive):
+            rate = max(rate, *(2 * math.pi * h.frequency for h in drive.harmonics), 0.0)
+    return 1.0 / max(rate, math.sqrt(abs(values.get("gravity", machine.gravity)) / extent), 1.0)
