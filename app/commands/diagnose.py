@@ -141,8 +141,8 @@ def command(
     if tacho is None:
         refuse_given(("pulses",), "means something with --tacho only")
     from jointplay.catalogue.diagnosing.diagnosis import diagnose
+    from jointplay.catalogue.measurements.measured_spectrum import read_recording
     from jointplay.catalogue.measurements.measurement import read_measurement
-    from jointplay.catalogue.measurements.recordings import read_recording
     from jointplay.catalogue.storage.store import Catalogue
 
     sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")

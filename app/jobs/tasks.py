@@ -150,7 +150,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
         Folders and stamps, as in :class:`Question`.
     """
     import jointplay.catalogue.diagnosing.diagnosis
-    import jointplay.catalogue.measurements.recordings  # noqa: F401, loaded to be there when it is needed
+    import jointplay.catalogue.measurements.measured_spectrum  # noqa: F401, loaded to be there when it is needed
     from jointplay.catalogue.errors import CatalogueError
     from jointplay.catalogue.matching.libraries import KEPT, library_of
 
@@ -163,7 +163,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
 
 def read(path: str, name: str, told: Told) -> Recording | MeasuredSpectrum:
     """Read a recording, or a spectrum, by the reader that its content and name ask for."""
-    from jointplay.catalogue.measurements.recordings import read_recording
+    from jointplay.catalogue.measurements.measured_spectrum import read_recording
 
     return read_recording(
         Path(path).read_bytes(),

@@ -119,7 +119,7 @@ def pairs_of(name: str, text: str) -> dict[str, str]:
     ------
     BadFieldError
     """
-    from jointplay.catalogue.measurements.readers.validity import NO_TEXT
+    from jointplay.catalogue.measurements.readers.raw import NO_TEXT
 
     if NO_TEXT.search(text):
         raise BadFieldError(f"{name}: holds a character that is no text", field=name)

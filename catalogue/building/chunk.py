@@ -1,4 +1,7 @@
-"""A chunk: cases of one hypothesis with the same joints, simulated together by one worker with one compiled model."""
+"""A chunk: cases of one hypothesis with the same joints, simulated together by one worker with one compiled model.
+
+Some of them are simulated again with finer steps: how far their spectra are apart guards the catalogue.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ from functools import cached_property, lru_cache
 from itertools import zip_longest
 
 import numpy as np
+from numpy.typing import NDArray
 
-from jointplay.catalogue.building.guard import mean_difference_db
 from jointplay.catalogue.plans.entry import Entry, Recipe
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
@@ -19,6 +22,32 @@ from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
 from jointplay.solver.spectra.band_power import band_matrix
+
+__all__ = ["LEAST_POWER", "mean_difference_db"]
+
+LEAST_POWER = 1e-9
+"""Bands below this part of the largest band of the same motion are rounding and do not count."""
+
+
+def mean_difference_db(power: NDArray[np.complexfloating], finer: NDArray[np.complexfloating]) -> float:
+    """Mean magnitude of the difference of two spectra's levels.
+
+    Parameters
+    ----------
+    power, finer : ndarray of complex, shape (B, 3, 3)
+        Cross-power in bands.
+
+    Returns
+    -------
+    float
+        dB, over all bands and motions that count in either; 0 without any.
+    """
+    a, b = (np.einsum("bii->bi", each).real.astype(np.float64) for each in (power, finer))
+    floor = LEAST_POWER * np.maximum(a.max(axis=0, initial=0.0), b.max(axis=0, initial=0.0))
+    counts = np.maximum(a, b) > floor
+    levels = [10.0 * np.log10(np.maximum(each, np.maximum(floor, np.finfo(float).tiny))) for each in (a, b)]
+    return float(np.abs(levels[0] - levels[1])[counts].mean()) if counts.any() else 0.0
+
 
 __all__ = ["Chunk", "Compute", "chunked", "simulate_chunk"]
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.prepared import RecipeStep
 
 Effort = Literal["fast", "standard", "thorough"]
 Verdict = Literal["worn", "in_order", "changed", "unknown"]

@@ -1,4 +1,7 @@
-"""A spectrum of somebody else's analyser: one-sided density of power in SI, and what had to be known for that."""
+"""A spectrum of somebody else's analyser: one-sided density of power in SI, and what had to be known for that.
+
+A file may hold a recording over time, or such a spectrum: :func:`read_recording` tells which.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
@@ -13,11 +17,11 @@ import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import parse_unit
-from jointplay.catalogue.measurements.import_profile import WINDOWS
-from jointplay.catalogue.measurements.measured_columns import check_given, said_unit
-from jointplay.catalogue.measurements.measurement import SI_UNITS, Channel
+from jointplay.catalogue.measurements.import_profile import WINDOWS, ImportProfile, profile_beside
+from jointplay.catalogue.measurements.measured_columns import check_given, is_spectrum, said_unit
+from jointplay.catalogue.measurements.measurement import SI_UNITS, Channel, Recording, measurement_of, raw_of
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, SpectrumForm
-from jointplay.catalogue.measurements.readers.validity import LARGEST
+from jointplay.catalogue.measurements.readers.raw import LARGEST
 from jointplay.solver.spectra.spectrum import Quantity
 
 FloatArray = npt.NDArray[np.float64]
@@ -239,3 +243,35 @@ def _density(
         raise MeasurementError(source, None, column.name, 0.0, "the channel is zero throughout")
     power = power * _POWER[form.detector or "rms"]
     return power if form.scaling == "psd" else power / (step * (form.line_widths or 1.0))
+
+
+__all__ = ["read_recording"]
+
+
+def read_recording(
+    source: str | Path | bytes,
+    *,
+    name: str | None = None,
+    sample_rate: float | None = None,
+    units: Mapping[str, str] | None = None,
+    limits: Limits | None = None,
+    profile: ImportProfile | None = None,
+) -> Recording | MeasuredSpectrum:
+    """Read a recording or a spectrum.
+
+    Parameters and errors are those of :func:`jointplay.catalogue.measurements.measurement.read_measurement`.
+
+    Returns
+    -------
+    Recording or MeasuredSpectrum
+        A spectrum where the first column is a frequency.
+    """
+    limits, profile = limits or Limits(), profile or profile_beside(source)
+    raw, sha256 = raw_of(source, name, limits, profile)
+    if is_spectrum(raw, units):
+        if sample_rate is not None:
+            rule = "is given, but the file holds a spectrum"
+            raise MeasurementError(raw.source, None, "sample_rate", sample_rate, rule, field="sample_rate")
+        return spectrum_of(raw, dict(units or {}), limits, sha256)
+    rate = sample_rate or profile.sample_rate_hz
+    return measurement_of(raw, sample_rate=rate, units=units, limits=limits, sha256=sha256)

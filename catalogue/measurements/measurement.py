@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import io
 import math
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +17,50 @@ import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import ChannelUnit
-from jointplay.catalogue.measurements.file_bytes import decompressed, file_bytes
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
 from jointplay.catalogue.measurements.measured_columns import understood_columns
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, known_ending, read_raw
-from jointplay.catalogue.measurements.time_base import TimeBase, even_time_base
-from jointplay.catalogue.measurements.waveform import Flaw, inspect_waveform
+from jointplay.catalogue.measurements.waveform import Flaw, TimeBase, even_time_base, inspect_waveform
 from jointplay.solver.spectra.spectrum import Quantity
+
+
+def file_bytes(path: Path, limits: Limits) -> bytes:
+    """Bytes of a file, at most one more than the limit.
+
+    Raises
+    ------
+    MeasurementError
+        It cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(limits.file_bytes + 1)
+    except OSError as error:
+        raise MeasurementError(str(path), rule=f"cannot be read: {error.strerror or error}") from None
+
+
+def decompressed(data: bytes, title: str, limits: Limits) -> bytes:
+    """Content of a gzip file, anything else as it is.
+
+    Raises
+    ------
+    MeasurementError
+        Damaged, or larger than is read.
+    """
+    if not data.startswith(b"\x1f\x8b"):
+        if title.lower().endswith(".gz"):
+            raise MeasurementError(title, rule="is not a gzip file")
+        decoded = data
+    else:
+        try:
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+                decoded = packed.read(limits.decoded_bytes + 1)
+        except (OSError, EOFError, zlib.error) as error:
+            raise MeasurementError(title, rule=f"is a damaged gzip file: {error}") from None
+    if len(decoded) > limits.decoded_bytes:
+        raise MeasurementError(title, rule=f"holds more than {limits.decoded_bytes / 1e6:g} MB, the most that is read")
+    return decoded
+
 
 SI_UNITS: dict[Quantity, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 

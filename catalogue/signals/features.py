@@ -17,13 +17,19 @@ from jointplay.catalogue.measurements.tacho import track_of, usual_speed
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
-from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.recipe_steps import RecipeStep, note_step
-from jointplay.catalogue.signals.resampling import WANDER, at_mean_speed, samples_at_mean_speed
+from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep, note_step
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
 from jointplay.catalogue.signals.sensors import SensorMap, map_sensors, without_columns
 from jointplay.catalogue.signals.spectrum_features import prepare_spectrum
-from jointplay.catalogue.signals.steadiness import KEPT, LEVEL_DEVIATION_DB, SPEED_DEVIATION, steady_stretch
+from jointplay.catalogue.signals.steadiness import (
+    KEPT,
+    LEVEL_DEVIATION_DB,
+    SPEED_DEVIATION,
+    WANDER,
+    at_mean_speed,
+    samples_at_mean_speed,
+    steady_stretch,
+)
 from jointplay.catalogue.signals.undisturbed import (
     flawed_samples,
     lines_of,

@@ -13,8 +13,7 @@ from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, SEARCH
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LINES_TOGETHER, NoiseFloor
-from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.recipe_steps import note_step
+from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
 from jointplay.catalogue.signals.sensors import map_sensors, sensors_one_by_one
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, usable_cuts
 from jointplay.solver.machines.machine import Machine

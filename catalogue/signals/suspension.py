@@ -9,8 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.recipe_steps import note_step
+from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
 from jointplay.catalogue.signals.sensors import MOTIONS
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.machines.machine import Machine

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from jointplay.catalogue.building.build import build
     from jointplay.catalogue.diagnosing.diagnosis import diagnose
     from jointplay.catalogue.evaluation.study import evaluate
+    from jointplay.catalogue.measurements.measured_spectrum import read_recording
     from jointplay.catalogue.measurements.measurement import Recording
-    from jointplay.catalogue.measurements.recordings import read_recording
     from jointplay.catalogue.plans.plan import Plan, load_plan
     from jointplay.catalogue.storage.store import Catalogue
     from jointplay.solver.cases.history import Case, Settings

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from jointplay.catalogue.building.build import build
-from jointplay.catalogue.building.chunk import Chunk, chunked, simulate_chunk
-from jointplay.catalogue.building.guard import mean_difference_db
+from jointplay.catalogue.building.chunk import Chunk, chunked, mean_difference_db, simulate_chunk
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.store import Catalogue

@@ -14,7 +14,7 @@ from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
-from jointplay.catalogue.signals.recipe_steps import RecipeStep
+from jointplay.catalogue.signals.prepared import RecipeStep
 from jointplay.catalogue.signals.sensors import map_sensors
 from jointplay.catalogue.storage.feature_bands import feature_axes, feature_vector, joined, usable_cuts
 from jointplay.solver.machines.fault import parse_fault

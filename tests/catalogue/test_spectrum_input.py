@@ -8,9 +8,8 @@ from recordings import RECORDINGS, unpacked
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, SpectrumSaid
-from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum, read_recording
 from jointplay.catalogue.measurements.measurement import read_measurement
-from jointplay.catalogue.measurements.recordings import read_recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.spectrum_features import band_power
 from jointplay.solver.machines.machine import shipped_machine

@@ -28,7 +28,7 @@ from jointplay.catalogue.matching.model_library import Choice, Effort, ModelLibr
 from jointplay.catalogue.matching.network_training import NetworkTraining
 from jointplay.catalogue.matching.observation import observe
 from jointplay.catalogue.matching.spectra import band_widths
-from jointplay.catalogue.measurements.recordings import read_recording
+from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.cross_power import COLUMNS
 from jointplay.solver.machines.machine import shipped_machine

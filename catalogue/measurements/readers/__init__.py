@@ -7,8 +7,7 @@ from typing import Any
 from jointplay.catalogue.measurements.readers.cell import CELL
 from jointplay.catalogue.measurements.readers.csv import read_csv
 from jointplay.catalogue.measurements.readers.kinds import kind_of, known_ending
-from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm
-from jointplay.catalogue.measurements.readers.validity import checked
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm, checked
 
 __all__ = ["Limits", "RawColumn", "RawRecording", "Reader", "SpectrumForm", "known_ending", "read_raw"]
 

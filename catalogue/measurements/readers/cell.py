@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.readers.answers import decoded
 from jointplay.catalogue.measurements.readers.kinds import Kind
-from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording
+from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording, decoded
 
 #: Waited longer than a file may take before the whole process is given up [s].
 _GRACE = 10.0

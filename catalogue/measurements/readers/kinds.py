@@ -51,7 +51,7 @@ FOREIGN = {
         Kind(
             "MAT",
             (".mat",),
-            "jointplay.catalogue.measurements.readers.mat",
+            "jointplay.catalogue.measurements.readers.arrays",
             "read_mat",
             ("scipy.io", "jointplay.catalogue.storage.hdf5"),
         ),
@@ -59,11 +59,11 @@ FOREIGN = {
         Kind(
             "HDF5",
             (".h5", ".hdf5", ".hdf"),
-            "jointplay.catalogue.measurements.readers.hdf5_file",
+            "jointplay.catalogue.measurements.readers.arrays",
             "read_hdf5",
             ("jointplay.catalogue.storage.hdf5",),
         ),
-        Kind("NPZ", (".npz",), "jointplay.catalogue.measurements.readers.npz", "read_npz", ("numpy",)),
+        Kind("NPZ", (".npz",), "jointplay.catalogue.measurements.readers.arrays", "read_npz", ("numpy",)),
         Kind("JSON", (".json",), "jointplay.catalogue.measurements.readers.json_file", "read_json"),
     )
 }

@@ -19,9 +19,8 @@ from importlib import import_module
 from typing import Any, BinaryIO
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.readers.answers import encoded
 from jointplay.catalogue.measurements.readers.kinds import KINDS
-from jointplay.catalogue.measurements.readers.raw import Limits
+from jointplay.catalogue.measurements.readers.raw import Limits, encoded
 
 #: Beyond the arrays, an answer holds facts; they are short.
 _MORE_OUTPUT = 16_000_000
