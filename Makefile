@@ -51,12 +51,11 @@ bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/benchmarks
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \
 	  || echo 'the other programs could not all be installed: those missing are named in the table' >&2
 	$(BIN)/python -m benchmarks $(BENCH)
-	$(BIN)/python benchmarks/cuda_device.py
 
 pins: ## make constraints.txt anew from the newest versions that fit pyproject.toml
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable '.[dev,cluster,cuda,bench]'
+	$(BIN)/python -m pip install --quiet --editable '.[dev,cluster,bench]'
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 	touch $(STAMP)
 

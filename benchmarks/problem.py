@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -12,15 +13,22 @@ from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks import slider_crank
-from benchmarks.pointers import carray, doubles_at
 from benchmarks.scenes import RATE, Scene
-from jointplay.solver.compiler.emit import straight_line
-from jointplay.solver.compiler.layout import Layout
-from jointplay.solver.compiler.scalar import SCALAR
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.simulation.simulate import start_of
 
 Array = NDArray[np.float64]
+
+_FUNCTIONS = ("sqrt", "sin", "cos", "tanh", "exp", "log", "floor")
+#: CasADi's operations in Python.
+_OPERATIONS = {
+    ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}",
+    ca.OP_NEG: "-{}", ca.OP_INV: "1.0 / {}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}",
+    ca.OP_FABS: "abs({})", ca.OP_FMAX: "max({}, {})", ca.OP_FMIN: "min({}, {})",
+    ca.OP_LT: "{} < {}", ca.OP_LE: "{} <= {}", ca.OP_EQ: "{} == {}", ca.OP_NE: "{} != {}",
+    ca.OP_AND: "{} and {}", ca.OP_OR: "{} or {}", ca.OP_NOT: "not {}", ca.OP_IF_ELSE_ZERO: "{1} if {0} else 0.0",
+    **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})" for name in _FUNCTIONS},
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +45,6 @@ class Problem:
         Component that is the frame's rate in y.
     longest_step : float
         s; so that no bounce is stepped over.
-    work : array, optional
-        What `derivative` refers to by its address.
     """
 
     derivative: Any
@@ -46,7 +52,6 @@ class Problem:
     scales: Array
     vertical: int
     longest_step: float
-    work: Array | None = None
 
     @property
     def size(self) -> int:
@@ -69,36 +74,36 @@ def by_hand() -> Problem:
     return Problem(_slider_crank, slider_crank.start(), slider_crank.SCALES, 6, longest)
 
 
+def _as_python(function: ca.Function) -> str:
+    """``derivative(t, y, out)``: a CasADi function of t and y, statement by statement."""
+    lines, names = ["def derivative(t, y, out):"], dict[int, str]()
+    for k in range(function.n_instructions()):
+        op = function.instruction_id(k)
+        reads, writes = function.instruction_input(k), function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            lines.append(f"    out[{writes[1]}] = {names[reads[0]]}")
+            continue
+        if op == ca.OP_INPUT:
+            value = f"y[{reads[1]}]" if reads[0] else "t"
+        elif op == ca.OP_CONST:
+            value = repr(function.instruction_constant(k))
+        else:
+            value = _OPERATIONS[op].format(*(names[read] for read in reads))
+        names[writes[0]] = f"v{k}"  # a name each: CasADi uses its registers again, for numbers and truths alike
+        lines.append(f"    v{k} = {value}")
+    return "\n".join(lines)
+
+
 def from_equations(scene: Scene) -> Problem:
-    """A scene, from the product's own equations printed as scalar code."""
+    """A scene, from the product's own equations printed as scalar code, with the scene's numbers in it."""
     model = build_model(scene.machine, scene.fault.joints)
-    n, k = model.size, len(model.parameters)
-    layout = Layout(n, k, stride=1)
-    symbols = [model.t, model.z, model.v, model.p]
-    inputs = [[layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k)]
-    function = ca.Function("right", symbols, [ca.densify(part) for part in ca.cse([model.acceleration])])
-    outputs = [layout.rows(layout.a, n)]
-    code = straight_line(function, inputs, outputs, fixed_input=3, hoist_at=layout.hoist, dialect=SCALAR)
-    names: dict[str, Any] = {}
-    exec("\n".join([SCALAR.head, code.hoisted.function("prepare"), code.body.function("right")]), names)
-    work = np.zeros(layout.total + code.hoist_slots)
+    n = model.size
     clearances = {f"joints.{joint}.clearance": value for joint, value in scene.fault.items()}
-    work[layout.p : layout.p + k] = model.vector(clearances)
-    names["prepare"](work)
-    right = njit(names["right"], error_model="numpy", fastmath={"nsz", "arcp", "contract"})
-    address, length, z, a = work.ctypes.data, work.size, layout.z, layout.a
-
-    @njit(error_model="numpy")
-    def derivative(t: float, y: Array, out: Array) -> None:
-        w = carray(doubles_at(address), (length,))
-        w[0] = t
-        for i in range(2 * n):
-            w[z + i] = y[i]
-        right(w)
-        for i in range(n):
-            out[i] = y[n + i]
-            out[n + i] = w[a + i]
-
+    known = ca.substitute(model.acceleration, model.p, ca.DM(model.vector(clearances)))
+    names: dict[str, Any] = {name: getattr(math, name) for name in _FUNCTIONS}
+    y, rates = ca.vertcat(model.z, model.v), ca.vertcat(model.v, *ca.cse([known]))
+    exec(_as_python(ca.Function("derivative", [model.t, y], [ca.densify(rates)])), names)
+    derivative = njit(names["derivative"], error_model="numpy", fastmath={"nsz", "arcp", "contract"})
     begin = start_of(scene.machine, scene.case)
     rate = 2 * np.pi * scene.drive_hz
     sizes = np.array([1.0 if name.startswith("theta(") else 0.2 for name in model.kinematics.names])
@@ -106,7 +111,7 @@ def from_equations(scene: Scene) -> Problem:
     assert vertical is not None
     scales = np.concatenate([sizes, sizes * rate])
     first = np.concatenate([begin.z, begin.v])
-    return Problem(derivative, first, scales, n + vertical, 1 / scene.drive_hz / 120, work)
+    return Problem(derivative, first, scales, n + vertical, 1 / scene.drive_hz / 120)
 
 
 @cache

@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     help="Error-controlled steps [default], or Runge-Kutta-Gill with fixed ones.",
 )
 @click.option("--step", type=Quantity("TIME"), help="Longest step of gill, in place of --accuracy.")
-@click.option(
-    "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Where to integrate."
-)
 @click.option("--starts", type=click.IntRange(2, 1000), help="Average over so many starts; spectra only (.h5, .npz).")
 @click.option(
     "--starts-by",
@@ -75,7 +72,6 @@ def command(
     rtol: float | None,
     method: Literal["adaptive", "gill"] | None,
     step: float | None,
-    device: Literal["cpu", "cuda"],
     starts: int | None,
     starts_by: Kind,
     seed: int,
@@ -118,7 +114,6 @@ def command(
         rtol=rtol,
         step=step,
         links=links,
-        device=device,
     )
     if several:
         from jointplay.solver.simulation.ensemble import Ensemble

@@ -98,8 +98,6 @@ class Settings:
         shorter.
     most_trials : int or None
         Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
-    device : str
-        ``cpu``, or ``cuda``: one case a thread of a CUDA device; ``adaptive`` only.
     """
 
     duration: float | None = None
@@ -114,7 +112,6 @@ class Settings:
     transient: bool = True
     settled: bool = False
     most_trials: int | None = None
-    device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:
         for name in ("duration", "sample_rate", "rtol", "step", "revolutions", "most_trials"):
@@ -131,10 +128,6 @@ class Settings:
             raise SettingsError(f"rtol: {self.rtol:g}: only the adaptive method has a tolerance; gill has a step")
         if self.step is not None and self.integrator == "adaptive":
             raise SettingsError(f"step: {self.step:g}: only gill has a fixed step; the adaptive method has rtol")
-        if self.device not in ("cpu", "cuda"):
-            raise SettingsError(f"device: {self.device}: must be cpu or cuda")
-        if self.device == "cuda" and self.integrator == "gill":
-            raise SettingsError("device: cuda: only the adaptive method runs there, not gill")
 
     @property
     def integrator(self) -> str:

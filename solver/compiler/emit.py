@@ -1,4 +1,4 @@
-"""CasADi functions as straight-line code: rows of lanes, or any other dialect.
+"""CasADi functions as straight-line vector code, rows of lanes.
 
 All data of a kernel live in one flat work array addressed with constant offsets. Work that depends on lane parameters
 alone is hoisted into a function of its own that runs once.
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from jointplay.solver.compiler.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
-from jointplay.solver.compiler.ir import DECLARATIONS, LANES, Block
+from jointplay.solver.compiler.ir import LANES, Block
 
 _ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul"}
 _COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "one"}
@@ -22,39 +22,11 @@ _UNARY: dict[int, Callable[[Block, str], str]] = {
     ca.OP_NEG: lambda block, a: block.neg(a),
     ca.OP_SQ: lambda block, a: block.mul(a, a),
     ca.OP_TWICE: lambda block, a: block.add(a, a),
+    ca.OP_TANH: hyperbolic_tangent,
+    ca.OP_EXP: exponential,
+    ca.OP_LOG: logarithm,
 }
-_OTHER_UNARY = (
-    ca.OP_TANH, ca.OP_EXP, ca.OP_LOG, ca.OP_INV, ca.OP_SIN, ca.OP_COS, ca.OP_SQRT, ca.OP_FABS, ca.OP_FLOOR, ca.OP_NOT,
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Dialect:
-    """What a function is printed in.
-
-    Attributes
-    ----------
-    block : callable
-        From a prefix of names to an empty function.
-    sine_cosine, tanh, exp, log : callable
-        What prints them.
-    stride : int
-        From one row of the work array to the next.
-    head : str
-        What stands before the functions.
-    """
-
-    block: Callable[[str], Block]
-    sine_cosine: Callable[[Block, str], tuple[str, str]]
-    tanh: Callable[[Block, str], str]
-    exp: Callable[[Block, str], str]
-    log: Callable[[Block, str], str]
-    stride: int
-    head: str
-
-
-#: Rows of lanes for the processor.
-VECTOR = Dialect(Block, sine_cosine, hyperbolic_tangent, exponential, logarithm, LANES, DECLARATIONS)
+_OTHER_UNARY = (ca.OP_INV, ca.OP_SIN, ca.OP_COS, ca.OP_SQRT, ca.OP_FABS, ca.OP_FLOOR, ca.OP_NOT)
 
 
 @dataclass(frozen=True)
@@ -82,11 +54,9 @@ class _Value:
 
 
 class _Printer:
-    def __init__(
-        self, inputs: Sequence[Sequence[int]], fixed_input: int, hoist_at: int, tag: str, dialect: Dialect
-    ) -> None:
-        self.inputs, self.fixed_input, self.hoist_at, self.dialect = inputs, fixed_input, hoist_at, dialect
-        self.body, self.hoisted = dialect.block("t"), dialect.block(f"{tag}h")
+    def __init__(self, inputs: Sequence[Sequence[int]], hoist_at: int, tag: str) -> None:
+        self.inputs, self.hoist_at = inputs, hoist_at
+        self.body, self.hoisted = Block(), Block(f"{tag}h")
         self.slots = 0
         self.loaded: dict[tuple[int, int, bool], _Value] = {}
         self.source: dict[str, tuple[int, int]] = {}
@@ -110,7 +80,7 @@ class _Printer:
         if value.text in self.source:
             return self.load(*self.source[value.text], fixed=False).text
         if value.text not in self.kept:
-            offset = self.hoist_at + self.dialect.stride * self.slots
+            offset = self.hoist_at + LANES * self.slots
             self.slots += 1
             self.hoisted.store(offset, value.text)
             self.kept[value.text] = self.body.load(offset)
@@ -138,11 +108,8 @@ class _Printer:
         texts = [a.text if fixed or a.mask else self.in_body(a) for a in arguments]
         if op in (ca.OP_SIN, ca.OP_COS):
             if texts[0] not in self.waves:
-                self.waves[texts[0]] = self.dialect.sine_cosine(block, texts[0])
+                self.waves[texts[0]] = sine_cosine(block, texts[0])
             return _Value(self.waves[texts[0]][0 if op == ca.OP_SIN else 1], fixed)
-        if op in (ca.OP_TANH, ca.OP_EXP, ca.OP_LOG):
-            functions = {ca.OP_TANH: self.dialect.tanh, ca.OP_EXP: self.dialect.exp, ca.OP_LOG: self.dialect.log}
-            return _Value(functions[op](block, texts[0]), fixed)
         if op in (ca.OP_DIV, ca.OP_INV):
             inverse = self.reciprocal(arguments[-1])
             if op == ca.OP_INV:
@@ -165,7 +132,7 @@ class _Printer:
 
 def straight_line(
     function: ca.Function, inputs: Sequence[Sequence[int]], outputs: Sequence[Sequence[int]], *,
-    fixed_input: int, hoist_at: int, dialect: Dialect = VECTOR,
+    fixed_input: int, hoist_at: int,
 ) -> Program:  # fmt: skip
     """Print an SX function.
 
@@ -180,14 +147,13 @@ def straight_line(
         Input that holds the lane parameters.
     hoist_at : int
         Offset from which hoisted values are kept.
-    dialect : Dialect
 
     Raises
     ------
     KeyError
         An operation that the equations were not expected to hold.
     """
-    printer = _Printer(inputs, fixed_input, hoist_at, function.name(), dialect)
+    printer = _Printer(inputs, hoist_at, function.name())
     registers: dict[int, _Value] = {}
     stores: list[tuple[int, str]] = []
     for k in range(function.n_instructions()):

@@ -21,8 +21,6 @@ class Layout:
         Slots for what depends on the parameters alone.
     extra : int
         Rows for the method's own use.
-    stride : int
-        From one row to the next: the lanes of a row.
     memories : int
         Contacts that remember.
     """
@@ -31,11 +29,10 @@ class Layout:
     parameters: int
     hoisted: int = 0
     extra: int = 0
-    stride: int = LANES
     memories: int = 0
 
     def _row(self, index: int) -> int:
-        return self.stride * index
+        return LANES * index
 
     @property
     def time(self) -> int:
@@ -94,4 +91,4 @@ class Layout:
 
     def rows(self, start: int, count: int) -> list[int]:
         """Offsets of `count` rows from `start`."""
-        return [start + self.stride * i for i in range(count)]
+        return [start + LANES * i for i in range(count)]

@@ -38,17 +38,13 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Structured = NDArray[Any]
 
-_accepted, _arrival, _next_step, _refused = (inlined(rule) for rule in (accepted, arrival, next_step, refused))
-_remember, _shortened, _switch_part = (inlined(rule) for rule in (remember, shortened, switch_part))
-_after_switch = inlined(after_switch)
-
 
 @inlined
 def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
         penetration, approach = rows.penetration + remembering[m], rows.approach + remembering[m]
-        _remember(w, (rows.memory + m) * LANES + lane, penetration * LANES + lane, approach * LANES + lane)
+        remember(w, (rows.memory + m) * LANES + lane, penetration * LANES + lane, approach * LANES + lane)
 
 
 @inlined
@@ -73,12 +69,12 @@ def _first_switch(
         at = j * LANES + lane
         pushing = w[rows.touching * LANES + at] > 0.5
         switch, approach = w[rows.switch * LANES + at], w[rows.approach * LANES + at]
-        where = _switch_part(
+        where = switch_part(
             pushing, old[2, j, lane], switch, old[0, j, lane], w[rows.penetration * LANES + at],
             old[1, j, lane], approach, step,
         )  # fmt: skip
         if where <= 1.0:
-            wanted = _shortened(step, where, pushing, switch, approach, precision, shortest)
+            wanted = shortened(step, where, pushing, switch, approach, precision, shortest)
             if wanted > 0.0 and (shorter == 0.0 or wanted < shorter):
                 event, shorter = j, wanted
             elif shorter == 0.0 and (event < 0 or where < first):
@@ -182,10 +178,10 @@ def integrate(
             case = cases[mine.case]
             mine.trials += 1
             e, step, t = w[rows.error * LANES + lane], mine.h, mine.t
-            now = _arrival(t, step, mine.end, interval)
+            now = arrival(t, step, mine.end, interval)
             shortest = SHORTEST * (abs(t) + interval)
             jammed = jam >= 0 and w[jam * LANES + lane] > 0.5
-            accept, noise = _accepted(
+            accept, noise = accepted(
                 e, jammed, step, case.first_step, case.tolerance, mine.over == 1, mine.forced
             )  # fmt: skip
             mine.forced += noise
@@ -198,7 +194,7 @@ def integrate(
                     mine.natural, mine.h = max(mine.natural, step), shorter
             else:
                 smooth = project != 0 and not _any_contact(w, contacts, rows, lane)
-                mine.h, mine.uncut, mine.uncut_error, over, restore = _refused(
+                mine.h, mine.uncut, mine.uncut_error, over, restore = refused(
                     step, e, jammed, w[rows.growth * LANES + lane], case.tolerance, mine.forced, smooth, mine.uncut,
                     mine.uncut_error,
                 )  # fmt: skip
@@ -244,7 +240,7 @@ def integrate(
             natural, longest = 0.0, case.longest_step
             if event >= 0:
                 natural, pushes = mine.natural, _switch(w, contacts, rows, lane, event)
-                mine.pressed, longest = _after_switch(natural, step, mine.pressed, longest, pushes)
+                mine.pressed, longest = after_switch(natural, step, mine.pressed, longest, pushes)
                 cursor[STALE] = 1
             _remember_impacts(w, rows, remembering, lane)
             # Refusals in a contact say nothing of the closures.
@@ -253,7 +249,7 @@ def integrate(
             mine.natural = 0.0
             growth = w[rows.growth * LANES + lane] * mine.root
             mine.root = w[rows.root * LANES + lane] if event < 0 else 1.0
-            mine.h = _next_step(step, case.first_step, growth, natural, longest, now, mine.end)
+            mine.h = next_step(step, case.first_step, growth, natural, longest, now, mine.end)
             mine.since += 1
         if project != 0 and restore_closures(project, w, n, lanes, saved):
             cursor[STALE] = 1

@@ -1,4 +1,4 @@
-"""Step control that every driver of error-controlled steps follows: when a step is accepted, and what comes next."""
+"""Step control: when an error-controlled step is accepted, and what comes next."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from jointplay.solver.compiler.compiled import inlined
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
 
 #: Outcome of a case; `RUNNING` before it has one.
@@ -33,6 +34,7 @@ PROJECT_EVERY = 32
 PAST = 0.3
 
 
+@inlined
 def arrival(t: float, step: float, end: float, interval: float) -> float:
     """Time at the end of a step from `t`: to the last digit `end`, or the last sample would need another step.
 
@@ -42,6 +44,7 @@ def arrival(t: float, step: float, end: float, interval: float) -> float:
     return end if abs(now - end) <= SHORTEST * (abs(end) + interval) else now
 
 
+@inlined
 def accepted(
     e: float, jammed: bool, step: float, first: float, tolerance: float, over: bool, forced: int
 ) -> tuple[bool, bool]:
@@ -71,6 +74,7 @@ def accepted(
     return noise, noise
 
 
+@inlined
 def switch_part(
     pushing: bool, s0: float, s1: float, p0: float, p1: float, r0: float, r1: float, step: float
 ) -> float:  # fmt: skip
@@ -145,6 +149,7 @@ def switch_part(
     return high
 
 
+@inlined
 def shortened(
     step: float, part: float, pushing: bool, s1: float, approach: float, precision: float, shortest: float
 ) -> float:
@@ -172,6 +177,7 @@ def shortened(
     return max(part * step + past, 0.001 * step)
 
 
+@inlined
 def after_switch(
     natural: float, step: float, pressed: float, longest: float, pushes: bool
 ) -> tuple[float, float]:  # fmt: skip
@@ -192,6 +198,7 @@ def after_switch(
     return (pressed, min(longest, pressed)) if pushes else (max(natural, step), longest)
 
 
+@inlined
 def refused(
     step: float, e: float, jammed: bool, growth: float, tolerance: float, forced: int, smooth: bool, uncut: float,
     uncut_error: float,
@@ -225,6 +232,7 @@ def refused(
     return shorter, uncut, uncut_error, False, True
 
 
+@inlined
 def next_step(
     step: float, first: float, growth: float, natural: float, longest: float, now: float, end: float
 ) -> float:  # fmt: skip
@@ -249,6 +257,7 @@ def next_step(
     return end - now if now + 1.01 * wanted > end else wanted
 
 
+@inlined
 def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: int) -> None:
     """What one contact remembers (:mod:`jointplay.solver.equations.contact`), brought up to date with an accepted
     state.

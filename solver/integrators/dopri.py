@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jointplay.solver.compiler.ir import Block
+from jointplay.solver.compiler.ir import LANES, Block
 from jointplay.solver.compiler.layout import Layout
 from jointplay.solver.integrators.control import SAFETY
 
@@ -72,72 +72,72 @@ class StepRows:
     @property
     def switch(self) -> int:
         """Switch function of every contact at the end of the step, m."""
-        return self.touching + self.layout.stride * self.contacts
+        return self.touching + LANES * self.contacts
 
     @property
     def penetration(self) -> int:
         """Penetration at the end of the step, m."""
-        return self.switch + self.layout.stride * self.contacts
+        return self.switch + LANES * self.contacts
 
     @property
     def approach(self) -> int:
         """Its rate, m/s."""
-        return self.penetration + self.layout.stride * self.contacts
+        return self.penetration + LANES * self.contacts
 
     @property
     def error(self) -> int:
         """Largest scaled error of the step in parts of what is allowed."""
-        return self.approach + self.layout.stride * self.contacts
+        return self.approach + LANES * self.contacts
 
     @property
     def growth(self) -> int:
         """Next step in parts of this one, as the error wants it."""
-        return self.error + self.layout.stride
+        return self.error + LANES
 
     @property
     def size(self) -> int:
         """Sum of the sizes of coordinates and velocities at the end of the step."""
-        return self.growth + self.layout.stride
+        return self.growth + LANES
 
     @property
     def pace(self) -> int:
         """Given: time in which the machine moves by its own size, s; errors of velocities count times this."""
-        return self.size + self.layout.stride
+        return self.size + LANES
 
     @property
     def strictness(self) -> int:
         """Given: 1 / the scaled error that is allowed."""
-        return self.pace + self.layout.stride
+        return self.pace + LANES
 
     @property
     def root(self) -> int:
         """16th root of the error, which holds back the step after the next (see ``docs/solver.md``)."""
-        return self.strictness + self.layout.stride
+        return self.strictness + LANES
 
     @property
     def slopes(self) -> int:
         """Accelerations of the seven stages, n rows each; the first holds those at the start of the step."""
-        return self.root + self.layout.stride
+        return self.root + LANES
 
     @property
     def stage_velocities(self) -> int:
         """Velocities of stages 2 to 6, n rows each."""
-        return self.slopes + self.layout.stride * _COUNT * self.layout.size
+        return self.slopes + LANES * _COUNT * self.layout.size
 
     @property
     def dense(self) -> int:
         """Dense output: four rows for each recorded coordinate, then for its velocity."""
-        return self.stage_velocities + self.layout.stride * (_COUNT - 2) * self.layout.size
+        return self.stage_velocities + LANES * (_COUNT - 2) * self.layout.size
 
     @property
     def jam(self) -> int:
         """1 once a sliding joint has jammed within the step; only where sliding joints rub."""
-        return self.dense + self.layout.stride * 2 * DENSE_ROWS * len(self.recorded)
+        return self.dense + LANES * 2 * DENSE_ROWS * len(self.recorded)
 
     @property
     def last_slopes(self) -> int:
         """Accelerations at the end of the step."""
-        return self.slopes + self.layout.stride * (_COUNT - 1) * self.layout.size
+        return self.slopes + LANES * (_COUNT - 1) * self.layout.size
 
 
 def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) -> str:
@@ -159,7 +159,7 @@ def _growth(block: Block, error: str) -> tuple[str, str]:
     )
 
 
-def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = None) -> str:
+def dopri_step(rows: StepRows, scales: Sequence[float]) -> str:
     """``dopri``: a trial step from (z, v, first slopes) with the step and time rows.
 
     Parameters
@@ -167,17 +167,15 @@ def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = No
     rows : StepRows
     scales : sequence of float
         Sizes of the coordinates that errors are compared with; n numbers.
-    block : Block, optional
-        Empty function to print into; of rows of lanes by default.
     """
     layout = rows.layout
     n = layout.size
-    block = block or Block()
+    block = Block()
     h, t = block.load(layout.step), block.load(layout.time)
     z, v, a = (layout.rows(start, n) for start in (layout.z, layout.v, layout.a))
     kept = layout.rows(layout.scratch, 2 * n)
-    slopes = [layout.rows(rows.slopes + layout.stride * n * i, n) for i in range(_COUNT)]
-    speeds = [kept[n:], *(layout.rows(rows.stage_velocities + layout.stride * n * i, n) for i in range(_COUNT - 2)), v]
+    slopes = [layout.rows(rows.slopes + LANES * n * i, n) for i in range(_COUNT)]
+    speeds = [kept[n:], *(layout.rows(rows.stage_velocities + LANES * n * i, n) for i in range(_COUNT - 2)), v]
     for i in range(n):
         block.store(kept[i], block.load(z[i]))
         block.store(kept[n + i], block.load(v[i]))
@@ -223,5 +221,5 @@ def dopri_step(rows: StepRows, scales: Sequence[float], block: Block | None = No
             quartic = block.mul(h, _combination(block, _DENSE, values))
             for coefficient in (change, bend, last, quartic):
                 block.store(at, coefficient)
-                at += layout.stride
+                at += LANES
     return block.function("dopri")

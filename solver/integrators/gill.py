@@ -33,7 +33,6 @@ PATIENCE = 20
 #: How a lane stands.
 RUNNING, ENDED, JAMMED = 0, 1, 2
 
-_remember_one = compiled(remember)
 _ROOT = math.sqrt(0.5)
 #: (a, b, c, time of the stage's result in steps)
 _STAGES = (
@@ -94,7 +93,7 @@ def _remember(w: NDArray[np.float64], n: int, memory: int, memories: int) -> Non
     apart = LANES * memories
     for i in range(apart):
         penetration = LANES * (2 + 5 * n) + i
-        _remember_one(w, memory + i, penetration, penetration + apart)
+        remember(w, memory + i, penetration, penetration + apart)
 
 
 @compiled

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.solver.compiler import native
-from jointplay.solver.compiler.emit import VECTOR, Dialect, straight_line
+from jointplay.solver.compiler.emit import straight_line
+from jointplay.solver.compiler.ir import DECLARATIONS, LANES
 from jointplay.solver.compiler.layout import Layout
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.dopri import StepRows, dopri_step
@@ -71,16 +72,15 @@ def _simplified(name: str, symbols: list[ca.SX], outputs: list[ca.SX]) -> ca.Fun
 
 def _code(
     model: Model, layout: Layout, name: str, symbols: list[ca.SX], inputs: list[list[int]], outputs: list[ca.SX],
-    targets: list[list[int]], step: str, jam: tuple[ca.SX, int], dialect: Dialect = VECTOR,
+    targets: list[list[int]], step: str, jam: tuple[ca.SX, int],
 ) -> KernelCode:  # fmt: skip
     """Right-hand side `name`, projection, ``prepare`` and one step of a method; `jam` and the place of its row."""
     if model.rubbing is not None:
         met, place = ca.SX.sym("met"), [jam[1]]
         symbols, inputs = [*symbols, met], [*inputs, place]
         outputs, targets = [*outputs, ca.fmax(met, jam[0])], [*targets, place]
-    right = straight_line(
-        _simplified(name, symbols, outputs), inputs, targets, fixed_input=3, hoist_at=layout.hoist, dialect=dialect
-    )
+    simplified = _simplified(name, symbols, outputs)
+    right = straight_line(simplified, inputs, targets, fixed_input=3, hoist_at=layout.hoist)
     functions = [right.body.function(name)]
     prepare, slots = right.hoisted, right.hoist_slots
     constrained = bool(model.kinematics.closures)
@@ -90,14 +90,14 @@ def _code(
         _, dv = model.projection.call([symbols[0], model.z + dz, *symbols[2:4]])
         project = straight_line(
             _simplified("project", symbols[:4], [model.z + dz, model.v + dv]), inputs[:4], inputs[1:3],
-            fixed_input=3, hoist_at=layout.hoist + layout.stride * slots, dialect=dialect,
+            fixed_input=3, hoist_at=layout.hoist + LANES * slots,
         )  # fmt: skip
         functions.append(project.body.function("project"))
         prepare.lines += project.hoisted.lines
         slots += project.hoist_slots
     functions += [prepare.function("prepare"), step]
-    text = "\n".join([dialect.head, *functions])
-    row = -1 if model.rubbing is None else jam[1] // dialect.stride
+    text = "\n".join([DECLARATIONS, *functions])
+    row = -1 if model.rubbing is None else jam[1] // LANES
     return KernelCode(text, replace(layout, hoisted=slots), right.body.operations, constrained, row)
 
 
@@ -116,13 +116,11 @@ def kernel_code(model: Model) -> KernelCode:
         for name in ("penetration", "approach"):
             outputs.append(ca.vertcat(*(getattr(model.contacts[j], name) for j in model.remembering)))
             targets.append(layout.rows(at, memories))
-            at += layout.stride * memories
+            at += LANES * memories
     return _code(model, layout, "rhs", symbols, inputs, outputs, targets, gill_step(layout), (model.jam, at))
 
 
-def adaptive_code(
-    model: Model, scales: Sequence[float], recorded: tuple[int, ...], dialect: Dialect = VECTOR
-) -> KernelCode:
+def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> KernelCode:
     """Print a model for error-controlled steps: ``prepare``, ``held``, ``dopri`` and ``project``.
 
     Parameters
@@ -132,12 +130,11 @@ def adaptive_code(
         Sizes of the coordinates that errors are compared with; n numbers.
     recorded : tuple of int
         Coordinates with dense output.
-    dialect : Dialect
     """
     n, k, contacts = model.size, len(model.parameters), len(model.contacts)
     memories = len(model.remembering)
     extra = StepRows.count(n, contacts, len(recorded)) + (model.rubbing is not None)
-    layout = Layout(n, k, extra=extra, stride=dialect.stride, memories=memories)
+    layout = Layout(n, k, extra=extra, memories=memories)
     rows = StepRows(layout, contacts, recorded)
     symbols = [model.t, model.z, model.v, model.p, model.touching, model.memory]
     inputs = [
@@ -150,8 +147,8 @@ def adaptive_code(
             outputs.append(ca.vertcat(*(getattr(contact, name) for contact in model.contacts)))
             targets.append(layout.rows(start, contacts))
     jam = (ca.SX(0) if model.rubbing is None else model.rubbing.jam, rows.jam)
-    step = dopri_step(rows, scales, dialect.block("t"))
-    return _code(model, layout, "held", symbols, inputs, outputs, targets, step, jam, dialect)
+    step = dopri_step(rows, scales)
+    return _code(model, layout, "held", symbols, inputs, outputs, targets, step, jam)
 
 
 def _compiled(code: KernelCode, names: tuple[str, str]) -> Kernel:

@@ -60,8 +60,6 @@ def simulate_ensemble(
         As :func:`jointplay.solver.simulation.simulate.start_of`.
     """
     case, ensemble, settings = case or Case(), ensemble or Ensemble(), settings or Settings()
-    if settings.device != "cpu":
-        raise SettingsError(f"device: {settings.device}: ensembles run on the processor only")
     group = next(groups(machine, [case], settings))
     for _, error in group.failed:
         raise error

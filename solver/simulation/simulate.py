@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,19 +40,6 @@ def check_assembly(machine: Machine) -> None:
         Names the angle and the joint that stays open.
     """
     mobility_of(machine, (), {})
-
-
-def _runs(settings: Settings) -> Callable[..., Iterator[Run]]:
-    """What integrates groups of cases; Numba's CUDA is imported only where it is asked for."""
-    if settings.device == "cpu":
-        return gill_runs if settings.integrator == "gill" else adaptive_runs
-    try:
-        from jointplay.solver.integrators.device import check_device
-        from jointplay.solver.simulation.device_runs import device_runs
-    except ImportError as error:
-        raise SettingsError("device: cuda: Numba has no CUDA here; install the extra jointplay[cuda]") from error
-    check_device()
-    return device_runs
 
 
 def simulate(
@@ -117,7 +104,7 @@ def simulate_batch(
     for name, given_each in (("starts", starts), ("accuracies", accuracies)):
         if given_each is not None and len(given_each) != len(cases):
             raise SettingsError(f"{name}: {len(given_each)} for {len(cases)} cases: must be one a case")
-    runs = _runs(settings)
+    runs = gill_runs if settings.integrator == "gill" else adaptive_runs
     results: dict[int, History] = {}
     for group in groups(machine, cases, settings, accuracies):
         model = group.model

@@ -1,6 +1,6 @@
 """The solver's own steps and driver without compilation: CasADi evaluates equations, Python the step and the driver.
 
-The step is the printed one, in its scalar dialect; the driver of lanes runs as the Python that it is, with one lane.
+The step is the printed one, printed as Python; the driver of lanes runs as the Python that it is, with one lane.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from unittest import mock
 
 import casadi as ca
 import numpy as np
+from fuzz.scalar_block import HEAD, ScalarBlock
 from numpy.typing import NDArray
 
 from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import error_scales
+from jointplay.solver.compiler import layout as layouts
 from jointplay.solver.compiler.layout import Layout
-from jointplay.solver.compiler.scalar import SCALAR
 from jointplay.solver.equations.model import Model
-from jointplay.solver.integrators import adaptive, dense, lane_work, lanes
+from jointplay.solver.integrators import adaptive, dense, dopri, lane_work, lanes
 from jointplay.solver.integrators.dopri import StepRows, dopri_step
 from jointplay.solver.integrators.kernel import Kernel
 from jointplay.solver.integrators.lanes import GROUP, Lanes, Queue
@@ -42,11 +43,11 @@ def _kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...],
     model = model_of(machine, joints, varying)
     n, contacts, memories = model.size, len(model.contacts), len(model.remembering)
     extra = StepRows.count(n, contacts, len(recorded)) + (model.rubbing is not None)
-    layout = Layout(n, len(model.parameters), extra=extra, stride=1, memories=memories)
+    layout = Layout(n, len(model.parameters), extra=extra, memories=memories)
     rows = StepRows(layout, contacts, recorded)
     held = _held(model, layout, rows)
     space: dict[str, Any] = {"held": held}
-    exec(SCALAR.head + dopri_step(rows, error_scales(machine, model), SCALAR.block("t")), space)
+    exec(HEAD + dopri_step(rows, error_scales(machine, model)), space)
     project: Any = _in_place(_project(model, layout)) if model.kinematics.closures else 0
     functions: Any = (_nothing, _in_place(held), _in_place(space["dopri"]), project)
     return _Kernel(layout, functions, 0, "", -1 if model.rubbing is None else rows.jam)
@@ -161,8 +162,9 @@ def uncompiled(trials: int) -> Iterator[None]:
             for name, value in list(vars(module).items()):
                 if hasattr(value, "py_func"):
                     put(module, name, value.py_func)
-        for module in (adaptive, lane_work, runs, lanes, dense):
+        for module in (adaptive, lane_work, runs, lanes, dense, dopri, layouts):
             put(module, "LANES", 1)
+        put(dopri, "Block", ScalarBlock)
         put(adaptive, "call", _call)
         put(lane_work, "call", _call)
         put(dense, "_write_values", _write_values)

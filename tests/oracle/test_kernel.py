@@ -13,12 +13,10 @@ from oracle.motion import LinkMotion
 from oracle.sketch import random_state
 
 from jointplay.solver.compiler.ir import LANES
-from jointplay.solver.compiler.scalar import SCALAR
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.integrators.dopri import StepRows
 from jointplay.solver.integrators.gill import integrate, repeat
-from jointplay.solver.integrators.kernel import adaptive_code, compile_model
-from jointplay.solver.integrators.kernel_functions import kernel_functions
+from jointplay.solver.integrators.kernel import compile_adaptive, compile_model
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 
 #: Vector code and symbols round differently (order of sums, its own sine); as part of the largest acceleration.
@@ -203,29 +201,32 @@ def test_memories() -> None:
     assert pressed >= 5
 
 
-def test_scalar_source(scene: tuple[Machine, Model]) -> None:
-    """The same instructions in Python, for other compilers: accelerations and restored closures."""
+def test_error_controlled_steps(scene: tuple[Machine, Model]) -> None:
+    """Their right-hand side, told which contacts push, and restored closures."""
     machine, model = scene
-    code = adaptive_code(model, [1.0] * model.size, (), SCALAR)
-    layout, step = code.layout, StepRows(code.layout, len(model.contacts), ())
-    kernel = kernel_functions(code, lambda function: function)
+    kernel, gills = compile_adaptive(model, [1.0] * model.size, ()), compile_model(model)
+    layout, step = kernel.layout, StepRows(kernel.layout, len(model.contacts), ())
     drawn = lanes(model)
-    lanes_kernel = compile_model(model)
-    work = filled(lanes_kernel, model, drawn)
-    repeat(lanes_kernel.functions, work, 1)
+    expected = filled(gills, model, drawn)
+    repeat(gills.functions, expected, 1)
+    work = filled(kernel, model, drawn)
+    repeat(kernel.functions, work, 1)
+    pushing = rows(work, step.switch, len(model.contacts)).T > 0
+    work[step.touching : step.switch] = pushing.ravel()
+    repeat(kernel.functions, work, 1)
+    found = rows(work, layout.a, model.size).copy()
+    z_at = slice(layout.z, layout.v)
+    work[z_at] += 1e-6
+    moved = rows(work, layout.z, model.size).copy()
+    prepare, _, _, project = kernel.functions
+    if project:
+        repeat((prepare, project, 0, 0), work, 1)
+    corrected = rows(work, layout.z, model.size)
     motion = LinkMotion(model)
-    for (values, t, z, v), compiled in zip(drawn, rows(work, lanes_kernel.layout.a, model.size), strict=True):
-        p = model.vector(values)
-        w = np.zeros(layout.total)
-        w[layout.time] = t
-        for start, column in ((layout.z, z), (layout.v, v), (layout.p, p)):
-            w[start : start + len(column)] = column
-        kernel["prepare"](w)
-        kernel["held"](w)
-        for i in range(len(model.contacts)):
-            w[step.touching + i] = w[step.switch + i] > 0
-        kernel["held"](w)
-        a = w[layout.a : layout.a + model.size].copy()
+    for lane, ((values, t, z, v), compiled) in enumerate(
+        zip(drawn, rows(expected, gills.layout.a, model.size), strict=True)
+    ):
+        p, a = model.vector(values), found[lane]
         assert np.abs(a - compiled).max() < ROUNDING * np.abs(compiled).max()
         positions, velocities, accelerations = motion(t, z, v, a, p)
         other, clearances = changed(machine, values)
@@ -233,13 +234,9 @@ def test_scalar_source(scene: tuple[Machine, Model]) -> None:
         gap = np.abs(accelerations - solution.accelerations)
         assert gap[:, :2].max() < 1e-10 * solution.scale[0]
         assert gap[:, 2].max() < 1e-10 * solution.scale[1]
-        if not code.constrained:
-            continue
-        moved = z + 1e-6
-        w[layout.z : layout.z + model.size] = moved
-        kernel["project"](w)
-        correction = model.projection(t, moved, v, p)[0].full().ravel()
-        assert np.abs(w[layout.z : layout.z + model.size] - moved - correction).max() < 1e-12
+        if project:
+            correction = model.projection(t, moved[lane], v, p)[0].full().ravel()
+            assert np.abs(corrected[lane] - moved[lane] - correction).max() < 1e-12
 
 
 def test_restoring_the_closures() -> None:

@@ -255,7 +255,5 @@ def test_machines_without_a_steady_state_are_refused(machine: Machine) -> None:
     still = machine.model_copy(update={"links": {**machine.links, "frame": fixed}, "supports": (), "sensors": ()})
     with pytest.raises(SettingsError, match="frame is fixed"):
         simulate_ensemble(still)
-    with pytest.raises(SettingsError, match="on the processor only"):
-        simulate_ensemble(machine, PERIODIC, settings=Settings(device="cuda"))
     with pytest.raises(SettingsError, match="too low for orders"):
         simulate_ensemble(machine, PERIODIC, settings=Settings(sample_rate=20.0))

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from jointplay.solver.integrators.control import after_switch, next_step, shortened, switch_part
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate_batch
+from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate, simulate_batch
 
 LAG = 2e-4
 """Damping over stiffness of the contact below, s."""
@@ -138,3 +138,12 @@ def test_few_steps_are_tried_in_vain() -> None:
             sample_rate=1e4, duration=0.5, accuracy="draft", motion=False, most_trials=round(1.3 * 0.5 / run.step)
         )
         assert simulate_batch(machine, [case], limited)[0].status is Status.OK
+
+
+def test_too_many_trials_stall() -> None:
+    """From rest into flights and impacts, 12 ms: what is simulated until then is kept."""
+    limited = Settings(sample_rate=1e4, duration=0.012, most_trials=20)
+    run = simulate(shipped_machine("slider-crank"), Case(Fault({"A": 1e-4})), limited)
+    assert run.status is Status.STEP_TOO_SMALL
+    assert 0 < len(run.t) < 121
+    assert "too many were needed" in run.message
