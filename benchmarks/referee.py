@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from jointplay.app.tables import table
 from jointplay.catalogue.matching.calibration import kept_apart
 from jointplay.catalogue.matching.learning import Learning, training_set
-from jointplay.catalogue.matching.libraries import library_of
 from jointplay.catalogue.matching.matcher import TrainingSet
+from jointplay.catalogue.matching.model_library import Observed, library_of
 from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
 from jointplay.catalogue.matching.network_training import FULL_BAND
 from jointplay.catalogue.matching.observation import Sensing
@@ -61,7 +61,7 @@ def of_product(catalogue: Catalogue, sensing: Sensing, watched: NDArray[np.bool_
     """Return the product's P(worn) (m, joints)."""
     learning = Learning.of("trusted")
     network = NetworkShelf.of(catalogue).get(sensing, learning, None)
-    model = library_of(catalogue).fitted(sensing, watched, learning, network=network)
+    model = library_of(catalogue).fitted(Observed(sensing, np.empty(0), watched), learning, network)
     prior = np.array([draws.prior for draws in held.hypotheses])
     posterior = model.posterior(held.stacked()[0]) / prior
     member = np.array([[joint in known.joints for joint in held.joints] for known in held.hypotheses], np.float64)

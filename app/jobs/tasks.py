@@ -152,10 +152,10 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     import jointplay.catalogue.diagnosing.diagnosis
     import jointplay.catalogue.measurements.measured_spectrum  # noqa: F401, loaded to be there when it is needed
     from jointplay.catalogue.errors import CatalogueError
-    from jointplay.catalogue.matching.libraries import KEPT, library_of
+    from jointplay.catalogue.matching.model_library import CATALOGUES, library_of
 
     loaded = 0
-    for directory, stamp in catalogues[:KEPT]:
+    for directory, stamp in catalogues[:CATALOGUES]:
         with suppress(CatalogueError):  # whoever asks for it is told
             loaded += library_of(opened(directory, stamp)).load()
     return loaded

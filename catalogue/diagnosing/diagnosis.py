@@ -40,13 +40,10 @@ from jointplay.catalogue.diagnosing.separation import suggest
 from jointplay.catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
 from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
-from jointplay.catalogue.matching.libraries import library_of
-from jointplay.catalogue.matching.matcher import FloatArray, Matcher, MatchResult
-from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.matcher import FloatArray, MatchResult
+from jointplay.catalogue.matching.model_library import ModelLibrary, library_of, one_thread
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior
-from jointplay.catalogue.matching.threads import one_thread
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
@@ -119,7 +116,6 @@ def diagnose(
     cases: int = 240,
     prior: Prior | None = None,
     baseline: Recording | None = None,
-    matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
     """Say which joints are worn, by how much, and how sure that is.
@@ -138,10 +134,9 @@ def diagnose(
         Sensor of each column, for columns not named like their sensor.
     baseline : Recording, optional
         Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors.
-    matcher : Matcher, optional
-        In place of the one that `effort` stands for.
     library : ModelLibrary, optional
-        Keeps what was learned for the next recording; the catalogue's own unless given.
+        Answers, and keeps what was learned for the next recording; the catalogue's own unless given. One of another
+        method is a :class:`jointplay.catalogue.evaluation.cross_checks.MethodLibrary`.
 
     Returns
     -------
@@ -168,7 +163,6 @@ def diagnose(
         mapping=mapping,
         known=known,
         suggesting=effort != "fast",
-        matcher=matcher,
         library=library,
     )
     return shown
@@ -183,7 +177,6 @@ def answer(
     mapping: Mapping[str, str] | None = None,
     known: KnownMachine | None = None,
     suggesting: bool = False,
-    matcher: Matcher | None = None,
     library: ModelLibrary | None = None,
     without: tuple[str, ...] = (),
     most: int | None = None,
@@ -202,7 +195,7 @@ def answer(
         What a recording of the machine in order has shown.
     suggesting : bool
         Whether to say what would tell the first hypotheses apart, where they are not.
-    mapping, matcher, library
+    mapping, library
         As for :func:`diagnose`.
     without : tuple of str
         Hypotheses that are left out.
@@ -227,9 +220,7 @@ def answer(
         # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
         if all(step.name != "suspension" for step in prepared.steps):
             weights = known.weights(catalogue)
-    look = partial(
-        _match, catalogue=catalogue, library=library, question=question, matcher=matcher, without=without, most=most
-    )
+    look = partial(_match, catalogue=catalogue, library=library, question=question, without=without, most=most)
     sensing, feature, result = look(prepared, weights)
     causes: tuple[NamedCause, ...] = ()
     if not prepared.flaws and (question.effort != "fast" or needs_cause(result)):
@@ -245,7 +236,7 @@ def answer(
             p_value, verdict = judged(other, question.coverage)
             verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
-    if question.effort == "thorough" and matcher is None:
+    if question.effort == "thorough":
         if verdict == "unknown":
             spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
         elif needs_cause(result) or causes:
@@ -264,7 +255,6 @@ def answer(
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             p_value, verdict = judged(result, question.coverage)
     candidates = result.set(question.coverage)
-    method = matcher or GaussianAlongClearance()
     warnings = [
         *prepared.warnings,
         *speed_warnings(prepared, catalogue),
@@ -286,7 +276,7 @@ def answer(
         machine_sha256=catalogue.machine.content_key,
         solver_version=__version__,
         catalogue_solver_version=catalogue.manifest.versions.get("jointplay", ""),
-        matcher=MatcherIdentity(name=method.name, version=method.version, network=result.network),
+        matcher=MatcherIdentity(name=library.name, version=library.version, network=result.network),
         recipe=prepared.steps,
     )
     prior = PriorUsed(
@@ -348,7 +338,6 @@ def _match(
     catalogue: Catalogue,
     library: ModelLibrary,
     question: Question,
-    matcher: Matcher | None,
     without: tuple[str, ...],
     most: int | None,
 ) -> tuple[Sensing, FloatArray, MatchResult]:
@@ -362,7 +351,6 @@ def _match(
         question.effort,
         question.mode,
         speed=prepared.drive_speed,
-        matcher=matcher,
         weights=weights,
         without=without,
         most=most,

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import EntryPoint
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
 from jointplay.catalogue.diagnosing.joint_states import plays_of_fits
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
+from jointplay.catalogue.evaluation.cross_checks import METHODS, OWN, Matcher, MethodLibrary, as_matcher
 from jointplay.catalogue.evaluation.differences import with_differences
 from jointplay.catalogue.evaluation.hidden import hidden
 from jointplay.catalogue.evaluation.metrics import Answered, Figures, figures
@@ -24,35 +25,13 @@ from jointplay.catalogue.evaluation.protocols import Protocol, draw_truth, proto
 from jointplay.catalogue.evaluation.recordings import TOGETHER, Recordings, recorded
 from jointplay.catalogue.evaluation.spoiling import with_spoiling
 from jointplay.catalogue.evaluation.truth import Truth
-from jointplay.catalogue.matching.cosine import CosineEntry
-from jointplay.catalogue.matching.matcher import Matcher
 from jointplay.catalogue.matching.model_library import ModelLibrary
-from jointplay.catalogue.matching.nearest import NearestEntry
 from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
-from jointplay.catalogue.matching.trees import ExtraTrees
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.extensions import installed
 
-__all__ = ["METHODS", "Row", "Setup", "Study", "evaluate", "setups_of"]
-
-GAUSSIAN = "gaussian"
-
-
-def _made(method: EntryPoint) -> Matcher:
-    found: Matcher = method.load()()
-    return found
-
-
-METHODS: Mapping[str, Callable[[], Matcher] | None] = {
-    **{name: partial(_made, method) for name, method in installed("matchers").items()},
-    GAUSSIAN: None,
-    "cosine": CosineEntry,
-    "nearest": NearestEntry,
-    "extra-trees": ExtraTrees,
-}
-"""Methods by name: the one that a diagnosis uses by itself, and cross-checks, those of other packages among them."""
+__all__ = ["Row", "Setup", "Study", "evaluate", "setups_of"]
 
 
 @dataclass(frozen=True)
@@ -62,12 +41,12 @@ class Setup:
     Parameters
     ----------
     method : str
-        Name in :data:`METHODS`.
+        Name in :data:`~jointplay.catalogue.evaluation.cross_checks.METHODS`.
     effort : {"fast", "standard", "thorough"}
     mode : {"auto", "trusted", "robust"}
     """
 
-    method: str = GAUSSIAN
+    method: str = OWN
     effort: Effort = "standard"
     mode: ModeAsked = "auto"
 
@@ -130,14 +109,18 @@ def setups_of(methods: Sequence[str], efforts: Sequence[Effort], modes: Sequence
     DiagnosisError
         An unknown method.
     """
-    for method in methods:
-        if method not in METHODS:
-            raise DiagnosisError(f"method: {method}: must be one of {', '.join(METHODS)}")
     found = [
-        Setup(method, effort if method == GAUSSIAN else "standard", mode)
+        Setup(method, effort if method == OWN else "standard", mode)
         for method, effort, mode in product(methods, efforts, modes)
     ]
+    _check(found, METHODS)
     return tuple(dict.fromkeys(found))
+
+
+def _check(setups: Sequence[Setup], known: Mapping[str, object]) -> None:
+    for setup in setups:
+        if setup.method not in known:
+            raise DiagnosisError(f"method: {setup.method}: must be one of {', '.join(known)}")
 
 
 def evaluate(
@@ -147,6 +130,7 @@ def evaluate(
     seed: int = 1,
     *,
     setups: Sequence[Setup] = (Setup(),),
+    methods: Mapping[str, Any] | None = None,
     recordings: Recordings | None = None,
     most: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -164,6 +148,9 @@ def evaluate(
         Of everything drawn.
     setups : sequence of Setup
         Compared on the same recordings.
+    methods : mapping of str to Matcher or classifier, optional
+        Methods that setups name besides :data:`~jointplay.catalogue.evaluation.cross_checks.METHODS`; a classifier is
+        one of scikit-learn, not fitted.
     recordings : Recordings, optional
         Where simulations are kept; nowhere without it.
     most : int, optional
@@ -183,9 +170,10 @@ def evaluate(
     wanted = tuple(protocol.of(catalogue) for protocol in protocols_of(protocols))
     if not catalogue.machine.sensors:
         raise DiagnosisError(f"machine {catalogue.machine.name}: has no sensors to record with")
-    run = _Run(
-        catalogue, count, seed, tuple(setups), recordings or Recordings(), most, networks_of(catalogue, setups, most)
-    )
+    known_methods = {**METHODS, **{name: partial(as_matcher, each, name) for name, each in (methods or {}).items()}}
+    _check(setups, known_methods)
+    networks = networks_of(catalogue, setups, most)
+    run = _Run(catalogue, count, seed, tuple(setups), known_methods, recordings or Recordings(), most, networks)
     for protocol in wanted:
         run.hypotheses(protocol)  # Refused before anything is simulated.
     total = sum(2 if protocol.foreign else 1 for protocol in wanted) * count
@@ -228,7 +216,7 @@ def networks_of(catalogue: Catalogue, setups: Sequence[Setup], most: int | None)
         if most is None
         else NetworkShelf(catalogue.matrix, own_sensing(catalogue.machine, catalogue.matrix.cuts), None)
     )
-    modes = {setup.mode for setup in setups if setup.method == GAUSSIAN}
+    modes = {setup.mode for setup in setups if setup.method == OWN}
     for learning, speed in shelf.missing(most):
         if learning.mode in modes or "auto" in modes:
             shelf.train(learning, speed)
@@ -248,6 +236,7 @@ class _Run:
     count: int
     seed: int
     setups: tuple[Setup, ...]
+    methods: Mapping[str, Callable[[], Matcher] | None]
     recordings: Recordings
     most: int | None
     networks: NetworkShelf
@@ -278,12 +267,14 @@ class _Run:
             found.append(with_spoiling(truth, protocol.spoiling, self.seed, number))
         return found
 
+    def library(self, method: str) -> ModelLibrary:
+        made = self.methods[method]
+        matrix = self.catalogue.matrix
+        return ModelLibrary(matrix, networks=self.networks) if made is None else MethodLibrary(matrix, made())
+
     def answers(self, protocol: Protocol, without: tuple[str, ...], told: Callable[[], None]) -> _Found:
-        truths, library, found = (
-            self.truths(protocol),
-            ModelLibrary(self.catalogue.matrix, networks=self.networks),
-            _Found({setup: [] for setup in self.setups}),
-        )
+        truths, found = self.truths(protocol), _Found({setup: [] for setup in self.setups})
+        libraries = {setup.method: self.library(setup.method) for setup in self.setups}
         numbers: dict[Setup, list[int]] = {setup: [] for setup in self.setups}
         signals: dict[int, NDArray[np.float64]] = {}
         worn = sorted({joint for joints in self.columns(without).values() for joint in joints})
@@ -306,7 +297,6 @@ class _Run:
                 found.refused += 1
                 continue
             for setup in self.setups:
-                method = METHODS[setup.method]
                 question = Question(setup.effort, setup.mode)
                 begin = time.perf_counter()
                 got, result = answer(
@@ -314,8 +304,7 @@ class _Run:
                     recording.sha256,
                     self.catalogue,
                     question,
-                    matcher=method() if method is not None else None,
-                    library=library,
+                    library=libraries[setup.method],
                     without=without,
                     most=self.most,
                 )

@@ -91,7 +91,7 @@ def training_set(
     *,
     rows: Mapping[str, IntArray] | None = None,
     speed: float | None = None,
-    weights: Mapping[str, FloatArray] | None = None,
+    weights: FloatArray | None = None,
 ) -> TrainingSet:
     """Turn entries of a catalogue into feature vectors as the sensors would report them.
 
@@ -107,8 +107,8 @@ def training_set(
         Rows by hypothesis; only these hypotheses then. Those of :func:`rows_of` unless given.
     speed : float, optional
         Drive speed of the measurement, rad/s: which of the stored speeds is learned from, where there are several.
-    weights : mapping of str to ndarray, optional
-        Weights of the rows, by hypothesis.
+    weights : ndarray, shape (rows of the matrix,), optional
+        How much each counts, > 0.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def training_set(
         # What is drawn for one hypothesis does not depend on which others there are.
         seed = (learning.seed, zlib.crc32(known.label.encode()))
         features, entry = observe(matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz)
-        weight = None if weights is None else weights[known.label][entry]
+        weight = None if weights is None else weights[chosen[entry]]
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
         prior = Prior().weight(known.joints, len(matrix.joints), most)
         sets.append(Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))

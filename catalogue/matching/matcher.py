@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -306,35 +306,6 @@ class MatchResult:
             if total >= coverage:
                 break
         return tuple(chosen)
-
-
-class FittedMatcher(Protocol):
-    """A matcher that has learned a training set."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the hypotheses, in the order of the training set."""
-
-    def posterior(self, features: FloatArray) -> FloatArray:
-        """Return the probabilities (m, hypotheses) of a block of feature vectors (m, d)."""
-
-    def match(self, feature: FloatArray) -> MatchResult:
-        """Return the full answer for one feature vector (d,)."""
-
-
-class Matcher(Protocol):
-    """A way of matching, with its settings."""
-
-    @property
-    def name(self) -> str:
-        """Short name of the method."""
-
-    @property
-    def version(self) -> str:
-        """Changes whenever the same input may give another answer."""
-
-    def fit(self, training: TrainingSet) -> FittedMatcher:
-        """Learn a training set."""
 
 
 def ranked(

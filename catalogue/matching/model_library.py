@@ -4,27 +4,31 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
-from jointplay.catalogue import FEATURES_VERSION
+from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.blending import blended
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
-from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
-from jointplay.catalogue.matching.matcher import BoolArray, FittedMatcher, FloatArray, Matcher, MatchResult
+from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, MatchResult, TrainingSet
 from jointplay.catalogue.matching.modelfile import as_read, read_model, write_model, written
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.observation import Sensing, rounded_sensing
 from jointplay.catalogue.matching.refit import Refit, merged
 from jointplay.catalogue.matching.spectra import Spectra, band_widths
-from jointplay.catalogue.matching.threads import one_thread
 from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.storage.store import Catalogue
 
 Effort = Literal["fast", "standard", "thorough"]
 Choice = Literal["auto", "trusted", "robust"]
@@ -37,6 +41,9 @@ LOADED = 4
 
 DOUBTED_BELOW = 0.05
 """P-value of the trusted mode below which the robust one has a say."""
+
+CATALOGUES = 4
+"""Catalogues whose models are kept in memory."""
 
 
 class ModelLibrary:
@@ -56,12 +63,15 @@ class ModelLibrary:
         Models kept in memory (some 10 MB each with 17 hypotheses).
     """
 
+    name = GaussianAlongClearance().name
+    version = str(MATCHER_VERSION)
+
     def __init__(
         self, matrix: Spectra, folder: Path | None = None, networks: NetworkShelf | None = None, *, size: int = 16
     ) -> None:
         self._matrix, self._folder, self._networks, self._size = matrix, folder, networks, size
         self._lock = threading.Lock()
-        self._known: OrderedDict[str, FittedMatcher] = OrderedDict()
+        self._known: OrderedDict[str, FittedGaussian] = OrderedDict()
 
     @property
     def matrix(self) -> Spectra:
@@ -77,7 +87,6 @@ class ModelLibrary:
         mode: Choice = "auto",
         *,
         speed: float | None = None,
-        matcher: Matcher | None = None,
         weights: FloatArray | None = None,
         without: tuple[str, ...] = (),
         most: int | None = None,
@@ -99,8 +108,6 @@ class ModelLibrary:
             ``auto`` trusts the model unless the recording then has a p-value below 0.05; both modes are then heard.
         speed : float, optional
             Drive speed, rad/s: which entries are used where the catalogue has several speeds.
-        matcher : Matcher, optional
-            Another method, which then answers from the looked-up model at every effort.
         weights : ndarray, shape (rows of the matrix,), optional
             How much each entry counts, > 0: closeness to what a baseline recording has shown. Models fitted so are not
             kept as files.
@@ -121,63 +128,66 @@ class ModelLibrary:
             raise DiagnosisError(f"effort: {effort}: must be fast, standard or thorough")
         if mode not in ("auto", "trusted", "robust"):
             raise DiagnosisError(f"mode: {mode}: must be auto, trusted or robust")
-        question = _Question(sensing, feature, watched, speed, weights)
+        observed = Observed(sensing, feature, watched, speed, weights)
         with one_thread():
             if mode == "robust":
-                return self._answer(question, effort, Learning.of(mode, without=without, most=most), matcher)
-            trusted = self._answer(question, effort, Learning.of("trusted", without=without, most=most), matcher)
+                return self.match(observed, effort, Learning.of(mode, without=without, most=most))
+            trusted = self.match(observed, effort, Learning.of("trusted", without=without, most=most))
             if mode == "trusted" or trusted.p_value >= DOUBTED_BELOW:
                 return replace(trusted, trusted_p_value=trusted.p_value)
-            robust = self._answer(question, effort, Learning.of("robust", without=without, most=most), matcher)
+            robust = self.match(observed, effort, Learning.of("robust", without=without, most=most))
         return blended(trusted, robust)
 
     def fitted(
         self,
-        sensing: Sensing,
-        watched: BoolArray,
+        observed: Observed,
         learning: Learning,
-        matcher: Matcher | None = None,
-        *,
-        speed: float | None = None,
-        weights: FloatArray | None = None,
         network: Network | None = None,
         strata: Network | None = None,
-    ) -> FittedMatcher:
-        """Return a matcher fitted to exactly this sensing; from memory or a file if it is known."""
-        method = matcher or GaussianAlongClearance()
+    ) -> FittedGaussian:
+        """Return a model fitted to exactly this sensing; from memory or a file if it is known."""
         widths = band_widths(self._matrix)
-        opinion = None if network is None else network.opinion(sensing, widths)
-        witness = None if strata is None else strata.opinion(sensing, widths)
-        rows = {known.label: rows_of(self._matrix, known.label, learning, speed) for known in self._matrix.hypotheses}
-        rows = {label: chosen for label, chosen in rows.items() if label not in learning.without}
-        ends = [[label, len(chosen), int(chosen.sum())] for label, chosen in rows.items()]
-        weighed = None if weights is None else np.asarray(weights, np.float64).tobytes().hex()
+        opinion, witness = (
+            None if each is None else each.opinion(observed.sensing, widths) for each in (network, strata)
+        )
         judges = [None if each is None else each.network.digest for each in (opinion, witness)]
-        asked = [sensing.digest, watched.tolist(), repr(method), method.version, repr(learning), ends, weighed, judges]
-        key = f"{self._state}-{content_digest([self._matrix.id, FEATURES_VERSION, *asked])}"
+        key = self.key(observed, learning, judges)
         with self._lock:
             if key in self._known:
                 self._known.move_to_end(key)
                 return self._known[key]
         # Fitted outside the lock: two threads may fit the same, which costs time but nothing else.
-        kept = self._folder if weights is None and isinstance(method, GaussianAlongClearance) else None
-        found: FittedMatcher | None = None if kept is None else read_model(kept, key)
+        folder = self._folder if observed.weights is None else None
+        found = None if folder is None else read_model(folder, key)
         if found is None:
-            chosen = None if weights is None else {label: weights[each] for label, each in rows.items()}
-            training = training_set(self._matrix, sensing, watched, learning, rows=rows, weights=chosen)
-            if isinstance(method, GaussianAlongClearance):
-                found = method.fit(training, opinion=opinion, witness=witness)
-            else:
-                found = method.fit(training)
-            if isinstance(found, FittedGaussian):
-                found = as_read(found)
-                if kept is not None:
-                    write_model(kept, key, found)
+            training = self.training(observed, learning)
+            found = as_read(GaussianAlongClearance().fit(training, opinion=opinion, witness=witness))
+            if folder is not None:
+                write_model(folder, key, found)
         with self._lock:
             self._known[key] = found
             while len(self._known) > self._size:
                 self._known.popitem(last=False)
         return found
+
+    def training(self, observed: Observed, learning: Learning) -> TrainingSet:
+        """Return what a model for a recording is fitted to."""
+        return training_set(
+            self._matrix,
+            observed.sensing,
+            observed.watched,
+            learning,
+            speed=observed.speed,
+            weights=observed.weights,
+        )
+
+    def key(self, observed: Observed, learning: Learning, judges: Sequence[str | None] = ()) -> str:
+        """Return what tells a model from others: all that it depends on, of the recording as little as that is."""
+        place = None if observed.speed is None else self._matrix.nearest_speed(observed.speed)
+        weighed = None if observed.weights is None else np.asarray(observed.weights, np.float64).tobytes().hex()
+        asked = [observed.sensing.digest, observed.watched.tolist(), repr(learning), place, weighed, list(judges)]
+        versions = [FEATURES_VERSION, self.name, self.version]
+        return f"{self._state}-{content_digest([self._matrix.id, *versions, *asked])}"
 
     def load(self, most: int = LOADED) -> int:
         """Read models that were kept as files for this state of the catalogue, those written last; return how many.
@@ -200,36 +210,37 @@ class ModelLibrary:
         """Beginning of the names of models of this state of the catalogue."""
         return self._matrix.id[:12]
 
-    def _answer(self, question: _Question, effort: Effort, learning: Learning, matcher: Matcher | None) -> MatchResult:
-        coarse = rounded_sensing(question.sensing, band_widths(self._matrix), NOISE_STEP_DB)
-        network, strata, notes = None, None, self._notes(learning)
-        own_method = matcher is None or isinstance(matcher, GaussianAlongClearance)
+    def match(self, observed: Observed, effort: Effort, learning: Learning) -> MatchResult:
+        """Return the answer of one mode."""
+        coarse = self.coarse(observed)
+        sensing, speed, weights = observed.sensing, observed.speed, observed.weights
+        network, strata, notes = None, None, self.notes(learning)
         # Where entries have weights none counts: a network has learned all entries alike.
-        if self._networks is not None and own_method and question.weights is None:
-            network = self._networks.get(question.sensing, learning, question.speed)
+        if self._networks is not None and weights is None:
+            network = self._networks.get(sensing, learning, speed)
             if learning.mode == "trusted":
-                strata = self._networks.get(question.sensing, replace(learning, subject="strata"), question.speed)
-            if network is None and self._networks.applies(question.sensing, learning, question.speed):
+                strata = self._networks.get(sensing, replace(learning, subject="strata"), speed)
+            if network is None and self._networks.applies(sensing, learning, speed):
                 notes = (*notes, "the catalogue's networks are not trained yet: building it again does that")
-        model = self.fitted(
-            coarse,
-            question.watched,
-            learning,
-            matcher,
-            speed=question.speed,
-            weights=question.weights,
-            network=network,
-            strata=strata,
-        )
-        asked = model.opinion.network.digest if isinstance(model, FittedGaussian) and model.opinion else None
-        looked_up = replace(model.match(question.lifted(coarse)), mode=learning.mode, notes=notes, network=asked)
-        if effort == "fast" or not isinstance(model, FittedGaussian):
+        model = self.fitted(coarse, learning, network, strata)
+        asked = model.opinion.network.digest if model.opinion else None
+        looked_up = replace(model.match(coarse.feature), mode=learning.mode, notes=notes, network=asked)
+        if effort == "fast":
             return looked_up
-        judges = (network if asked else None, strata if isinstance(model, FittedGaussian) and model.witness else None)
-        refit = Refit(self._matrix, model, learning, question.speed, question.weights, *judges)
-        return merged(looked_up, refit.match(question.sensing, question.feature, question.watched, looked_up))
+        refit = Refit(
+            self._matrix, model, learning, speed, weights, network if asked else None, strata if model.witness else None
+        )
+        return merged(looked_up, refit.match(sensing, observed.feature, observed.watched, looked_up))
 
-    def _notes(self, learning: Learning) -> tuple[str, ...]:
+    def coarse(self, observed: Observed) -> Observed:
+        """Return a recording with noise filled up to the next step, so that few models serve all recordings."""
+        sensing = rounded_sensing(observed.sensing, band_widths(self._matrix), NOISE_STEP_DB)
+        missing = np.maximum(sensing.noise - observed.sensing.noise, 0.0)
+        lifted: FloatArray = with_more_noise(observed.feature[None, :], missing, sensing.alike)[0]
+        return replace(observed, sensing=sensing, feature=lifted)
+
+    def notes(self, learning: Learning) -> tuple[str, ...]:
+        """Return what is doubtful about a mode in this catalogue."""
         if learning.mode == "trusted" or any(len(self._matrix.rows(h.label, "wide")) for h in self._matrix.hypotheses):
             return ()
         return (
@@ -238,17 +249,45 @@ class ModelLibrary:
 
 
 @dataclass(frozen=True, eq=False)
-class _Question:
-    """What is asked of a library."""
+class Observed:
+    """A recording as a library is asked about it: its sensing and features, and the rest as :meth:`ModelLibrary.answer`
+    has it.
+    """
 
     sensing: Sensing
     feature: FloatArray
     watched: BoolArray
-    speed: float | None
-    weights: FloatArray | None
+    speed: float | None = None
+    weights: FloatArray | None = None
 
-    def lifted(self, coarse: Sensing) -> FloatArray:
-        """Features (d,) with the noise filled up to that of a coarser sensing."""
-        missing = np.maximum(coarse.noise - self.sensing.noise, 0.0)
-        found: FloatArray = with_more_noise(self.feature[None, :], missing, coarse.alike)[0]
-        return found
+
+_known: OrderedDict[tuple[str, str], ModelLibrary] = OrderedDict()
+_lock = threading.Lock()
+
+
+def library_of(catalogue: Catalogue) -> ModelLibrary:
+    """Return the library of a catalogue in its present state; the same one for the same state of the same folder."""
+    key = (str(catalogue.path), catalogue.id)
+    with _lock:
+        if key not in _known:
+            _known[key] = ModelLibrary(catalogue.matrix, catalogue.layout.models, NetworkShelf.of(catalogue))
+        _known.move_to_end(key)
+        while len(_known) > CATALOGUES:
+            _known.popitem(last=False)
+        return _known[key]
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """Return a context in which linear algebra takes one thread.
+
+    The matrices of a diagnosis are small, and threads that wait for each other cost eleven times the time of the sums
+    they share (measured on two busy cores: 11 s against 1 s).
+    """
+    limits: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
+    return limits
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> ThreadpoolController:
+    """The libraries of linear algebra, loaded with this module; looking for them takes 2 ms, a fifth of an answer."""
+    return ThreadpoolController()

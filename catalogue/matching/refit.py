@@ -57,8 +57,7 @@ class Refit:
         """Return the answer among the hypotheses that `first` leaves open."""
         chosen = [match for match in first.hypotheses[:MOST_OPEN] if match.probability > OPEN_ABOVE]
         rows = {match.label: self._rows(match) for match in chosen}
-        weights = None if self.weights is None else {label: self.weights[each] for label, each in rows.items()}
-        training = training_set(self.matrix, sensing, watched, self.learning, rows=rows, weights=weights)
+        training = training_set(self.matrix, sensing, watched, self.learning, rows=rows, weights=self.weights)
         widths = band_widths(self.matrix)
         opinion, witness = (
             None if network is None else network.opinion(sensing, widths) for network in (self.network, self.strata)

@@ -16,7 +16,7 @@ MODULE = """
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.matching.nearest import NearestEntry
+from jointplay.catalogue.evaluation.nearest_entry import NearestEntry
 from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording
 
 
@@ -46,6 +46,7 @@ DAT = others:read
 h5 = others:read
 
 [jointplay.matchers]
+others-forest = sklearn.ensemble:RandomForestClassifier
 others-method = others:Method
 """
 
@@ -110,12 +111,13 @@ except MeasurementError as error:
 
 def test_a_method(package: Path) -> None:
     code = """
-from jointplay.catalogue.evaluation.study import METHODS
+from jointplay.catalogue.evaluation.cross_checks import METHODS
 
-print(list(METHODS), type(METHODS["others-method"]()).__name__)
+forest = METHODS["others-forest"]()
+print(list(METHODS), type(METHODS["others-method"]()).__name__, forest.name, type(forest.classifier).__name__)
 """
-    names = ["others-method", "gaussian", "cosine", "nearest", "extra-trees"]
-    assert run(package, code).strip() == f"{names} Method"
+    names = ["others-forest", "others-method", "gaussian", "cosine", "nearest", "extra-trees"]
+    assert run(package, code).strip() == f"{names} Method others-forest RandomForestClassifier"
 
 
 def test_nothing_is_there_without_it() -> None:

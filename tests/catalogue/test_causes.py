@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes
-from jointplay.catalogue.matching.threads import one_thread
+from jointplay.catalogue.matching.model_library import one_thread
 from jointplay.catalogue.measurements.measurement import Channel, Recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sklearn.ensemble import RandomForestClassifier
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
@@ -82,6 +83,18 @@ def test_most_held_out_faults_are_found(small_catalogue: Catalogue) -> None:
     assert [each.joint for each in found.joints] == ["A", "B", "O"]
     assert seen[-1] == (16, 16)
     assert json.loads(json.dumps(study.content()))["rows"][0]["protocol"]["name"] == "matched"
+
+
+def test_a_classifier_of_scikit_learn_is_judged_beside_the_rest(small_catalogue: Catalogue) -> None:
+    setups = [Setup(), Setup("forest")]
+    forest = RandomForestClassifier(100, random_state=0)
+    study = evaluate(small_catalogue, [SHORT], 8, seed=3, setups=setups, methods={"forest": forest})
+    own, theirs = study.rows
+    assert own.setup.method == "gaussian"
+    assert theirs.setup.method == "forest"
+    assert theirs.figures.top1 >= 0.5  # of four hypotheses
+    with pytest.raises(DiagnosisError, match="method: forest: must be one of"):
+        evaluate(small_catalogue, [SHORT], 8, setups=setups)
 
 
 def test_a_foreign_cause_has_smaller_p_values_than_what_is_listed(small_catalogue: Catalogue) -> None:

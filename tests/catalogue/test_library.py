@@ -13,12 +13,13 @@ import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
 from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.evaluation.cross_checks import MethodLibrary
+from jointplay.catalogue.evaluation.nearest_entry import NearestEntry
 from jointplay.catalogue.matching.gaussian import FittedGaussian
 from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
 from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
-from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.model_library import ModelLibrary, Observed
 from jointplay.catalogue.matching.modelfile import FORMAT, read_model, write_model
-from jointplay.catalogue.matching.nearest import NearestEntry
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.storage.store import Catalogue
 
@@ -111,7 +112,7 @@ def test_a_damaged_file_or_a_folder_that_cannot_be_written_costs_nothing_but_tim
 
 
 def test_files_give_back_the_same_model(tmp_path: Path) -> None:
-    fitted = LIBRARY.fitted(sensing(), WATCHED, Learning.of("trusted"))
+    fitted = LIBRARY.fitted(Observed(sensing(), np.empty(0), WATCHED), Learning.of("trusted"))
     assert isinstance(fitted, FittedGaussian)
     assert write_model(tmp_path, "k", fitted)
     again = read_model(tmp_path, "k")
@@ -194,7 +195,7 @@ def test_hypotheses_can_be_left_out_and_weighed() -> None:
 
 def test_other_methods_answer_in_the_same_way() -> None:
     feature, _ = recording("C")
-    answer = LIBRARY.answer(sensing(), feature, WATCHED, mode="trusted", matcher=NearestEntry())
+    answer = MethodLibrary(MODEL, NearestEntry()).answer(sensing(), feature, WATCHED, mode="trusted")
     assert answer.best.label == "C"
     assert answer.mode == "trusted"
 
@@ -221,7 +222,7 @@ def test_a_catalogue_is_matched_by_its_own_matrix(small_catalogue: Catalogue, tm
 
 def test_few_models_are_kept_as_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jointplay.catalogue.matching.modelfile.KEPT", 2)
-    fitted = LIBRARY.fitted(sensing(), WATCHED, Learning.of("trusted"))
+    fitted = LIBRARY.fitted(Observed(sensing(), np.empty(0), WATCHED), Learning.of("trusted"))
     assert isinstance(fitted, FittedGaussian)
     for k, name in enumerate(("a", "b", "c")):
         assert write_model(tmp_path, name, fitted)

@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from feature_model import HIGH, LOW, FeatureModel
+from sklearn.linear_model import LogisticRegression
+from sklearn.naive_bayes import GaussianNB
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.svm import LinearSVC
 
 from jointplay.catalogue.errors import MatchingError
+from jointplay.catalogue.evaluation.cross_checks import ClassifierMatcher, FittedClassifier, as_matcher, extra_trees
+from jointplay.catalogue.evaluation.nearest_entry import (
+    ChordDistance,
+    DecibelDistance,
+    FittedEntries,
+    NearestEntry,
+    cosine_entry,
+)
 from jointplay.catalogue.matching.calibration import Tail, calibration_error, combined, folds
-from jointplay.catalogue.matching.cosine import ChordDistance, CosineEntry
 from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
-from jointplay.catalogue.matching.matcher import FittedMatcher, Matcher
-from jointplay.catalogue.matching.nearest import DecibelDistance, NearestEntry
-from jointplay.catalogue.matching.trees import ExtraTrees
+from jointplay.catalogue.matching.matcher import TrainingSet
 
 MODEL = FeatureModel()
 
 
 @cache
-def fitted() -> FittedMatcher:
+def fitted() -> FittedEntries:
     return NearestEntry().fit(MODEL.training(160, np.random.default_rng(1)))
 
 
@@ -62,9 +74,9 @@ def test_an_unknown_pattern_gets_a_small_p_value() -> None:
 
 
 @pytest.mark.parametrize(
-    "matcher", [NearestEntry(), GaussianAlongClearance(), CosineEntry(), ExtraTrees(trees=60)], ids=lambda m: m.name
+    "matcher", [NearestEntry(), GaussianAlongClearance(), cosine_entry(), extra_trees(60)], ids=lambda m: m.name
 )
-def test_all_stand_behind_the_same_interface(matcher: Matcher) -> None:
+def test_all_stand_behind_the_same_interface(matcher: Any) -> None:
     known = matcher.fit(MODEL.training(40, np.random.default_rng(5)))
     feature = MODEL.draw("C", np.array([np.log(3e-4)]), np.random.default_rng(6))[0]
     result = known.match(feature)
@@ -119,8 +131,8 @@ def test_chord_is_the_definition_and_block_agrees() -> None:
     assert np.isfinite(metric.block(np.zeros((1, 4)), np.ones((1, 4)))).all()
 
 
-@pytest.mark.parametrize("matcher", [CosineEntry(), ExtraTrees(trees=100)], ids=lambda m: m.name)
-def test_cross_checks_find_the_joint_and_know_how_sure_they_are(matcher: Matcher) -> None:
+@pytest.mark.parametrize("matcher", [cosine_entry(), extra_trees(100)], ids=lambda m: m.name)
+def test_cross_checks_find_the_joint_and_know_how_sure_they_are(matcher: Any) -> None:
     features, truth, clearance = MODEL.queries(60, np.random.default_rng(9))
     known = matcher.fit(MODEL.training(160, np.random.default_rng(1)))
     posterior = known.posterior(features)
@@ -136,3 +148,41 @@ def test_cross_checks_find_the_joint_and_know_how_sure_they_are(matcher: Matcher
         errors.append(abs(np.log(own.clearances[0].median) - clearance[row]))
         assert own.clearances[0].low < own.clearances[0].median < own.clearances[0].high
     assert np.median(errors) < 0.25
+
+
+@pytest.mark.parametrize(
+    "classifier",
+    [GaussianNB(), make_pipeline(StandardScaler(), KNeighborsClassifier(15)), LogisticRegression(max_iter=500)],
+    ids=lambda each: type(each).__name__,
+)
+def test_any_classifier_of_scikit_learn_is_a_matcher(classifier: Any) -> None:
+    features, truth, clearance = MODEL.queries(60, np.random.default_rng(9))
+    training = MODEL.training(160, np.random.default_rng(1))
+    matcher = as_matcher(classifier, "theirs")
+    known = matcher.fit(training)
+    assert isinstance(known, FittedClassifier)
+    assert matcher.name == "theirs"
+    assert not hasattr(classifier, "classes_")  # a clone has learned
+    posterior = known.posterior(features)
+    assert (posterior.argmax(axis=1) == truth).mean() > 0.9
+    assert calibration_error(posterior, truth) < 0.08
+    result = known.match(features[70])
+    nearest = NearestEntry().fit(training).match(features[70])
+    assert result.best.label == "A"
+    assert result.best.clearances == next(m.clearances for m in nearest.hypotheses if m.label == "A")
+    assert result.best.clearances[0].low < np.exp(clearance[70]) < result.best.clearances[0].high
+
+
+def test_what_a_classifier_takes_for_probable_as_there_is_much_of_it_does_not_count() -> None:
+    training = MODEL.training(160, np.random.default_rng(1))
+    few = tuple(each.rows(each.entry < 40) if each.label == "A" else each for each in training.hypotheses)
+    unlike = MODEL.queries(1, np.random.default_rng(9))[0][:1] + 400.0 * np.resize([1.0, -1.0], 24)
+    # Far from everything all classes are among the neighbours as often as there are rows of them.
+    everyone = KNeighborsClassifier(n_neighbors=390)
+    known = ClassifierMatcher(everyone).fit(TrainingSet(few, training.watched))
+    assert known.posterior(unlike)[0] == pytest.approx(np.full(4, 0.25), abs=0.02)
+
+
+def test_a_classifier_without_probabilities_is_refused() -> None:
+    with pytest.raises(MatchingError, match="method rough: has no predict_proba"):
+        as_matcher(LinearSVC(), "rough").fit(MODEL.training(40, np.random.default_rng(5)))

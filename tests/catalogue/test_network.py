@@ -22,7 +22,6 @@ from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import TrainingSet
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.modelfile import read_network, write_network
-from jointplay.catalogue.matching.nearest import NearestEntry
 from jointplay.catalogue.matching.network import Network, Opinion
 from jointplay.catalogue.matching.network_shelf import NetworkShelf, arrangement
 from jointplay.catalogue.matching.network_training import NetworkTraining
@@ -320,7 +319,7 @@ def test_the_order_of_columns_does_not_matter_where_motions_are_compared() -> No
     assert arrangement(replace(alone, transform=transform[[1, 0]])) != arrangement(alone)
 
 
-def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods(trained: Network) -> None:
+def test_its_opinion_counts_in_both_efforts(trained: Network) -> None:
     feature = held_rows().hypotheses[1].features[0]
     wrong = replace(trained, biases=(*trained.biases[:-1], trained.biases[-1] + np.array([0.0, 0.0, 500.0, 0.0])))
 
@@ -342,11 +341,6 @@ def test_its_opinion_counts_in_both_efforts_and_not_for_other_methods(trained: N
         assert right.best.probability != none.best.probability
         # What always says the same tells nothing, and held-out draws show it: it has no share, or next to none.
         assert misled.best.probability > 0.9
-    networks.network = wrong
-    library = ModelLibrary(MODEL, networks=networks)
-    by_nearest = library.answer(sensing(), feature, WATCHED, "fast", "trusted", matcher=NearestEntry())
-    plain = ModelLibrary(MODEL).answer(sensing(), feature, WATCHED, "fast", "trusted", matcher=NearestEntry())
-    assert [h.probability for h in by_nearest.hypotheses] == [h.probability for h in plain.hypotheses]
 
 
 def test_an_opinion_is_of_the_hypotheses_it_is_asked_of(trained: Network) -> None:

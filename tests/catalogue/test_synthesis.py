@@ -15,8 +15,8 @@ from jointplay.catalogue.diagnosing.synthesis import Recorded, Refined, Synthesi
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.truth import Truth
-from jointplay.catalogue.matching.libraries import library_of
 from jointplay.catalogue.matching.matcher import MatchResult, Mode, ranked
+from jointplay.catalogue.matching.model_library import library_of
 from jointplay.catalogue.matching.population import Population
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry, Hypothesis
