@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 from urllib.parse import quote, urlsplit
 
+from cachetools import LRUCache
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import URL
 from starlette.requests import Request
@@ -14,9 +17,7 @@ from starlette.types import ASGIApp, Receive, Send
 from starlette.types import Scope as Connection
 
 from jointplay.app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
-from jointplay.app.http.handlers import answer, problem_from
-from jointplay.app.http.page_templates import is_fragment, is_page
-from jointplay.app.http.rates import TokenBuckets
+from jointplay.app.http.handlers import answer, is_fragment, is_page, path_of, problem_from
 from jointplay.app.scopes import READING, scope_of
 from jointplay.app.settings import Settings
 
@@ -27,6 +28,41 @@ COOKIE = "jointplay_session"
 ANY_HOST = "*"
 #: Whoever watches the process asks by address, and is told nothing but whether it lives.
 PROBES = ("/healthz", "/readyz")
+CLIENTS_REMEMBERED = 10_000
+
+
+class TokenBuckets:
+    """One bucket of tokens a client, filled evenly, emptied by requests.
+
+    Parameters
+    ----------
+    rate : float
+        Tokens a second.
+    burst : float
+        Tokens that a full bucket holds.
+    clock : callable
+        Gives a time [s] that never goes back.
+    """
+
+    def __init__(self, rate: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate = rate
+        self._burst = burst
+        self._clock = clock
+        # A client that was forgotten begins with a full bucket: with 10 000 others in between it has waited long.
+        self._buckets: LRUCache[str, tuple[float, float]] = LRUCache(CLIENTS_REMEMBERED)
+
+    def take(self, client: str) -> float:
+        """Take a token; return 0, or when the bucket is empty the time until there is one [s]."""
+        present = self._clock()
+        tokens, filled_at = self._buckets.get(client, (self._burst, present))
+        tokens = min(self._burst, tokens + (present - filled_at) * self._rate)
+        wait = 0.0 if tokens >= 1 else (1 - tokens) / self._rate
+        self._buckets[client] = (tokens if wait else tokens - 1, present)
+        return wait
+
+    def __len__(self) -> int:
+        """Return the number of clients that are remembered."""
+        return len(self._buckets)
 
 
 class Gate:
@@ -65,7 +101,7 @@ class Gate:
 
     async def _judge(self, request: Request) -> None:
         """Raise what speaks against a request."""
-        path, method = request.url.path, request.method
+        path, method = path_of(request.scope), request.method
         if path not in PROBES:
             self._check_host(request)
         key, by_cookie = None, False
@@ -172,7 +208,7 @@ def wanted_place(request: Request) -> str:
     What names another site, or cannot be read, becomes the first page.
     """
     if request.method == "GET":
-        return own_place(quote(request.scope["path"]), request.url.query)
+        return own_place(quote(request.scope["path"]), request.scope["query_string"].decode("latin-1"))
     sender = request.headers.get("hx-current-url") or request.headers.get("referer", "")
     try:
         parts = urlsplit(sender)
@@ -191,11 +227,12 @@ def own_place(path: str, query: str) -> str:
 
 
 def host_name(named: str) -> str:
-    """Return the name in a Host header, in lower case, without its port."""
+    """Return the name in a Host header, in lower case, without its port; nothing where it holds more than that."""
     try:
-        return urlsplit(f"//{named}").hostname or ""
+        parts = urlsplit(f"//{named}")
     except ValueError:
         return ""
+    return (parts.hostname or "") if parts.netloc == named and "@" not in named else ""
 
 
 def address(request: Request) -> str:

@@ -1,27 +1,63 @@
-"""How exceptions become problem documents."""
+"""How exceptions become problem documents, or pages where a person reads them."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import replace
 from http import HTTPStatus
+from pathlib import Path
+from urllib.parse import quote
 
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
+from fastapi.templating import Jinja2Templates
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
+from starlette.types import Scope
 
 from jointplay.app.errors import AppError, BadRequestError
-from jointplay.app.http.page_templates import is_page, problem_page
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 
 log = logging.getLogger(__name__)
+templates = Jinja2Templates(directory=Path(__file__).parents[1] / "templates")
+
+
+def path_of(scope: Scope) -> str:
+    """Return the path by which a request is routed: decoded, without the prefix that the application is mounted at.
+
+    Not that of ``Request.url``: it is read from a text that is put together from what the client says (``Host``),
+    and names another place where that holds a slash, or where a path holds what such texts leave out (tabs).
+    """
+    path: str = scope["path"]
+    inside = path.removeprefix(scope.get("root_path", ""))
+    return inside if inside.startswith("/") else path
+
+
+def is_fragment(request: Request) -> bool:
+    """Return whether a script asks, and shows the answer in a part of the page."""
+    return request.headers.get("hx-request") == "true"
+
+
+def is_page(request: Request) -> bool:
+    """Return whether a person in front of a browser will read the answer."""
+    if path_of(request.scope).startswith("/api/"):
+        return False
+    return is_fragment(request) or "text/html" in request.headers.get("accept", "")
+
+
+def problem_page(request: Request, problem: Problem) -> Response:
+    """Return a problem as a page, or as the part of a page that a script asked for."""
+    bare = problem.detail.rstrip(".") == problem.title
+    detail = "Nothing is at this address." if bare and problem.status == 404 else problem.detail
+    members = {"summary": {"title": problem.title, "detail": detail}, "title": f"{problem.title}: jointplay"}
+    template = "_refusal.html" if is_fragment(request) else "refused.html"
+    return templates.TemplateResponse(request, template, members, problem.status, dict(problem.headers))
 
 
 def answer(request: Request, problem: Problem) -> Response:
@@ -30,7 +66,10 @@ def answer(request: Request, problem: Problem) -> Response:
     if is_page(request):
         return problem_page(request, problem)
     return JSONResponse(
-        problem.document(request.url.path), problem.status, headers=dict(problem.headers), media_type=MEDIA_TYPE
+        problem.document(quote(request.scope["path"])),
+        problem.status,
+        headers=dict(problem.headers),
+        media_type=MEDIA_TYPE,
     )
 
 

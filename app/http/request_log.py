@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jointplay.app import logs
 from jointplay.app.errors import NotReadyError
-from jointplay.app.http.handlers import handle
+from jointplay.app.http.handlers import handle, path_of
 from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.metrics import Metrics
 
@@ -68,6 +68,7 @@ class RequestLog:
             await send(message)
 
         began = time.perf_counter()
+        route = self._templates.of(path_of(scope))  # now: where files are mounted, the scope is changed
         try:
             await self._app(scope, receive, noted)
         except ClientDisconnect:
@@ -85,10 +86,9 @@ class RequestLog:
                 raise
             await (await handle(Request(scope), error))(scope, receive, noted)
         finally:
-            self._note(scope, GONE if status is None else status, time.perf_counter() - began)
+            self._note(scope, route, GONE if status is None else status, time.perf_counter() - began)
 
-    def _note(self, scope: Scope, status: int, seconds: float) -> None:
-        route = self._templates.of(scope["path"])
+    def _note(self, scope: Scope, route: str | None, status: int, seconds: float) -> None:
         self._metrics.answered(scope["method"], route, status, seconds)
         told: dict[str, Any] = {
             "method": scope["method"],

@@ -13,8 +13,7 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http import paging
-from jointplay.app.http.handlers import note, problem_from
-from jointplay.app.http.page_templates import templates
+from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.pages.history import history, moment
 from jointplay.app.pages.page_forms import messages_of, plain_form
 from jointplay.app.problems import Problem

@@ -11,8 +11,7 @@ from starlette.responses import Response
 from jointplay.app.errors import BadFieldError
 from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.figures.spectra import NAMES, UNITS
-from jointplay.app.http.handlers import note, problem_from
-from jointplay.app.http.page_templates import is_fragment, templates
+from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, plain_number
 from jointplay.app.routes.pages import REFUSALS, context

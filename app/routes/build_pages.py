@@ -12,8 +12,7 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import BadFieldError, UnknownCatalogueError
 from jointplay.app.http import paging
-from jointplay.app.http.handlers import note, problem_from
-from jointplay.app.http.page_templates import is_fragment, templates
+from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.jobs.build_orders import order, order_again
 from jointplay.app.pages.build_view import PLANS, build_view, failures_view
 from jointplay.app.pages.page_forms import messages_of, plain_form

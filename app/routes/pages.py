@@ -18,8 +18,7 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.etags import respond
-from jointplay.app.http.handlers import note, problem_from
-from jointplay.app.http.page_templates import is_fragment, templates
+from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.http.uploads import received_form
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding

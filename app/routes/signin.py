@@ -10,7 +10,7 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import UnauthorizedError, UnsupportedMediaError
 from jointplay.app.http.gate import COOKIE
-from jointplay.app.http.page_templates import templates
+from jointplay.app.http.handlers import templates
 from jointplay.app.http.uploads import media_type
 from jointplay.app.service import of_request
 from jointplay.app.storage.keys import SESSION, Keys

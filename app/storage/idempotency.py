@@ -85,7 +85,7 @@ async def once(
     if key is None:
         return await act()
     client = getattr(request.state, "key", None)
-    place = digest([client, request.method, request.url.path, key])
+    place = digest([client, request.method, request.scope["path"], key])
     moment = now()
     earlier = await run_in_threadpool(reserve, database, place, digest(content), moment)
     if earlier is not None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import httpx
 import uvicorn
-from fastapi import FastAPI
+from starlette.types import ASGIApp
 
 from jointplay.app.main import create_app
 from jointplay.app.settings import Settings
@@ -31,7 +31,7 @@ def serving(settings: Settings, *, warm: bool = False) -> Iterator[str]:
 
 
 @contextmanager
-def running(application: FastAPI) -> Iterator[str]:
+def running(application: ASGIApp) -> Iterator[str]:
     """Run an application by a real server in a thread; gives its address."""
     server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning"))
     thread = threading.Thread(target=server.run, daemon=True)

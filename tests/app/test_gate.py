@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
 
 import httpx
 import pytest
-from small_service import serving
+from small_service import running, serving
+from starlette.applications import Starlette
+from starlette.routing import Mount
 
 from jointplay.app.commands.serve import answering, loopback
-from jointplay.app.http.rates import KEPT, TokenBuckets
+from jointplay.app.http.gate import CLIENTS_REMEMBERED, TokenBuckets
+from jointplay.app.main import create_app
+from jointplay.app.scopes import Scope
 from jointplay.app.settings import Settings
 
 API = "/api/v1"
@@ -42,9 +47,9 @@ def test_a_bucket_empties_and_fills() -> None:
 
 def test_buckets_do_not_grow_without_end() -> None:
     buckets = TokenBuckets(rate=1, burst=1, clock=lambda: 0.0)
-    for client in range(KEPT + 10):
+    for client in range(CLIENTS_REMEMBERED + 10):
         buckets.take(str(client))
-    assert len(buckets) == KEPT
+    assert len(buckets) == CLIENTS_REMEMBERED
 
 
 def test_a_request_stops_waiting_for_its_body_and_a_client_is_slowed_down(strict: str) -> None:
@@ -60,7 +65,9 @@ def test_a_request_stops_waiting_for_its_body_and_a_client_is_slowed_down(strict
     assert httpx.get(f"{strict}/healthz").status_code == 200
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "", "[", "localhost.evil.example"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:80", "", "[", "localhost.evil.example", "localhost/static/", "x@localhost"]
+)
 def test_a_host_that_we_are_not_is_refused(client: httpx.Client, host: str) -> None:
     refused = client.get(f"{API}/machines", headers={"Host": host})
     assert refused.status_code == 421
@@ -70,6 +77,42 @@ def test_a_host_that_we_are_not_is_refused(client: httpx.Client, host: str) -> N
 @pytest.mark.parametrize("host", ["localhost", "LOCALHOST:99", "127.0.0.1:8000", "[::1]:8000"])
 def test_a_host_that_we_are_is_answered(client: httpx.Client, host: str) -> None:
     assert client.get(f"{API}/machines", headers={"Host": host}).status_code == 200
+
+
+@pytest.fixture(scope="module")
+def mounted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[str, str]]]:
+    """Address of a service that asks for keys, below /plant in another application, and the headers of a reader."""
+    folder = tmp_path_factory.mktemp("mounted")
+    inner = create_app(Settings(catalogues=folder / "none", data=folder, workers=1, keys="required"))
+    outer = Starlette(routes=[Mount("/plant", inner)], lifespan=lambda _: inner.router.lifespan_context(inner))
+    with running(outer) as address:
+        token = inner.state.keys.create("test", frozenset({Scope.READ}), timedelta(days=1))[1]
+        yield f"{address}/plant", {"Authorization": f"Bearer {token}"}
+
+
+@pytest.mark.parametrize(
+    ("path", "alone", "reading"),
+    [
+        ("/api/v1/machines", 401, 200),
+        ("/api/v1/webhooks", 401, 403),
+        ("/api/v1/%77ebhooks", 401, 403),
+        ("/api/v1/../v1/webhooks", 401, 403),
+        # What stands in the address is not what is routed: as a text without its tab it would be open to all.
+        ("/%09openapi.json", 401, 404),
+        ("/stat%09ic/page.css", 401, 404),
+        ("/%3Fopenapi.json", 401, 404),
+        ("//static/page.css", 401, 404),
+        ("/plant/openapi.json", 401, 404),
+        ("/openapi.json", 200, 200),
+        ("/%6fpenapi.json", 200, 200),
+    ],
+)
+def test_the_path_that_is_routed_is_the_path_that_is_judged(
+    mounted: tuple[str, dict[str, str]], path: str, alone: int, reading: int
+) -> None:
+    address, reader = mounted
+    assert httpx.get(address + path).status_code == alone
+    assert httpx.get(address + path, headers=reader).status_code == reading
 
 
 def test_pages_of_other_sites_send_nothing_here(client: httpx.Client) -> None:
