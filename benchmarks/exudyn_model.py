@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import RATE
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount, RotationDrive
-from jointplay.solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 Array = NDArray[np.float64]
 

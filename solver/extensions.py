@@ -5,8 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 
-__all__ = ["installed"]
-
 
 @lru_cache
 def installed(group: str) -> dict[str, EntryPoint]:

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from oracle.state import State
 
-from jointplay.solver.cases.history import History
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 Array = NDArray[np.float64]
 Tree = dict[str, Any]

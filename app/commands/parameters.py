@@ -36,12 +36,13 @@ class Quantity(click.ParamType[float]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the SI value."""
+        from jointplay.solver.errors import UnitError
         from jointplay.solver.machines import units
 
         dimension: Dimension = getattr(units, self._dimension)
         try:
             number = units.to_si(value, dimension)
-        except units.UnitError as error:
+        except UnitError as error:
             raise click.BadParameter(f"{value}: {error}", ctx, param) from None
         if self._positive and number <= 0:
             raise click.BadParameter(f"{value}: must be greater than 0", ctx, param)

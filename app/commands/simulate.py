@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jointplay.solver.cases.history import Case, History, Settings
     from jointplay.solver.cases.steps import Accuracy
     from jointplay.solver.machines.machine import Machine
-    from jointplay.solver.simulation.ensemble import Ensemble, Kind
+    from jointplay.solver.simulation.ensemble_result import Ensemble, Kind
 
 
 @click.command("simulate")
@@ -99,9 +99,10 @@ def command(
         check_ending(plot)
     from jointplay.app.errors import SimulationFailedError, UnassembledError
     from jointplay.app.figures.simulation_file import record
+    from jointplay.solver.cases.history import Case, Settings, Status
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
-    from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+    from jointplay.solver.simulation.simulate import simulate
     from jointplay.version import __version__
 
     found = load_machine(machine)
@@ -116,7 +117,7 @@ def command(
         links=links,
     )
     if several:
-        from jointplay.solver.simulation.ensemble import Ensemble
+        from jointplay.solver.simulation.ensemble_result import Ensemble
 
         asked = Ensemble(starts or 8, starts_by, converged, most_revolutions, seed)
         run_ensemble(found, case, asked, settings, output, plot, as_json)

@@ -14,7 +14,8 @@ from jointplay.app.tables import indented, table
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine
-    from jointplay.solver.simulation.tradeoff import Point, Recommendation, TradeOff
+    from jointplay.solver.simulation.tradeoff import Recommendation, TradeOff
+    from jointplay.solver.simulation.workbench import Point
 
 
 @click.command("trade-off")
@@ -33,9 +34,9 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
 
         check_ending(plot)
     from jointplay.app.errors import SimulationFailedError
+    from jointplay.solver.cases.history import Case, History
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
-    from jointplay.solver.simulation.simulate import Case, History
     from jointplay.solver.simulation.tradeoff import measure
 
     found = load_machine(machine)

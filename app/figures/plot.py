@@ -14,8 +14,6 @@ from jointplay.solver.cases.history import MOTIONS, History
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.spectra.spectrum import Spectrum, frame_units
 
-__all__ = ["plot"]
-
 
 @functools.singledispatch
 def plot(result: object) -> Figure:

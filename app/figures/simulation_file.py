@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from jointplay.solver.cases.history import MOTIONS
+from jointplay.solver.cases.history import MOTIONS, Case, History, Settings
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation.simulate import Case, History, Settings
 from jointplay.solver.spectra.spectrum import order_levels
 
 FloatArray = npt.NDArray[np.float64]

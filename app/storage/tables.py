@@ -7,8 +7,6 @@ from sqlalchemy import MetaData
 from jointplay.app.storage import assets, build_queue, idempotency, keys, webhooks
 from jointplay.app.storage.store import Base
 
-__all__ = ["TABLES"]
-
 _MODULES = (assets, build_queue, idempotency, keys, webhooks)
 
 TABLES: MetaData = Base.metadata

@@ -16,7 +16,8 @@ from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.storage.database import Database
 from jointplay.catalogue.storage.directory import CatalogueDirectory
-from jointplay.catalogue.storage.index import ChunkRow, Index
+from jointplay.catalogue.storage.index import Index
+from jointplay.catalogue.storage.leases import ChunkRow
 from jointplay.catalogue.storage.location import IndexLocation
 from jointplay.catalogue.storage.locks import BuilderLock
 from jointplay.catalogue.storage.manifest import Manifest
@@ -25,8 +26,6 @@ from jointplay.catalogue.storage.sealing import seal
 from jointplay.catalogue.storage.shard import OK
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import check_assembly
-
-__all__ = ["BuildReport", "Progress", "build"]
 
 CHUNK_SIZE = 256
 """Cases of a chunk: what a killed build loses at most for each worker, and what compiling a model is spread over."""

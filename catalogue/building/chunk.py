@@ -18,12 +18,11 @@ from jointplay.catalogue.plans.entry import Entry, Recipe
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate_batch
+from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import band_matrix
-
-__all__ = ["LEAST_POWER", "mean_difference_db"]
 
 LEAST_POWER = 1e-9
 """Bands below this part of the largest band of the same motion are rounding and do not count."""
@@ -47,9 +46,6 @@ def mean_difference_db(power: NDArray[np.complexfloating], finer: NDArray[np.com
     counts = np.maximum(a, b) > floor
     levels = [10.0 * np.log10(np.maximum(each, np.maximum(floor, np.finfo(float).tiny))) for each in (a, b)]
     return float(np.abs(levels[0] - levels[1])[counts].mean()) if counts.any() else 0.0
-
-
-__all__ = ["Chunk", "Compute", "chunked", "simulate_chunk"]
 
 
 @dataclass(frozen=True)

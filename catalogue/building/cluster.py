@@ -15,8 +15,6 @@ from jointplay import solver
 from jointplay.catalogue.errors import BuildError, SchedulerAddressError
 from jointplay.catalogue.storage.manifest import package_versions
 
-__all__ = ["DaskCluster", "check_address"]
-
 WAIT = 120.0
 """Longest wait for a scheduler that is gone, or for a first worker [s]."""
 

@@ -14,8 +14,6 @@ from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, TypeVar
 
-__all__ = ["Executor", "InProcess", "LocalProcesses", "count_processors"]
-
 _STARTING = threading.Lock()
 
 A = TypeVar("A")

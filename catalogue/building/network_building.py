@@ -13,8 +13,6 @@ from jointplay.catalogue.matching.learning import Learning
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["train_networks"]
-
 
 def train_networks(
     folder: Path, *, workers: int = 1, progress: Callable[[int, int], None] | None = None

@@ -19,8 +19,6 @@ from jointplay.catalogue.storage.manifest import package_versions, this_platform
 from jointplay.catalogue.storage.shard import Outcome
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["TOLERANCE_DB", "Compared", "RegenerateReport", "regenerate"]
-
 TOLERANCE_DB = 1.0
 """Mean difference over all cases compared that another processor may make. Machines with play are chaotic: where sums
 round differently, a case takes another course with the same statistics. Measured with clearances changed by 1e-12 of

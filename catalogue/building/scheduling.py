@@ -22,11 +22,10 @@ from jointplay.catalogue.building.executors import Executor
 from jointplay.catalogue.errors import BuildError, CatalogueError, CatalogueFileError
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, sha256_of
 from jointplay.catalogue.storage.hdf5 import encode_shard
-from jointplay.catalogue.storage.index import ChunkStatus, EntriesPresentError, Index
+from jointplay.catalogue.storage.index import EntriesPresentError, Index
+from jointplay.catalogue.storage.leases import ChunkStatus
 from jointplay.catalogue.storage.shard import OK, Outcome, Shard, ShardHeader
 from jointplay.solver.errors import SolverError
-
-__all__ = ["Task", "Work"]
 
 
 @dataclass
@@ -98,8 +97,6 @@ class Task:
         self.whole.failed_halves += 1
         return self.whole.failed_halves == 2
 
-
-__all__ = ["ATTEMPTS", "Scheduler", "Tally"]
 
 ATTEMPTS = 3
 """How often a task whose worker died is begun before it is halved, or given up if it is a single case."""

@@ -25,8 +25,6 @@ from jointplay.catalogue.signals.suspension import with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["Baseline", "Estimate", "fit_baseline"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 

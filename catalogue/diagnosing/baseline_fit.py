@@ -12,8 +12,6 @@ from jointplay.catalogue.diagnosing.baseline_levels import LevelStatistics, Orde
 from jointplay.catalogue.diagnosing.healthy_machine import STEP, HealthyMachine, Motion
 from jointplay.catalogue.errors import DiagnosisError
 
-__all__ = ["MOST_STEPS", "Fit", "fitted_numbers"]
-
 FloatArray = npt.NDArray[np.float64]
 
 #: Standard deviation of the logarithm of a sensor's gain, before anything was measured.

@@ -13,8 +13,6 @@ from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["LevelStatistics", "OrderLevels", "class_statistics", "share_beyond"]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complexfloating]
 BoolArray = npt.NDArray[np.bool_]

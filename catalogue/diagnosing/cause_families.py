@@ -21,8 +21,6 @@ from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 
-__all__ = ["Family", "IdealFrame", "families_of", "power_of"]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -12,8 +12,6 @@ import numpy.typing as npt
 from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, power_of
 
-__all__ = ["Misfit"]
-
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 ComplexArray = npt.NDArray[np.complex128]

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["least_of"]
-
 FloatArray = npt.NDArray[np.float64]
 
 #: First step, as a part of the largest number of the start.

@@ -20,8 +20,6 @@ from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.kept import kept
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["FamilyWrench", "Wrench", "family_wrenches"]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -23,8 +23,6 @@ from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["NamedCause", "name_causes"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 

@@ -37,7 +37,8 @@ from jointplay.catalogue.diagnosing.evidence import (
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.separation import suggest
-from jointplay.catalogue.diagnosing.synthesis import Recorded, Synthesis, refine
+from jointplay.catalogue.diagnosing.synthesis import refine
+from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
 from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import FloatArray, MatchResult
@@ -46,13 +47,11 @@ from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
-from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.version import __version__
-
-__all__ = ["Question", "answer", "diagnose"]
-
 
 MOST_CASES = 100_000
 """Cases that an effort of thorough may ask for, at most: some hours."""

@@ -10,17 +10,8 @@ from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, Hypoth
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.separation import Suggestion
 from jointplay.catalogue.matching.matcher import FloatArray, HypothesisMatch, MatchResult
-from jointplay.catalogue.signals.features import PreparedMeasurement
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
-
-__all__ = [
-    "evidence",
-    "hypothesis_shown",
-    "number_warnings",
-    "rival_of",
-    "speed_warnings",
-    "suggestions_shown",
-]
 
 
 def hypothesis_shown(match: HypothesisMatch) -> Hypothesis:

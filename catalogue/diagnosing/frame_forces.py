@@ -20,8 +20,6 @@ from jointplay.solver.machines.kept import kept
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch
 
-__all__ = ["MACHINES_KEPT", "Revolution", "pose_speed", "wrench_orders"]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 

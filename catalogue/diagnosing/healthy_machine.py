@@ -17,8 +17,6 @@ from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, band_matrix
 
-__all__ = ["HealthyMachine", "Motion"]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -12,8 +12,6 @@ from jointplay.catalogue.matching.matcher import HEALTHY, FloatArray, Hypothesis
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.joints import TurningJoint
 
-__all__ = ["edge_warnings", "joint_states", "plays_of_fits"]
-
 EDGE = 0.02
 """Share of the catalogue's clearance range, at either end, which an interval has to reach to be a bound."""
 

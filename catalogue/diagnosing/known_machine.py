@@ -11,8 +11,6 @@ from jointplay.catalogue.diagnosing.answer import BaselineShown, FittedNumber
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["KnownMachine"]
-
 
 @dataclass(frozen=True)
 class KnownMachine:

@@ -29,8 +29,6 @@ from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 
-__all__ = ["Suggestion", "suggest"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 

@@ -35,9 +35,6 @@ from jointplay.catalogue.plans.keys import seed_from
 from jointplay.catalogue.storage.cross_power import pack
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["Recorded", "Refined", "Synthesis", "refine"]
-
-
 LEAST_WIDTH = 0.5
 """Least width of a clearance's interval, as a part of the catalogue's own: few cases agree by chance, too."""
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from jointplay.catalogue.matching.matcher import FloatArray
 from jointplay.catalogue.matching.observation import Sensing
 
-__all__ = ["Recorded", "Synthesis"]
-
 
 @dataclass(frozen=True)
 class Synthesis:

@@ -10,8 +10,6 @@ from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 
-__all__ = ["Quantity", "quantities"]
-
 
 @dataclass(frozen=True)
 class Quantity:

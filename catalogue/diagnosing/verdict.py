@@ -15,8 +15,6 @@ from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["CHANGED_BELOW", "SURE_ABOVE", "UNKNOWN_BELOW", "find_causes", "judged", "needs_cause"]
-
 UNKNOWN_BELOW = 0.02
 """P-value below which a hypothesis does not explain a recording."""
 

@@ -27,8 +27,6 @@ from jointplay.catalogue.matching.model_library import Effort, ModelLibrary, Obs
 from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.solver.extensions import installed
 
-__all__ = ["METHODS", "OWN", "ClassifierMatcher", "Matcher", "MethodLibrary", "as_matcher", "extra_trees"]
-
 OWN = "gaussian"
 """Name of the product's own method among the others."""
 

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import rankdata
 
-__all__ = ["auroc", "rejected"]
-
 
 def auroc(positive: Sequence[float], negative: Sequence[float]) -> float | None:
     """Return the probability that a positive scores higher than a negative, ties counting one half; None without any.

@@ -20,8 +20,6 @@ from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine, parse_machine
 
-__all__ = ["DIFFERENCES", "Difference", "with_differences"]
-
 Difference = Callable[[Truth, np.random.Generator], Truth]
 """Draws what differs, and returns the machine with it."""
 

@@ -15,8 +15,6 @@ from jointplay.catalogue.signals.suspension import accelerance, on_mounts
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.sensor import sensor_transform
 
-__all__ = ["Blows", "Bursts", "Disturbance", "Tones", "transform_of"]
-
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Wrench = tuple[float, float, float]

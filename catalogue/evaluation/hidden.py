@@ -13,8 +13,6 @@ from jointplay.catalogue.evaluation.protocols import Protocol
 from jointplay.catalogue.evaluation.recordings import Recordings
 from jointplay.catalogue.evaluation.truth import Truth
 
-__all__ = ["SEEN_FROM", "hidden"]
-
 SEEN_FROM = 0.1
 """Wear shows if it changes the signals by at least this part of their noise (rms): a hundredth of its power."""
 

@@ -17,17 +17,6 @@ from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
 from jointplay.catalogue.matching.sightings import SEEN_ABOVE, SEEN_SHARE
 from jointplay.catalogue.plans.keys import seed_from
 
-__all__ = [
-    "JointAnswer",
-    "JointFigures",
-    "Uniformity",
-    "credibility_of",
-    "joint_answers",
-    "joint_figures",
-    "limit_ratio",
-    "rank_of",
-]
-
 FloatArray = NDArray[np.float64]
 
 HYPOTHESES = 1000

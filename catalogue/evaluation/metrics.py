@@ -23,8 +23,6 @@ from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.matching.calibration import calibration_error, log_loss
 from jointplay.catalogue.matching.matcher import MatchResult
 
-__all__ = ["Answered", "Figures", "JointScore", "ReliabilityBin", "figures", "joint_scores", "reliability"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -20,8 +20,6 @@ from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["GROUPS", "PROTOCOLS", "Kind", "Protocol", "draw_truth", "protocols_of", "with_noise"]
-
 Kind = Literal["listed", "healthy", "singles", "pairs", "triples", "sets"]
 
 LEAST_REVOLUTIONS = 5.0

@@ -31,8 +31,6 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.sensor import sensor_signals
 
-__all__ = ["TOGETHER", "Recordings", "recorded"]
-
 FloatArray = NDArray[np.float64]
 
 TOGETHER = 16

@@ -19,8 +19,6 @@ from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.plans.keys import seed_from
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["SPOILINGS", "Clipped", "DropOut", "FlawedSensors", "Spoiling", "with_spoiling"]
-
 FloatArray = NDArray[np.float64]
 
 Spoiling = Callable[[Truth, np.random.Generator], Truth]

@@ -31,8 +31,6 @@ from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["Row", "Setup", "Study", "evaluate", "setups_of"]
-
 
 @dataclass(frozen=True)
 class Setup:

@@ -25,8 +25,6 @@ from jointplay.catalogue.storage.location import IndexLocation
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.steps import Accuracy
 
-__all__ = ["Point", "Sweep", "trade_off"]
-
 
 @dataclass(frozen=True)
 class Point:

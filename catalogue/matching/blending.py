@@ -7,8 +7,6 @@ from dataclasses import replace
 
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
 
-__all__ = ["blended", "weight_as_filed"]
-
 AS_FILED_BEFORE = 0.9
 """Probability, before any recording, that a machine is what its file says."""
 

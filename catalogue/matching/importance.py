@@ -10,8 +10,6 @@ from scipy.stats import genpareto
 
 from jointplay.catalogue.matching.matcher import FloatArray
 
-__all__ = ["Weighed", "effective_size", "pareto_k", "weigh"]
-
 LEAST_EFFECTIVE = 8.0
 """Least effective size of a sample, or half of it where it is smaller."""
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from jointplay.catalogue.matching.matcher import FloatArray, MatchResult
 
-__all__ = ["JointPosterior", "joint_posteriors"]
-
 POINTS = 400
 """Points of ln(clearance) at which a posterior is kept."""
 

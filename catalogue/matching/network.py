@@ -19,8 +19,6 @@ from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.matcher import FloatArray
 from jointplay.catalogue.matching.observation import Sensing
 
-__all__ = ["AS_FILED", "DIFFERS", "Network", "Opinion", "density_db"]
-
 AS_FILED, DIFFERS = "as filed", "differs"
 """What a network of strata tells apart."""
 

@@ -27,8 +27,6 @@ from jointplay.catalogue.signals.sensors import compared_channels, free_motions
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["NetworkShelf", "own_sensing"]
-
 MODES: tuple[Mode, ...] = ("trusted", "robust")
 
 Progress = Callable[[int, int], None]

@@ -23,8 +23,6 @@ from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 
-__all__ = ["NetworkTraining"]
-
 LEAST_ON_EITHER_SIDE = 2
 """Cases of a hypothesis that are learned from, and held out, at least."""
 

@@ -13,8 +13,6 @@ from jointplay.catalogue.matching.matcher import BoolArray, FloatArray
 from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.plans.parameters import DRIVE_SPEED
 
-__all__ = ["Population"]
-
 Kind = tuple[object, ...]
 
 INFLATION = 1.2

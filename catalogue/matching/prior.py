@@ -12,8 +12,6 @@ from jointplay.catalogue.errors import DiagnosisError
 if TYPE_CHECKING:
     from jointplay.catalogue.matching.matcher import MatchResult
 
-__all__ = ["LARGEST", "Prior"]
-
 LARGEST = 1000.0
 """Weights lie between one part of this and this: beyond, no recording could say otherwise."""
 

@@ -12,8 +12,6 @@ from scipy.special import expit
 
 from jointplay.catalogue.matching.conformal import Conformal
 
-__all__ = ["SEEN_ABOVE", "SEEN_SHARE", "Sightings"]
-
 FloatArray = NDArray[np.float64]
 
 SEEN_ABOVE = 0.5

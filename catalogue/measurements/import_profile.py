@@ -26,8 +26,6 @@ from jointplay.catalogue.measurements.tacho import turns_of
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.yamlfile import read_tree
 
-__all__ = ["ImportProfile", "SpectrumSaid", "Tacho", "load_profile", "parse_profile", "profile_beside"]
-
 #: Endings of a profile that lies beside its recording.
 BESIDE = (".json", ".yaml", ".yml")
 

@@ -245,9 +245,6 @@ def _density(
     return power if form.scaling == "psd" else power / (step * (form.line_widths or 1.0))
 
 
-__all__ = ["read_recording"]
-
-
 def read_recording(
     source: str | Path | bytes,
     *,

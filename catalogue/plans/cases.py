@@ -25,8 +25,6 @@ from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["entries_of", "hypotheses_of", "sequences_of", "travel"]
-
 TRAVEL_SHARE = 0.1
 """Largest clearance of a joint, as a part of its distance to the next joint of its links: beyond, a pin would leave its
 socket or the machine would be another one."""

@@ -14,8 +14,6 @@ from jointplay.solver.machines.fields import Quantity, RuleError, Vector
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.units import RATIO
 
-__all__ = ["Distribution", "log_uniform", "unit_draws"]
-
 #: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
 _CELL = 2.0**-30
 

@@ -16,8 +16,6 @@ from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.bands import BandScheme
 
-__all__ = ["HEALTHY", "Entry", "Hypothesis", "Recipe", "Stratum"]
-
 HEALTHY = "healthy"
 """Hypothesis of a machine in order: every turning joint has the small play of its fit, and none is worn."""
 

@@ -16,8 +16,6 @@ import numpy as np
 
 from jointplay.catalogue.errors import KeyContentError
 
-__all__ = ["canonical_json", "content_digest", "entry_key", "seed_from"]
-
 
 def _plain(value: object, where: str) -> object:
     """`value` with NumPy scalars, tuples and mappings turned into what JSON knows; everything else is refused."""

@@ -18,17 +18,6 @@ from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive
 
-__all__ = [
-    "LOAD",
-    "SHARED",
-    "MachineNumbers",
-    "Scatter",
-    "check_drawable",
-    "load_order",
-    "nominal_drive_speed",
-    "ripple_order",
-]
-
 SHARED = SHORTHANDS
 """Short paths that stand for a number of every turning joint; each joint draws its own."""
 

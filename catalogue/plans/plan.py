@@ -27,8 +27,6 @@ from jointplay.solver.machines.units import FREQUENCY, RATIO, TIME
 from jointplay.solver.machines.yamlfile import read_tree
 from jointplay.solver.spectra.sampling import PASS
 
-__all__ = ["Plan", "load_plan", "parse_plan", "preset", "preset_names", "preset_text"]
-
 Family = Literal["healthy", "singles", "pairs", "triples"]
 
 

@@ -8,8 +8,6 @@ from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import Draws
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["check_plan"]
-
 _ONCE = Draws(healthy=1, single=1, pair=1, larger=1)
 
 

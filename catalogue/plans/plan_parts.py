@@ -14,8 +14,6 @@ from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.units import FREQUENCY, LENGTH
 
-__all__ = ["Auto", "Bands", "ClearanceRange", "Draws", "Fits", "Wide"]
-
 Auto = BeforeValidator(lambda value: None if isinstance(value, str) and value == "auto" else value)
 """Lets a file say ``auto`` for what follows from the machine: None."""
 Clearance = Annotated[float, Quantity(LENGTH, above=0.0)]

@@ -7,8 +7,6 @@ from jointplay.catalogue.plans.plan import Plan
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["plan_lines"]
-
 
 def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
     """What a plan asks for, line by line.

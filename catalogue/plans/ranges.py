@@ -11,8 +11,6 @@ from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Damper, Mount, RotationDrive, Spring
 
-__all__ = ["default_laws", "default_uncertain", "default_wide"]
-
 #: Standard deviation of the logarithm of contact stiffness and damping. The contact law is drawn, so they need not
 #: stand for it; see "What is uncertain" in docs/catalogue.md for what was compared.
 STIFFNESS_SCATTER = 0.4

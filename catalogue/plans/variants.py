@@ -12,8 +12,6 @@ from jointplay.solver.machines.kept import kept
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Load, Ripple, RotationDrive
 
-__all__ = ["AS_FILED", "LawChoice", "ProcessLoad", "Variant", "output_load"]
-
 LawChoice = Literal["own", "linear", "hertz"]
 """Contact law of the turning joints: as the machine file has it, or another one fitted to it."""
 

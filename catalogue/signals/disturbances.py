@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack
 
-__all__ = ["Disturbance", "DisturbanceKind", "find_shocks", "patched", "stretches_of"]
-
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]

@@ -39,24 +39,11 @@ from jointplay.catalogue.signals.undisturbed import (
 )
 from jointplay.catalogue.storage.feature_bands import (
     FEATURE_ORDERS,
-    FeatureAxis,
-    feature_axes,
-    feature_vector,
     usable_cuts,
 )
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS
 from jointplay.solver.spectra.bands import BandScheme
-
-__all__ = [
-    "FEATURE_ORDERS",
-    "FeatureAxis",
-    "PreparedMeasurement",
-    "feature_axes",
-    "feature_vector",
-    "prepare",
-    "usable_cuts",
-]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

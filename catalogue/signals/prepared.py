@@ -28,8 +28,6 @@ from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, 
 from jointplay.solver.spectra.band_power import BandMatrix, transform_power
 from jointplay.solver.spectra.bands import BandScheme
 
-__all__ = ["RecipeStep", "note_step"]
-
 
 class RecipeStep(BaseModel):
     """One step from a recording to the levels that are compared.

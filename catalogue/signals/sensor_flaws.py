@@ -22,8 +22,6 @@ from jointplay.catalogue.signals.sensors import SensorMap
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.spectra.band_power import BandMatrix
 
-__all__ = ["FlawKind", "SensorFlaw", "find_sensor_flaws"]
-
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 

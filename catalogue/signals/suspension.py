@@ -16,8 +16,6 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.band_power import CYCLES, transform_power
 
-__all__ = ["accelerance", "suspension_change", "with_filed_suspension"]
-
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -27,8 +27,6 @@ from jointplay.catalogue.storage.feature_bands import usable_cuts
 from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, BandMatrix, band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 
-__all__ = ["Undisturbed", "flawed_samples", "lines_of", "undisturbed", "undisturbed_bands", "without_lines"]
-
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Tracking = Callable[[FloatArray], SpeedTrack]

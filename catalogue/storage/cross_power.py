@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from jointplay.solver.spectra.band_power import CYCLES
 
-__all__ = ["CHANNELS", "COLUMNS", "CYCLIC", "PACKED", "UNITS", "pack", "pack_cyclic", "unpack", "unpack_cyclic"]
-
 CHANNELS = ("x", "y", "theta")
 """Motions of the frame, in the order of rows and columns of a matrix."""
 

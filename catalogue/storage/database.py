@@ -13,8 +13,6 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, Interfa
 
 from jointplay.catalogue.errors import CatalogueFileError
 
-__all__ = ["REVISION", "Database", "database_url"]
-
 REVISION = "0001"
 """The newest revision in :mod:`jointplay.catalogue.migrations`."""
 

@@ -16,8 +16,6 @@ from filelock import FileLock, Timeout
 
 from jointplay.catalogue.errors import CatalogueBusyError, CatalogueFileError
 
-__all__ = ["CatalogueDirectory", "publish", "replacing", "sha256_of", "sync_folder"]
-
 _TEMPORARY = ".tmp-"
 
 STALE = 3600.0

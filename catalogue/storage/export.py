@@ -22,8 +22,6 @@ from jointplay.catalogue.storage.hdf5 import write_growing
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.table import EntryTable
 
-__all__ = ["ENDINGS", "export"]
-
 _UNITS = {
     "band_edges": "orders",
     "clearance": "m",

@@ -19,8 +19,6 @@ from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.bands import BandScheme
 
-__all__ = ["BLOCK_ROWS", "Gathered", "Numbers", "gather"]
-
 Numbers = NDArray[Any]
 """A column: numbers of a type that the column has by its name."""
 

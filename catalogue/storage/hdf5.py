@@ -23,16 +23,6 @@ from jointplay.catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED, UN
 from jointplay.catalogue.storage.directory import publish
 from jointplay.catalogue.storage.shard import Shard, ShardHeader
 
-__all__ = [
-    "SCHEMA_VERSION",
-    "arrays_image",
-    "decode_shard",
-    "encode_shard",
-    "read_arrays",
-    "write_arrays",
-    "write_growing",
-]
-
 SCHEMA_VERSION = 5
 """Of shard files and of the catalogue folder; a change that older programs cannot read raises it. From 4 on every case
 has play in every turning joint, and keys hold the version of numbers; from 5 on spectra have cyclic powers.

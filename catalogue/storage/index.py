@@ -15,11 +15,9 @@ from sqlalchemy import Connection, Select, delete, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
 from jointplay.catalogue.storage.database import Database
-from jointplay.catalogue.storage.leases import ChunkRow, ChunkStatus, Leases, finish_chunk
+from jointplay.catalogue.storage.leases import ChunkRow, Leases, finish_chunk
 from jointplay.catalogue.storage.shard import Shard
 from jointplay.catalogue.storage.tables import CATALOGUES, ENTRIES, SHARDS
-
-__all__ = ["ChunkRow", "ChunkStatus", "EntriesPresentError", "Index", "ShardRow"]
 
 Q = TypeVarTuple("Q")
 

@@ -18,8 +18,6 @@ from sqlalchemy.dialects import postgresql, sqlite
 from jointplay.catalogue.storage.database import Database
 from jointplay.catalogue.storage.tables import CHUNKS
 
-__all__ = ["ChunkRow", "ChunkStatus", "Leases", "finish_chunk"]
-
 
 class ChunkStatus(StrEnum):
     """How far a chunk is."""

@@ -13,8 +13,6 @@ from jointplay.catalogue.storage.database import database_url
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
 from jointplay.catalogue.storage.index import LOCAL, Index
 
-__all__ = ["IndexLocation"]
-
 _NAME = "index.json"
 
 

@@ -13,8 +13,6 @@ from filelock import FileLock, Timeout
 from jointplay.catalogue.errors import CatalogueBusyError, CatalogueFileError
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 
-__all__ = ["BuilderLock"]
-
 WAIT = 60.0
 """Longest wait for another process that prepares, verifies or repairs [s]."""
 

@@ -26,8 +26,6 @@ from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.version import __version__
 
-__all__ = ["Manifest", "package_versions", "this_platform"]
-
 _FORMAT = "jointplay catalogue"
 _PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
 

@@ -27,8 +27,6 @@ from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.catalogue.storage.table import EntryTable
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["FeatureMatrix", "Guard", "Ranges"]
-
 
 class Source(Protocol):
     """What a matrix is made of: a catalogue in some state."""

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from jointplay.catalogue.storage.cross_power import COLUMNS
 from jointplay.catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
 
-__all__ = ["Columns", "IntArray", "MemoryColumns", "hexadecimal"]
-
 IntArray = NDArray[np.int64]
 
 

@@ -18,8 +18,6 @@ from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of,
 from jointplay.catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
 from jointplay.catalogue.storage.matrix_header import ColumnFile, MatrixHeader, OtherVersionError
 
-__all__ = ["MappedColumns", "write_matrix"]
-
 _HEADER, _POWER, _DIGESTS = "header.json", "power.npy", "power.sha256"
 _HEAD = 192  # bytes before the numbers of a file, at most
 _DAMAGED = "does not match its checksum: `jointplay reindex` makes the matrix again"

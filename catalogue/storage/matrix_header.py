@@ -15,8 +15,6 @@ from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.plans.variants import LawChoice
 
-__all__ = ["LAWS", "STRATA", "Block", "ColumnFile", "Guard", "MatrixHeader", "OtherVersionError", "Ranges"]
-
 STRATA: tuple[Stratum, ...] = get_args(Stratum)
 """In the order of their codes in the column ``stratum``."""
 

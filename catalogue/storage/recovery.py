@@ -8,8 +8,6 @@ from jointplay.catalogue.storage.hdf5 import decode_shard
 from jointplay.catalogue.storage.index import EntriesPresentError, Index
 from jointplay.catalogue.storage.location import IndexLocation
 
-__all__ = ["adopt", "match_files", "open_index"]
-
 
 def open_index(layout: CatalogueDirectory, location: IndexLocation) -> Index:
     """The index, for a process that is alone: made anew where it is a file that cannot be used."""

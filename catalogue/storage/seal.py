@@ -8,8 +8,6 @@ from typing import Any, Self
 
 from jointplay.catalogue.plans.keys import content_digest
 
-__all__ = ["Seal", "SealedShard", "root_hash"]
-
 
 @dataclass(frozen=True)
 class SealedShard:

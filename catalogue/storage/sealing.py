@@ -14,8 +14,6 @@ from jointplay.catalogue.storage.seal import Seal, SealedShard
 from jointplay.catalogue.storage.shard import OK
 from jointplay.catalogue.storage.store import Catalogue
 
-__all__ = ["seal"]
-
 
 def seal(layout: CatalogueDirectory, manifest: Manifest, known: Callable[[], tuple[str, ...]]) -> Catalogue:
     """Publish the feature matrix of all shards that belong to a catalogue, and enter them into its manifest.

@@ -14,8 +14,6 @@ from jointplay.catalogue.plans.variants import Variant
 from jointplay.catalogue.storage.cross_power import CYCLIC, pack, pack_cyclic, unpack, unpack_cyclic
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 
-__all__ = ["OK", "Outcome", "Shard", "ShardHeader"]
-
 OK = "ok"
 """Status of a case whose spectrum is stored."""
 

@@ -15,8 +15,6 @@ from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.machine import parse_machine
 
-__all__ = ["check_shard"]
-
 
 def check_shard(shard: Shard, path: Path) -> None:
     """Refuse a shard whose numbers cannot be, whatever its checksum says.

@@ -26,8 +26,6 @@ from jointplay.catalogue.storage.table import EntryTable
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.bands import BandScheme
 
-__all__ = ["Catalogue", "EntryTable", "StoredEntry"]
-
 KEPT_SHARDS = 8
 """Shards kept in memory (a megabyte each): neighbouring draws of a hypothesis lie in one for each contact law."""
 

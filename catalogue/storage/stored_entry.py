@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from jointplay.solver.spectra.bands import BandScheme
 
-__all__ = ["StoredEntry"]
-
 
 @dataclass(frozen=True, eq=False)
 class StoredEntry:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from jointplay.catalogue.plans.entry import Hypothesis
 
-__all__ = ["EntryTable"]
-
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 TextArray = NDArray[np.str_]

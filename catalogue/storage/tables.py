@@ -16,8 +16,6 @@ from sqlalchemy import (
 )
 from sqlalchemy import Index as TableIndex
 
-__all__ = ["CATALOGUES", "CHUNKS", "ENTRIES", "METADATA", "SHARDS"]
-
 METADATA = MetaData()
 
 

@@ -19,9 +19,6 @@ from jointplay.catalogue.storage.sealing import seal
 from jointplay.catalogue.storage.shard import OK, Shard, ShardHeader
 from jointplay.catalogue.storage.shard_checks import check_shard
 
-__all__ = ["Finding", "VerifyReport", "reindex", "verify"]
-
-
 _NONE = np.empty((0, 0, 0), np.float32)
 
 

@@ -15,8 +15,6 @@ from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.shapes import Arrow, JointMark, LinkShape, MachineShapes, SupportMark, machine_shapes
 
-__all__ = ["place_labels"]
-
 Pixel: TypeAlias = tuple[float, float]
 Segment: TypeAlias = tuple[Pixel, Pixel]
 
@@ -98,9 +96,6 @@ def _distance(point: Pixel, a: Pixel, b: Pixel) -> float:
     part = 0.0 if length == 0 else ((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / length
     part = min(max(part, 0.0), 1.0)
     return math.dist(point, (a[0] + part * dx, a[1] + part * dy))
-
-
-__all__ = ["Sheet", "machine_svg", "svg_class"]
 
 
 WIDEST = 640.0

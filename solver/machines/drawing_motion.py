@@ -13,8 +13,6 @@ from jointplay.solver.machines.drawing import MARGIN, Sheet, svg_class
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.shapes import JointMark, machine_shapes
 
-__all__ = ["MovingDrawing", "moving_drawing"]
-
 Array = NDArray[np.float64]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from jointplay.solver.errors import MachineError
+from jointplay.solver.errors import MachineError, UnitError
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.machine import Machine
@@ -114,7 +114,7 @@ def parse_fault(text: str, machine: Machine) -> Fault:
             raise MachineError(machine.name, f"fault.{joint}", value, "this joint is named twice")
         try:
             clearances[joint] = units.to_si(value, units.LENGTH)
-        except units.UnitError as error:
+        except UnitError as error:
             raise MachineError(machine.name, f"fault.{joint}", value, str(error)) from error
         if clearances[joint] > _LARGEST_BARE and value.replace(".", "").isdigit():
             rule = f"is {clearances[joint] * 1e3:g} mm without a unit; write {value}mm if that is meant, or the unit"

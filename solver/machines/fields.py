@@ -16,23 +16,9 @@ from typing import Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from jointplay.solver.errors import UnitError
 from jointplay.solver.machines import units
 from jointplay.solver.machines.units import Dimension
-
-__all__ = [
-    "Direction",
-    "Marker",
-    "Name",
-    "NumberOrTable",
-    "Point",
-    "Quantity",
-    "RuleError",
-    "Table",
-    "Title",
-    "Vector",
-    "nearest",
-    "no_default",
-]
 
 MISSING = object()
 """Stands for a value that is not there, so that a message shows none."""
@@ -98,7 +84,7 @@ class Quantity(Marker):
         """Return the SI number or raise :class:`RuleError`."""
         try:
             number = units.to_si(value, self.dimension)
-        except units.UnitError as error:
+        except UnitError as error:
             raise RuleError(str(error)) from None
         if self.above is not None and not number > self.above:
             raise RuleError(f"must be greater than {self.above:g}")

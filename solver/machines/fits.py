@@ -17,8 +17,6 @@ from pydantic_core import CoreSchema, core_schema
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import MISSING, Marker, Quantity, RuleError, Vector, nearest
 
-__all__ = ["FitClass", "ToleranceClass"]
-
 _STEPS = (3, 6, 10, 18, 30, 50, 80, 120, 180, 250, 315, 400, 500)
 """Nominal sizes, mm: over the one before, up to and including this one."""
 
@@ -150,8 +148,6 @@ def _step(diameter: float) -> int:
             return step
     raise RuleError(f"ISO 286 is known here for pins of up to {_STEPS[-1]} mm, this one has {size:g} mm; {_INSTEAD}")
 
-
-__all__ = ["DEFAULT_PLAY", "LIMIT_FACTOR", "ClassFit", "Fit", "FitMarker", "FitSaid", "in_um", "new_fit"]
 
 DEFAULT_PLAY = (3e-6, 20e-6)
 """Radial clearance as new of a joint that gives none, m: about H7/g6 on pins of 18 to 30 mm (3.5 to 20.5 um)."""

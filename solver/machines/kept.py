@@ -12,8 +12,6 @@ from typing import Any, TypeVar, cast
 
 from jointplay.solver.machines.machine import Machine
 
-__all__ = ["kept"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

@@ -19,8 +19,6 @@ from typing import Any
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.content import MachineContent
 
-__all__ = ["MatrixForm", "MechanismMatrix", "matrix_tree", "read_matrix_form"]
-
 _OPPOSITE = {"0": "0", "A": "-A", "-A": "A", "B": "B", "C": "-C", "-C": "C"}
 
 
@@ -285,8 +283,6 @@ def matrix_tree(machine: MachineContent, clearance_joints: Iterable[str] = ()) -
     head = {"name": tree.pop("name"), "matrix": matrix.text().splitlines()}
     return {**head, **tree, "links": links, "joints": joints}
 
-
-__all__ = ["SELECTIONS", "MatrixArrays", "matrix_arrays"]
 
 #: Which joints the array N... counts and the array J... lists: their kinds, and whether only above the diagonal.
 SELECTIONS: Mapping[str, tuple[str, bool]] = MappingProxyType({

@@ -12,8 +12,6 @@ from pydantic_core import ErrorDetails
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fields import MISSING, nearest
 
-__all__ = ["first_error", "shown"]
-
 _RULES = {
     "missing": "is missing",
     "dict_type": "must be a mapping of keys to values",

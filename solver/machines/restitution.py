@@ -19,8 +19,6 @@ from typing import Any, TypeVar
 
 from jointplay.solver.extensions import installed
 
-__all__ = ["CONTACT_LAWS", "HYSTERESIS", "effective_restitution", "hysteresis_factor", "remark", "returned"]
-
 _Number = TypeVar("_Number")
 
 

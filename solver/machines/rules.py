@@ -14,8 +14,6 @@ from jointplay.solver.machines.parts import Damper, ForceDrive, RotationDrive, S
 from jointplay.solver.machines.refusals import shown
 from jointplay.solver.machines.restitution import remark
 
-__all__ = ["contact_breaches", "refuse_units_of_another_law", "restitution_remarks"]
-
 _Breach = tuple[str, object, str]
 
 
@@ -123,9 +121,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-__all__ = ["check"]
 
 
 @dataclass(frozen=True)

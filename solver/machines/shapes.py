@@ -11,8 +11,6 @@ from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Load, Mount, Spring, Support
 
-__all__ = ["Arrow", "JointMark", "LinkShape", "MachineShapes", "SupportMark", "machine_shapes"]
-
 Point: TypeAlias = tuple[float, float]
 
 

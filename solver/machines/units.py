@@ -19,30 +19,6 @@ from functools import lru_cache
 
 from jointplay.solver.errors import UnitError
 
-__all__ = [
-    "ACCELERATION",
-    "ANGLE",
-    "ANGULAR_SPEED",
-    "DAMPING",
-    "DIMENSIONS",
-    "FORCE",
-    "FREQUENCY",
-    "HYSTERESIS",
-    "INERTIA",
-    "LENGTH",
-    "MASS",
-    "RATIO",
-    "ROTARY_DAMPING",
-    "SPEED",
-    "STIFFNESS",
-    "TIME",
-    "TORQUE",
-    "Dimension",
-    "UnitError",
-    "factor_of",
-    "to_si",
-]
-
 LONGEST = 100
 """Characters of a number with its unit."""
 

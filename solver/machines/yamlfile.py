@@ -12,8 +12,6 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from jointplay.solver.errors import MachineError
 
-__all__ = ["Tree", "read_tree"]
-
 type_names = {dict: "a mapping", list: "a list", str: "text", bool: "true or false", type(None): "nothing"}
 
 Tree = dict[str, object]

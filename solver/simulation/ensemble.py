@@ -20,10 +20,8 @@ from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.averages import Average, spread_db, standard_error_db
 from jointplay.solver.simulation.blocks import BLOCK, SEEN, Members, check_memory
-from jointplay.solver.simulation.ensemble_result import FEWEST, Ensemble, EnsembleResult, Kind, Member
+from jointplay.solver.simulation.ensemble_result import FEWEST, Ensemble, EnsembleResult, Member
 from jointplay.solver.simulation.steady import PHASES, healthy_revolution, starts_at
-
-__all__ = ["Ensemble", "EnsembleResult", "Kind", "Member", "simulate_ensemble"]
 
 #: Frames start this part of the machine's extent apart.
 PERTURBATION = 1e-6

@@ -28,8 +28,6 @@ from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
-__all__ = ["Case", "History", "Settings", "Start", "Status", "check_assembly", "simulate", "simulate_batch", "start_of"]
-
 
 def check_assembly(machine: Machine) -> None:
     """Refuse a machine that cannot be assembled at some angle of its drive.

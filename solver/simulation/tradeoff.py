@@ -20,8 +20,6 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.workbench import MOTIONS, REFERENCES, Point, bench_of, middle
 from jointplay.solver.spectra.harmonics import compared, mean_difference_db
 
-__all__ = ["Point", "Recommendation", "TradeOff", "computer", "measure"]
-
 #: A response is chaotic if runs of the reference differ by more than this, dB a harmonic, from starts a rounding apart.
 CHAOTIC_DB = 0.1
 #: Finer steps of ``gill`` are not measured once all lanes took so long, s.

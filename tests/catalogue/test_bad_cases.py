@@ -16,7 +16,8 @@ from jointplay.catalogue.errors import (
     BuildError,
 )
 from jointplay.catalogue.plans.cases import entries_of
-from jointplay.catalogue.storage.index import ChunkStatus, Index
+from jointplay.catalogue.storage.index import Index
+from jointplay.catalogue.storage.leases import ChunkStatus
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.errors import MachineError
 

@@ -16,7 +16,8 @@ from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.tuning import quantities
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
-from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import accelerance, suspension_change, with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.history import Case, Settings

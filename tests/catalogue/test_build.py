@@ -21,8 +21,8 @@ from jointplay.catalogue.errors import (
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.directory import STALE, CatalogueDirectory
-from jointplay.catalogue.storage.index import ChunkStatus, Index
-from jointplay.catalogue.storage.leases import Leases
+from jointplay.catalogue.storage.index import Index
+from jointplay.catalogue.storage.leases import ChunkStatus, Leases
 from jointplay.catalogue.storage.locks import BuilderLock
 from jointplay.catalogue.storage.recovery import adopt
 from jointplay.catalogue.storage.store import Catalogue

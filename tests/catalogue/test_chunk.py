@@ -13,9 +13,10 @@ from jointplay.catalogue.building.chunk import Chunk, chunked, mean_difference_d
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, simulate_batch
+from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import band_matrix
 
 MACHINE = shipped_machine("slider-crank")

@@ -13,7 +13,8 @@ from recordings import RECORDINGS, TRUTH
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, rough_track
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.signals.disturbances import find_shocks, patched, stretches_of
-from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.spectra.sensor import sensor_transform
 

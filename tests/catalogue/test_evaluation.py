@@ -36,8 +36,8 @@ from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.variants import output_load
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.suspension import with_filed_suspension
-from jointplay.catalogue.storage.index import ChunkStatus, Index
-from jointplay.catalogue.storage.leases import ChunkRow
+from jointplay.catalogue.storage.index import Index
+from jointplay.catalogue.storage.leases import ChunkRow, ChunkStatus
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine, shipped_machine
 

@@ -13,13 +13,14 @@ from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_fe
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
-from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
-from jointplay.catalogue.signals.prepared import RecipeStep
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep
 from jointplay.catalogue.signals.sensors import map_sensors
 from jointplay.catalogue.storage.feature_bands import feature_axes, feature_vector, joined, usable_cuts
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.fault import parse_fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 from jointplay.solver.spectra.sensor import sensor_transform

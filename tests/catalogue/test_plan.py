@@ -20,9 +20,9 @@ from jointplay.catalogue.plans.plan_text import plan_lines
 from jointplay.catalogue.plans.ranges import STIFFNESS_SCATTER
 from jointplay.catalogue.plans.variants import Variant
 from jointplay.solver.cases.groups import full_paths
-from jointplay.solver.cases.history import Case
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
-from jointplay.solver.simulation.simulate import Settings, simulate_batch
+from jointplay.solver.simulation.simulate import simulate_batch
 
 
 def test_presets_hold_what_they_say() -> None:

@@ -11,7 +11,8 @@ from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.evaluation.response import Response
 from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
-from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.solver.machines.machine import Machine, shipped_machine
 
 NAMES = ("s1-x", "s1-y", "s2-x", "s2-y")

@@ -16,7 +16,8 @@ from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMa
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
-from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import shipped_machine
 

@@ -11,7 +11,8 @@ import pytest
 from jointplay.catalogue.diagnosing import synthesis
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
-from jointplay.catalogue.diagnosing.synthesis import Recorded, Refined, Synthesis, refine
+from jointplay.catalogue.diagnosing.synthesis import Refined, refine
+from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.truth import Truth
@@ -21,7 +22,8 @@ from jointplay.catalogue.matching.population import Population
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry, Hypothesis
 from jointplay.catalogue.plans.plan import parse_plan
-from jointplay.catalogue.signals.features import PreparedMeasurement, prepare
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 
 SHORT = replace(PROTOCOLS["matched"], revolutions=10.0)

@@ -9,9 +9,10 @@ import numpy as np
 from extremes.scenes import RPM
 from laws import Tree, tree_of
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import parse_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 DRIVES: list[Any] = [
     *(speed * RPM for speed in (0, 1, 60, -600, 3000, 60_000)),

@@ -12,10 +12,11 @@ import pytest
 from extremes.scenes import four_bar
 from laws import Tree, run, tree_of
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 Method = Literal["adaptive", "gill"]
 WORN = {"A": 1e-4}

@@ -14,12 +14,12 @@ from oracle.dense import JammedError, _System
 from oracle.state import State
 from scipy.integrate import solve_ivp
 
-from jointplay.solver.cases.history import History
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.equations.contact import remembers
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from oracle.dense import solve
 
-from jointplay.solver.cases.history import History
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 MASS = (0.04325, 0.00365, 0.02373, 0.00706, 0.07050, 0.00706, 0.05498)
 INERTIA = (2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5)

@@ -16,9 +16,10 @@ import pytest
 from laws import drawn
 from numpy.typing import NDArray
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,11 @@ import pytest
 from laws import impacts, run, states, tree_of
 from trajectory import Trajectory, trajectories
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.machines.restitution import effective_restitution, returned
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 #: Effective restitution, computed independently of this product from the identity, four digits; by restitution asked
 #: for and law. The errors of the first law are known: +13.7 % at 0.7 and +128 % at 0.3.

@@ -11,11 +11,11 @@ import pytest
 from oracle.state import State
 from trajectory import trajectory
 
-from jointplay.solver.cases.history import History
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.start import start_velocity
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 #: Fixed steps of Runge-Kutta-Gill, and error-controlled ones.
 METHODS = {"gill": {"step": 1e-3}, "adaptive": {"rtol": 1e-10}}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from oracle.state import State
 
-from jointplay.solver.cases.history import History
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 #: Fixed steps of Runge-Kutta-Gill, and error-controlled ones.
 METHODS = {"gill": {"step": 2e-4}, "adaptive": {"rtol": 1e-9}}

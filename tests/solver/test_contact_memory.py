@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from trajectory import Trajectory, trajectories
 
-from jointplay.solver.cases.history import History
+from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.start import Start
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
 from jointplay.solver.errors import MachineError
 from jointplay.solver.integrators.control import remember
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Start, Status, simulate, simulate_batch
+from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 CLEARANCE = 1e-4
 #: Pressed in, pulled so fast that the force vanishes (beyond v0 / c = 16 mm/s), pressed in again before the surfaces

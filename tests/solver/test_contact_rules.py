@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 Tree = dict[str, Any]
 FLORES = {"law": "flores", "stiffness": 1e10, "restitution": 0.9}

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.integrators.lanes import SLOTS
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine
-from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
+from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 MACHINE = shipped_machine("slider-crank")
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jointplay.solver.cases.history import Case, History, Settings
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, History, Settings, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 
 def run(name: str, fault: dict[str, float]) -> tuple[Machine, History]:

@@ -19,11 +19,12 @@ import numpy.typing as npt
 import pytest
 
 from jointplay import solver
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.steps import STEP_RULES
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.adaptive_runs import TOLERANCES
-from jointplay.solver.simulation.simulate import Case, Settings, simulate
+from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 from jointplay.solver.spectra.segments import hann

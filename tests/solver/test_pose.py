@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.start import start_pose, start_velocity, walk
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
-from jointplay.solver.simulation.simulate import Case, Settings, Status, check_assembly, simulate
+from jointplay.solver.simulation.simulate import check_assembly, simulate
 
 G = 9.81
 

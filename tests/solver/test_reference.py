@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.spectra.harmonics import harmonic_error
 
 Method = Literal["adaptive", "gill"]

@@ -11,6 +11,7 @@ from laws import states, tree_of
 from scipy.integrate import simpson
 
 from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import MachineError
 from jointplay.solver.integrators import control
@@ -19,7 +20,7 @@ from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.account import account
 from jointplay.solver.simulation.adaptive_runs import how_it_ended
-from jointplay.solver.simulation.simulate import Case, History, Settings, Status, simulate, simulate_batch
+from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 G = 9.81
 METHODS = ("adaptive", "gill")

@@ -11,7 +11,7 @@ import pytest
 from extremes.scenes import four_bar
 
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import Fault
@@ -20,7 +20,7 @@ from jointplay.solver.simulation import settling
 from jointplay.solver.simulation.adaptive_runs import adaptive_runs
 from jointplay.solver.simulation.gill_runs import gill_runs
 from jointplay.solver.simulation.settling import settled
-from jointplay.solver.simulation.simulate import History, simulate, simulate_batch, start_of
+from jointplay.solver.simulation.simulate import simulate, simulate_batch, start_of
 from jointplay.solver.simulation.steady import healthy_revolution
 from jointplay.solver.spectra.harmonics import harmonic_levels, mean_difference_db
 

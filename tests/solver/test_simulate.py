@@ -9,11 +9,12 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate, simulate_batch
+from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 QR = shipped_machine("quick-return")
 SHORT = Settings(duration=0.05, sample_rate=10_000, accuracy="draft")

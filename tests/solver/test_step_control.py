@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.integrators.control import after_switch, next_step, shortened, switch_part
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate, simulate_batch
+from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 LAG = 2e-4
 """Damping over stiffness of the contact below, s."""

@@ -10,6 +10,7 @@ import pytest
 from test_simulate import crank_at
 
 from jointplay.solver.cases.groups import groups
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.positions import mobility_of
 from jointplay.solver.cases.rates import ContactRates, contact_rates, friction_rate
 from jointplay.solver.cases.start import walk
@@ -26,7 +27,7 @@ from jointplay.solver.cases.steps import (
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from jointplay.solver.simulation.simulate import Case, Settings, Status, simulate
+from jointplay.solver.simulation.simulate import simulate
 
 
 def test_mobility_of_a_free_pin_is_the_sum_of_both_bodies() -> None:

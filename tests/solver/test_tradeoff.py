@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.history import History, Settings, Status
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine
 from jointplay.solver.simulation import workbench
-from jointplay.solver.simulation.simulate import Case, simulate
-from jointplay.solver.simulation.tradeoff import Point, TradeOff, measure
+from jointplay.solver.simulation.simulate import simulate
+from jointplay.solver.simulation.tradeoff import TradeOff, measure
+from jointplay.solver.simulation.workbench import Point
 from jointplay.solver.spectra.harmonics import harmonic_error
 
 DATA = Path(__file__).parents[1] / "data" / "reference"

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jointplay.solver.errors import UnitError
 from jointplay.solver.machines import units
-from jointplay.solver.machines.units import UnitError, to_si
+from jointplay.solver.machines.units import to_si
 
 
 @pytest.mark.parametrize(
