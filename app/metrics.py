@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
+
+from jointplay.catalogue.diagnosing.answer import Diagnosis
 
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 OTHER = "other"
@@ -52,9 +52,9 @@ class Metrics:
         """Count an upload that was refused, by the kind of problem."""
         self._refused.labels(reason).inc()
 
-    def diagnosed(self, result: Any) -> None:
+    def diagnosed(self, result: Diagnosis) -> None:
         """Count a diagnosis."""
-        self._diagnoses.labels(result["effort"], result["mode"]["used"], result["verdict"]).inc()
+        self._diagnoses.labels(result.effort, result.mode.used, result.verdict).inc()
 
     def delivered(self, outcome: str) -> None:
         """Count an attempt of a webhook: ``delivered``, ``failed``, or ``given_up`` after the last that failed."""

@@ -1,4 +1,4 @@
-"""Moments in requests: RFC 3339 with a time zone, and nothing that merely resembles it."""
+"""Moments: in requests RFC 3339 with a time zone, and nothing that merely resembles it; as a person reads them."""
 
 from __future__ import annotations
 
@@ -24,6 +24,11 @@ def in_utc(moment: datetime) -> datetime:
         return moment.astimezone(UTC)
     except OverflowError:
         raise ValueError("is outside of the calendar") from None
+
+
+def spelled(moment: datetime) -> str:
+    """Return a moment as a person reads it, in UTC."""
+    return f"{moment:%Y-%m-%d %H:%M}"
 
 
 Moment = Annotated[AwareDatetime, BeforeValidator(written), AfterValidator(in_utc)]

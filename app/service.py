@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
@@ -27,6 +26,7 @@ from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, NewDiagnosis, Store, Upload
 from jointplay.app.storage.told import Told
+from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.units import ANGULAR_SPEED, to_si
 
@@ -100,7 +100,7 @@ class Service:
         """Diagnose a stored measurement in a worker and store the result."""
         row, asked = await run_in_threadpool(self.about_stored, request)
         recording = (str(self.store.path_of(row.sha256)), row.name, row.told)
-        result = await self.pool.run(tasks.diagnose, *recording, asked.question)
+        result: Diagnosis = await self.pool.run(tasks.diagnose, *recording, asked.question)
         self.metrics.diagnosed(result)
         return await run_in_threadpool(self.store.add_diagnosis, self.new_diagnosis(request, asked, result))
 
@@ -163,7 +163,7 @@ class Service:
         question = tasks.Question(*place, speed, request.effort, request.mode, mapping, prior, baseline)
         return Asked(offer, asset, question)
 
-    def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Mapping[str, Any]) -> NewDiagnosis:
+    def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Diagnosis) -> NewDiagnosis:
         """Return a diagnosis as it is stored, with what is told of it."""
         return NewDiagnosis(
             request.measurement,
@@ -200,12 +200,12 @@ class Service:
         return str(self.store.path_of(row.sha256)), row.name, row.told
 
     def announce(
-        self, session: Session, diagnosis: str, measurement: str, asset: AssetRow | None, result: Mapping[str, Any]
+        self, session: Session, diagnosis: str, measurement: str, asset: AssetRow | None, result: Diagnosis
     ) -> None:
         """Note in the transaction that stores a diagnosis what else is to know of it."""
         if asset is not None:
             Assets(self.store.database).note(session, asset.external_id, measurement, diagnosis)
-        told = {name: result[name] for name in ("machine", "verdict", "candidate_set")}
+        told = result.model_dump(mode="json", include={"machine", "verdict", "candidate_set"})
         named = {"diagnosis": diagnosis, "asset": None if asset is None else asset.external_id}
         webhooks.announce(session, "diagnosis.created", {**named, **told})
 

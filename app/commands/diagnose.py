@@ -18,11 +18,12 @@ from jointplay.app.commands.parameters import (
     print_json,
     refuse_given,
 )
+from jointplay.app.rows import hypothesis_rows, joint_rows, percent
 from jointplay.app.tables import indented, table
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:
-    from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
+    from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
     from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 
@@ -167,15 +168,14 @@ def command(
         ),
         baseline=in_order,
     )
-    result = diagnosis.model_dump(mode="json")
     if plot is not None:
         from jointplay.app.figures.plots import plot_diagnosis
 
-        plot_diagnosis(result, measurement.name, plot)
+        plot_diagnosis(diagnosis, measurement.name, plot)
     if as_json:
-        print_json(result)
+        print_json(diagnosis.model_dump(mode="json"))
     else:
-        click.echo(report(result))
+        click.echo(report(diagnosis))
         if plot is not None:
             click.echo(f"drawn: {plot}")
 
@@ -213,55 +213,50 @@ def told_of(
     return told.model_copy(update=members)
 
 
-def report(result: Mapping[str, Any]) -> str:
+def report(result: Diagnosis) -> str:
     """Return a diagnosis as plain text."""
     parts = [words.sentence(result), *words.remarks(result)]
-    if words.joint_rows(result):
+    if joint_rows(result):
         parts += [words.joints_sentence(result), indented(joints(result))]
     parts += [
-        f"drive speed {result['drive_speed_rpm']:.6g} rpm; {words.fit_sentence(result)}",
+        f"drive speed {result.drive_speed_rpm:.6g} rpm; {words.fit_sentence(result)}",
         f"{words.mode_sentence(result)} {words.prior_sentence(result)}",
         indented(ranking(result)),
         words.set_sentence(result),
     ]
-    if result["effort_spent"]["note"]:
-        parts.append(f"simulated anew: {result['effort_spent']['note']}")
-    if result["suggestions"]:
+    if result.effort_spent.note:
+        parts.append(f"simulated anew: {result.effort_spent.note}")
+    if result.suggestions:
         parts += ["What would tell them apart:", indented(suggestions(result))]
-    parts += [f"warning: {line}" for line in result["warnings"]]
+    parts += [f"warning: {line}" for line in result.warnings]
     return "\n".join(parts)
 
 
-def joints(result: Mapping[str, Any]) -> str:
+def joints(result: Diagnosis) -> str:
     """Return what is said of every joint as a table, the most probably worn first."""
     rows = [
-        (row.name, row.said, row.percent, row.clearance, row.shows or "-", row.limit, row.beyond)
-        for row in words.joint_rows(result)
+        (row.name, row.said, row.percent, row.play.said(), row.shows or "-", row.limit, row.beyond)
+        for row in joint_rows(result)
     ]
     head = ("joint", "state", "worn", "radial clearance (90 % interval)", "wear shows from", "limit", "beyond")
     return table(head, rows, frozenset({2, 4, 5, 6}))
 
 
-def suggestions(result: Mapping[str, Any]) -> str:
+def suggestions(result: Diagnosis) -> str:
     """Return what could be done, the best first, as a table."""
     rows = [
         (
-            f"{each['kind']} {each['what']}",
-            " / ".join(each["hypotheses"]),
-            words.percent(each["error_now"]),
-            words.percent(each["error"]),
+            f"{each.kind} {each.what}",
+            " / ".join(each.hypotheses),
+            percent(each.error_now),
+            percent(each.error),
         )
-        for each in result["suggestions"]
+        for each in result.suggestions
     ]
     return table(("add", "for", "mistaken now", "then"), rows, frozenset({2, 3}))
 
 
-def ranking(result: Mapping[str, Any]) -> str:
-    """Return the hypotheses as a table, the most probable first."""
-    rows = []
-    for entry in result["hypotheses"]:
-        several = len(entry["joints"]) > 1
-        found = "; ".join(words.clearance(each, name if several else "") for name, each in entry["joints"].items())
-        distance = f"{entry['distance_db']:.1f} dB"
-        rows.append((words.label(entry), words.percent(entry["probability"]), found or "-", distance))
+def ranking(result: Diagnosis, most: int | None = None) -> str:
+    """Return the hypotheses, or the first of them, as a table, the most probable first."""
+    rows = [(row.label, row.percent, row.clearance or "-", row.distance) for row in hypothesis_rows(result, most)]
     return table(("hypothesis", "probability", "radial clearance (90 % interval)", "distance"), rows, frozenset({1, 3}))

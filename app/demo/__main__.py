@@ -35,14 +35,14 @@ def demo() -> None:
     catalogue = Catalogue.open(CATALOGUE)
     for name, truth in recordings().items():
         recording = read_measurement(content_of(name), name=f"{name}.csv.gz")
-        result = diagnose(recording, catalogue).model_dump(mode="json")
+        result = diagnose(recording, catalogue)
         click.echo(f"\n{name}.csv.gz")
         click.echo(f"  verdict: {words.sentence(result)}")
         click.echo(f"  truth:   {truth_sentence(truth)}")
         for line in (*words.remarks(result), words.joints_sentence(result)):
             click.echo(f"  {line}")
-        click.echo(indented(ranking({**result, "hypotheses": result["hypotheses"][:3]}), "    "))
-        for warning in result["warnings"]:
+        click.echo(indented(ranking(result, 3), "    "))
+        for warning in result.warnings:
             click.echo(f"  warning: {warning}")
     click.echo(f"\nDiagnosed in {time.monotonic() - started:.1f} s.")
     click.echo(

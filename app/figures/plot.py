@@ -82,4 +82,4 @@ def _(result: Recording) -> Figure:
 
 @plot.register
 def _(result: Diagnosis) -> Figure:
-    return draw_diagnosis(result.model_dump(mode="json"), result.machine)
+    return draw_diagnosis(result, result.machine)

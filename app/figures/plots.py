@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,8 @@ from jointplay.app import words
 from jointplay.app.figures.outputs import checked
 from jointplay.app.figures.simulation_file import SimulationFile
 from jointplay.app.figures.spectra import Comparison, comparisons
+from jointplay.app.rows import hypothesis_rows
+from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.solver.cases.history import MOTIONS
 
 if TYPE_CHECKING:
@@ -94,18 +95,17 @@ def draw_density(
     axes.grid(alpha=0.3, which="both")
 
 
-def plot_diagnosis(result: Mapping[str, Any], name: str, path: Path) -> None:
+def plot_diagnosis(result: Diagnosis, name: str, path: Path) -> None:
     """Draw a diagnosis as :func:`draw_diagnosis` into a file."""
     save(draw_diagnosis(result, name), path)
 
 
-def draw_diagnosis(result: Mapping[str, Any], name: str) -> Figure:
+def draw_diagnosis(result: Diagnosis, name: str) -> Figure:
     """Draw the ranking, and measured against matched levels by order for every channel.
 
     Parameters
     ----------
-    result : Mapping
-        The members of a diagnosis.
+    result : Diagnosis
     name : str
         Of the recording.
     """
@@ -120,17 +120,13 @@ def draw_diagnosis(result: Mapping[str, Any], name: str) -> Figure:
     return figure
 
 
-def draw_ranking(axes: Axes, result: Mapping[str, Any]) -> None:
+def draw_ranking(axes: Axes, result: Diagnosis) -> None:
     """Draw probabilities of the first hypotheses as bars, the most probable on top."""
-    shown = list(result["hypotheses"][:SHOWN_HYPOTHESES])[::-1]
-    names = []
-    for entry in shown:
-        several = len(entry["joints"]) > 1
-        found = [words.clearance(each, joint if several else "") for joint, each in entry["joints"].items()]
-        names.append("\n".join([words.label(entry), *found]))
-    bars = axes.barh(range(len(shown)), [entry["probability"] for entry in shown], color=ORANGE)
+    shown = hypothesis_rows(result, SHOWN_HYPOTHESES)[::-1]
+    names = ["\n".join([row.label, *(play.said() for play in row.plays)]) for row in shown]
+    bars = axes.barh(range(len(shown)), [row.probability for row in shown], color=ORANGE)
     axes.set_yticks(range(len(shown)), names, fontsize="small")
-    axes.bar_label(bars, [words.percent(entry["probability"]) for entry in shown], padding=3)
+    axes.bar_label(bars, [row.percent for row in shown], padding=3)
     axes.set_xlim(0, 1.12)
     axes.set_xlabel("probability")
 

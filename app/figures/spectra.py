@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+
+from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence
 
 NAMES = {"x": "x of the frame", "y": "y of the frame", "theta": "rotation of the frame"}
 MOST_DECIDING = 8
 UNITS = {"theta": "rad/s²"}
-
-
-@dataclass(frozen=True)
-class Band:
-    """One band: its centre as an order of the drive, levels in dB, and what it says for the best hypothesis."""
-
-    order: float
-    measured_db: float
-    predicted_db: float
-    spread_db: float
-    z: float
-    rival_db: float | None = None
-    favours_best: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -32,12 +20,12 @@ class Comparison:
     ----------
     channel : str
         x, y, theta, or the name of a sensor.
-    bands : tuple of Band
+    bands : tuple of BandEvidence
         In rising order.
     """
 
     channel: str
-    bands: tuple[Band, ...]
+    bands: tuple[BandEvidence, ...]
 
     @property
     def title(self) -> str:
@@ -50,30 +38,20 @@ class Comparison:
         return f"dB re 1 {UNITS.get(self.channel, 'm/s²')}"
 
 
-def comparisons(result: Mapping[str, Any]) -> list[Comparison]:
+def comparisons(result: Answer) -> list[Comparison]:
     """Return the evidence of a diagnosis by channel, in the order of its appearance.
 
     Parameters
     ----------
-    result : Mapping
-        The members of a diagnosis.
+    result : Answer
     """
-    found: dict[str, list[Band]] = {}
-    for entry in (*result["evidence"]["orders"], *result["evidence"]["bands"]):
-        band = Band(
-            float(entry["order"]),
-            float(entry["measured_db"]),
-            float(entry["predicted_db"]),
-            float(entry["spread_db"]),
-            float(entry["z"]),
-            entry.get("rival_db"),  # diagnoses of before have none
-            float(entry.get("favours_best") or 0.0),
-        )
-        found.setdefault(entry["channel"], []).append(band)
+    found: dict[str, list[BandEvidence]] = {}
+    for band in (*result.evidence.orders, *result.evidence.bands):
+        found.setdefault(band.channel, []).append(band)
     return [Comparison(channel, tuple(sorted(bands, key=lambda band: band.order))) for channel, bands in found.items()]
 
 
-def deciding(found: Sequence[Comparison]) -> list[tuple[Comparison, Band]]:
+def deciding(found: Sequence[Comparison]) -> list[tuple[Comparison, BandEvidence]]:
     """Return the bands that decided, the strongest first: the fewest that hold half of what speaks for the best.
 
     Parameters
@@ -81,13 +59,18 @@ def deciding(found: Sequence[Comparison]) -> list[tuple[Comparison, Band]]:
     found : sequence of Comparison
         All channels of a diagnosis.
     """
-    speaking = [(comparison, band) for comparison in found for band in comparison.bands if band.favours_best > 0]
-    speaking.sort(key=lambda pair: -pair[1].favours_best)
-    half = 0.5 * sum(band.favours_best for _, band in speaking)
-    chosen: list[tuple[Comparison, Band]] = []
-    for pair in speaking[:MOST_DECIDING]:
-        chosen.append(pair)
-        half -= pair[1].favours_best
+    speaking = [
+        (favour, comparison, band)
+        for comparison in found
+        for band in comparison.bands
+        if (favour := band.favours_best or 0.0) > 0
+    ]
+    speaking.sort(key=lambda each: -each[0])
+    half = 0.5 * sum(favour for favour, _, _ in speaking)
+    chosen: list[tuple[Comparison, BandEvidence]] = []
+    for favour, comparison, band in speaking[:MOST_DECIDING]:
+        chosen.append((comparison, band))
+        half -= favour
         if half <= 0:
             break
     return chosen

@@ -8,13 +8,13 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi.exceptions import RequestValidationError
-from pydantic import FailFast, Field, ValidationError
+from pydantic import FailFast, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.errors import BadFieldError, UnsupportedMediaError
 from jointplay.app.http.uploads import MULTIPART, base_name, media_type, received_form
+from jointplay.app.http.validation import validated
 from jointplay.app.schemas.resources import Shape
 from jointplay.app.storage.store import Store, Upload
 from jointplay.app.storage.told import TOLD, Told, told_of
@@ -111,7 +111,7 @@ async def sent_measurement(request: Request, store: Store) -> AsyncIterator[Sent
             told = await run_in_threadpool(told_of, form.fields)
             yield Sent(form.file, form.file_name, told, form.fields.get("asset"))
     elif kind == JSON_TYPE:
-        wanted = await run_in_threadpool(checked, await request.body())
+        wanted = await run_in_threadpool(validated, MeasurementIn, await request.body())
         profile = wanted.profile.model_dump(mode="json", exclude_defaults=True)
         upload = await run_in_threadpool(store.receive, io.BytesIO(file_of(wanted)))
         try:
@@ -120,17 +120,6 @@ async def sent_measurement(request: Request, store: Store) -> AsyncIterator[Sent
             store.settle(upload)
     else:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
-
-
-def checked(body: bytes) -> MeasurementIn:
-    """Return a body whose members keep the rules."""
-    try:
-        return MeasurementIn.model_validate_json(body)
-    except ValidationError as error:
-        entries = error.errors(include_url=False, include_input=False)
-        if entries[0]["type"] == "json_invalid":
-            raise BadRequestError(f"is not JSON: {entries[0]['ctx']['error']}") from None
-        raise RequestValidationError(entries) from None
 
 
 def file_of(wanted: MeasurementIn) -> bytes:

@@ -1,4 +1,4 @@
-"""What worker processes do: read recordings and diagnose them. Plain values in, plain values out."""
+"""What worker processes do: read recordings and diagnose them. What goes in and comes out can be pickled."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jointplay.app.jobs.workers import Outcome, attempt
 from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
-    from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
+    from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
     from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.storage.store import Catalogue
@@ -74,8 +74,8 @@ def diagnose(
     name: str,
     told: Told,
     question: Question,
-) -> dict[str, Any]:
-    """Diagnose a recording and return the contract's members as JSON values.
+) -> Diagnosis:
+    """Diagnose a recording.
 
     Parameters
     ----------
@@ -101,12 +101,12 @@ def summarise_and_diagnose(path: str, name: str, told: Told, question: Question)
     return summary_of(measurement), attempt(diagnosed, (measurement, question))
 
 
-def diagnosed(measurement: Recording | MeasuredSpectrum, question: Question) -> dict[str, Any]:
-    """Diagnose what was read and return the contract's members as JSON values."""
+def diagnosed(measurement: Recording | MeasuredSpectrum, question: Question) -> Diagnosis:
+    """Diagnose what was read."""
     from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
     from jointplay.catalogue.matching.prior import Prior
 
-    result = ranked(
+    return ranked(
         measurement,
         opened(question.catalogue, question.stamp),
         speed=question.speed,
@@ -116,8 +116,6 @@ def diagnosed(measurement: Recording | MeasuredSpectrum, question: Question) -> 
         prior=Prior(**question.prior),
         baseline=None if question.baseline is None else in_order(*question.baseline),
     )
-    document: dict[str, Any] = result.model_dump(mode="json")
-    return document
 
 
 def check_machine(text: str, name: str) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from typing import Any
 
 from jointplay.app import words
+from jointplay.app.moments import spelled
+from jointplay.app.rows import micrometres, plays
 from jointplay.app.storage.assets import FindingRow
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, aware
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
 
 
 def history(
@@ -39,28 +40,25 @@ def history(
 
 def diagnosis_row(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
     """Return the row of a diagnosis in the table."""
-    result = row.result
-    worn = words.named_joints(result)
+    result = row.answer
     return {
         "id": row.id,
-        "verdict": result["verdict"],
+        "verdict": result.verdict,
         "short": words.short(result),
-        "clearances": [
-            (joint if len(worn) > 1 else "", *words.clearance_parts(found)) for joint, found in worn.items()
-        ],
+        "plays": plays(words.named_joints(result)),
         "percent": words.probability(result),
-        "sent": moment(measurement.created_at),
-        "diagnosed": moment(row.created_at),
+        "sent": spelled(measurement.created_at),
+        "diagnosed": spelled(row.created_at),
         "recording": measurement.name,
-        "effort": result["effort"],
+        "effort": result.effort,
     }
 
 
 def finding_row(row: FindingRow) -> dict[str, Any]:
     """Return the row of a finding in the table."""
-    found = [f"{name} {words.micrometres(joint['clearance_um'])} µm" for name, joint in row.joints.items()]
+    found = [f"{name} {micrometres(joint['clearance_um'])} µm" for name, joint in row.joints.items()]
     return {
-        "at": moment(row.at),
+        "at": spelled(row.at),
         "diagnosis": row.diagnosis,
         "joints": ", ".join(found),
         "text": row.text,
@@ -79,21 +77,21 @@ def chart(
 
     A recording stands at the time when it was sent, with its newest diagnosis.
     """
-    shown = sorted(latest(diagnoses), key=lambda row: aware(measurements[row.measurement].created_at))
+    shown = sorted(latest(diagnoses), key=lambda row: measurements[row.measurement].created_at)
     points: dict[str, list[dict[str, float]]] = {}
     order: list[str] = []
     events: list[dict[str, Any]] = []
     for row in shown:
-        at = seconds(measurements[row.measurement].created_at)
+        at = measurements[row.measurement].created_at.timestamp()
         order += [name for name in row.machine["joints"] if name not in order]
-        worn = words.named_joints(row.result)
+        worn = words.named_joints(row.answer)
         if not worn:
-            events.append({"at": at, "kind": row.result["verdict"]})
+            events.append({"at": at, "kind": row.answer.verdict})
         for joint, found in worn.items():
-            low, high = found["interval_um"]
-            points.setdefault(joint, []).append({"at": at, "um": found["clearance_um"], "low": low, "high": high})
+            low, high = found.interval_um
+            points.setdefault(joint, []).append({"at": at, "um": found.clearance_um, "low": low, "high": high})
     for finding in findings:
-        event = {"at": seconds(finding.at), "kind": "finding"}
+        event = {"at": finding.at.timestamp(), "kind": "finding"}
         events += [
             {**event, "joint": joint, "um": found["clearance_um"]} for joint, found in finding.joints.items()
         ] or [event]
@@ -113,21 +111,11 @@ def chart(
 def summary(joints: Sequence[str], points: Mapping[str, Sequence[Mapping[str, float]]], count: int, found: int) -> str:
     """Return a chart in words."""
     said = [
-        f"{name} from {words.micrometres(points[name][0]['um'])} to {words.micrometres(points[name][-1]['um'])} µm"
+        f"{name} from {micrometres(points[name][0]['um'])} to {micrometres(points[name][-1]['um'])} µm"
         if len(points[name]) > 1
-        else f"{name} once, {words.micrometres(points[name][0]['um'])} µm"
+        else f"{name} once, {micrometres(points[name][0]['um'])} µm"
         for name in joints
     ]
     worn = f"Found worn: {'; '.join(said)}." if said else "No joint was found worn."
     shown = f"{count} recording{'s' * (count != 1)} and {found} finding{'s' * (found != 1)}"
     return f"Radial clearance over time, of {shown}. {worn} The tables below have the values."
-
-
-def seconds(at: datetime) -> float:
-    """Return a time as seconds since 1970."""
-    return aware(at).timestamp()
-
-
-def moment(at: datetime) -> str:
-    """Return a time as the page shows it."""
-    return f"{aware(at):%Y-%m-%d %H:%M}"

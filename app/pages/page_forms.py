@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fastapi import Request
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from jointplay.app.http.uploads import media_type
+from jointplay.app.http.validation import validated
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.service import speed_of
@@ -78,7 +77,7 @@ def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -
         speed_of(members["speed"])
     if given.get("prior"):
         members["prior"] = {"joints": weights_of(given["prior"], machine)}
-    return checked({**members, "mapping": chosen_sensors(given, columns, machine)})
+    return validated(DiagnosisRequest, {**members, "mapping": chosen_sensors(given, columns, machine)})
 
 
 def chosen_sensors(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> dict[str, str]:
@@ -122,14 +121,6 @@ def weights_of(text: str, machine: Machine) -> dict[str, float]:
     except DiagnosisError as error:
         raise BadFieldError(str(error)[:240], field="prior") from None
     return found
-
-
-def checked(members: Mapping[str, Any]) -> DiagnosisRequest:
-    """Return a request whose members keep the rules."""
-    try:
-        return DiagnosisRequest.model_validate(members)
-    except ValidationError as error:
-        raise RequestValidationError(error.errors()) from None
 
 
 def plain_number(text: str) -> bool:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from jointplay.app import words
 from jointplay.app.figures.pictures import machine_picture
-from jointplay.app.figures.spectra import Band, Comparison, comparisons, deciding
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, aware
+from jointplay.app.figures.spectra import Comparison, comparisons, deciding
+from jointplay.app.moments import spelled
+from jointplay.app.rows import hypothesis_rows, joint_rows, order
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.catalogue.diagnosing.answer import BandEvidence
 from jointplay.solver.machines.machine import parse_machine
 
 SHOWN_HYPOTHESES = 12
@@ -24,74 +27,53 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
     measurement : MeasurementRow
         Its recording.
     """
-    result = row.result
+    result = row.answer
     found = comparisons(result)
     decided = deciding(found)
     return {
         "id": row.id,
-        "verdict": result["verdict"],
+        "verdict": result.verdict,
         "sentence": words.sentence(result),
         "short": words.short(result),
         "remarks": words.remarks(result),
-        "joints": words.joint_rows(result),
-        "machine": result["machine"],
-        "speed": f"{result['drive_speed_rpm']:.5g} rpm",
+        "joints": joint_rows(result),
+        "machine": result.machine,
+        "speed": f"{result.drive_speed_rpm:.5g} rpm",
         "recording": measurement.name,
         "asset": row.request.get("asset"),
-        "created": f"{aware(row.created_at):%Y-%m-%d %H:%M} UTC",
-        "warnings": result["warnings"],
-        "ranking": ranking(result),
-        "in_order": "“healthy”"
-        if all(each["label"] != "as-new" for each in result["hypotheses"])
-        else "“healthy”, “as-new”",
+        "created": f"{spelled(row.created_at)} UTC",
+        "warnings": result.warnings,
+        "ranking": hypothesis_rows(result, SHOWN_HYPOTHESES),
+        "in_order": "“healthy”" if all(each.label != "as-new" for each in result.hypotheses) else "“healthy”, “as-new”",
         "set_sentence": words.set_sentence(result),
         "chart_hint": words.fit_sentence(result),
-        "drawing": machine_picture(parse_machine(row.machine), result["joint_probabilities"]),
-        "rival": result["evidence"].get("rival"),
-        "best": words.label(result["hypotheses"][0]),
+        "drawing": machine_picture(parse_machine(row.machine), result.joint_probabilities),
+        "rival": result.evidence.rival,
+        "best": result.hypotheses[0].label,
         "decided": [decision(comparison, band) for comparison, band in decided],
         "charts": [chart(comparison, [band for other, band in decided if other is comparison]) for comparison in found],
     }
 
 
-def ranking(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of the ranking, the most probable first."""
-    hypotheses: Sequence[Mapping[str, Any]] = result["hypotheses"]
-    return [
-        {
-            "label": words.label(entry),
-            "candidate": words.label(entry) in result["candidate_set"],
-            "clearances": [
-                (joint if len(entry["joints"]) > 1 else "", *words.clearance_parts(found))
-                for joint, found in entry["joints"].items()
-            ],
-            "probability": entry["probability"],
-            "percent": words.percent(entry["probability"]),
-            "distance": f"{entry['distance_db']:.1f} dB",
-        }
-        for entry in hypotheses[:SHOWN_HYPOTHESES]
-    ]
-
-
-def decision(comparison: Comparison, band: Band) -> dict[str, str]:
+def decision(comparison: Comparison, band: BandEvidence) -> dict[str, str]:
     """Return the row of a band that decided."""
     return {
         "channel": comparison.title.removesuffix(" of the frame"),
-        "order": words.order(band.order),
+        "order": order(band.order),
         "measured": f"{band.measured_db:.1f}",
         "matched": f"{band.predicted_db:.1f}",
         "rival": "–" if band.rival_db is None else f"{band.rival_db:.1f}",
     }
 
 
-def chart(comparison: Comparison, decided: Sequence[Band] = ()) -> dict[str, Any]:
+def chart(comparison: Comparison, decided: Sequence[BandEvidence] = ()) -> dict[str, Any]:
     """Return one chart: its data for the script and its content in words for those who do not see it."""
     worst = max(comparison.bands, key=lambda band: abs(band.measured_db - band.predicted_db))
     return {
         "title": comparison.title,
         "summary": (
             f"Level by order of {comparison.title}, measured and matched; they differ most at order "
-            f"{words.order(worst.order)}: "
+            f"{order(worst.order)}: "
             f"{worst.measured_db:.1f} dB measured, {worst.predicted_db:.1f} dB matched."
         ),
         "data": {

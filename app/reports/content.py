@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from jointplay.app import words
 from jointplay.app.jobs.summaries import extent, kind_of, said
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, aware
+from jointplay.app.moments import spelled
+from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.catalogue.diagnosing.answer import Answer, JointState
 
 SHOWN_HYPOTHESES = 5
 SHOWN_SUGGESTIONS = 3
@@ -101,10 +103,10 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
     asset : str, optional
         External id of the machine that was measured, where the diagnosis names it.
     """
-    result = row.result
+    result = row.answer
     return Report(
-        title=f"Joint play of {cut(asset or result['machine'])}",
-        verdict=result["verdict"],
+        title=f"Joint play of {cut(asset or result.machine)}",
+        verdict=result.verdict,
         sentence=words.sentence(result),
         remarks=tuple(cut(line, 240) for line in words.remarks(result)),
         facts=facts(row, measurement, asset),
@@ -114,12 +116,15 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
             words.prior_sentence(result),
         ),
         severity=(*sizes(result), NO_ZONE),
-        joints=tuple(joint_row(row) for row in words.joint_rows(result)),
-        hypotheses=tuple(ranked(entry) for entry in result["hypotheses"][:SHOWN_HYPOTHESES]),
+        joints=tuple(joint_row(row) for row in joint_rows(result)),
+        hypotheses=tuple(
+            (each.label, each.percent, each.clearance or "–", each.distance)
+            for each in hypothesis_rows(result, SHOWN_HYPOTHESES)
+        ),
         suggestions=suggestions(result),
         inspection=inspection(result),
         method=method(row),
-        warnings=tuple(warnings(result["warnings"])),
+        warnings=tuple(warnings(result.warnings)),
         limits=(LIMITS,),
     )
 
@@ -130,70 +135,60 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
     channels = ", ".join(channel["name"] for channel in summary["channels"])
     return (
         *((Named("Asset", cut(asset)),) if asset else ()),
-        Named("Machine", cut(row.result["machine"])),
-        Named(kind_of(summary).capitalize(), f"{cut(measurement.name)}, received {moment(measurement)}"),
+        Named("Machine", cut(row.answer.machine)),
+        Named(
+            kind_of(summary).capitalize(), f"{cut(measurement.name)}, received {spelled(measurement.created_at)} UTC"
+        ),
         Named("Extent" if kind_of(summary) == "spectrum" else "Length", extent(summary)),
         *((Named("Said of it", cut(said(measurement.told.shown))),) if measurement.told.shown else ()),
         Named("Channels", cut(channels)),
-        Named("Drive speed", f"{row.result['drive_speed_rpm']:.5g} rpm"),
-        Named("Diagnosed", moment(row)),
+        Named("Drive speed", f"{row.answer.drive_speed_rpm:.5g} rpm"),
+        Named("Diagnosed", f"{spelled(row.created_at)} UTC"),
     )
 
 
-def moment(row: DiagnosisRow | MeasurementRow) -> str:
-    """Return when a row was made."""
-    return f"{aware(row.created_at):%Y-%m-%d %H:%M} UTC"
-
-
-def ranked(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Return one row of the ranking."""
-    several = len(entry["joints"]) > 1
-    found = "; ".join(words.clearance(each, name if several else "") for name, each in entry["joints"].items())
-    return words.label(entry), words.percent(entry["probability"]), found or "–", f"{entry['distance_db']:.1f} dB"
-
-
-def joint_row(row: words.JointRow) -> tuple[str, ...]:
+def joint_row(row: JointRow) -> tuple[str, ...]:
     """Return one row of the table of joints."""
     beyond = f"{row.beyond} ({row.limit})"
-    return row.name, row.said, row.percent, row.clearance, row.shows or "–", beyond
+    return row.name, row.said, row.percent, row.play.said(), row.shows or "–", beyond
 
 
-def sizes(result: Mapping[str, Any]) -> tuple[str, ...]:
+def sizes(result: Answer) -> tuple[str, ...]:
     """Return how large the play of worn joints is, if there are any, whatever its probability."""
     worn = words.named_joints(result)
     if not worn:
         return ("No size of play is given, because no joint is named as worn.",)
-    found = "; ".join(f"{joint}: {words.clearance(each, '', '90 %: ')}" for joint, each in worn.items())
+    found = "; ".join(f"{joint}: {play_of(each).said('90 %: ')}" for joint, each in worn.items())
     return (f"Radial clearance if worn: {found}.",)
 
 
-def suggestions(result: Mapping[str, Any]) -> tuple[str, ...]:
+def suggestions(result: Answer) -> tuple[str, ...]:
     """Return what would tell the first two hypotheses apart, or that nothing is suggested."""
-    first = {words.label(entry) for entry in result["hypotheses"][:2]}
-    wanted = [each for each in result["suggestions"] if first <= set(each["hypotheses"])] or result["suggestions"]
+    first = {entry.label for entry in result.hypotheses[:2]}
+    wanted = [each for each in result.suggestions if first <= set(each.hypotheses)] or result.suggestions
     lines = tuple(
-        f"{words.capital(each['kind'])} {each['what']}: {' and '.join(each['hypotheses'])} are mistaken for each other"
-        f" in {words.percent(each['error'])} of cases then, {words.percent(each['error_now'])} now."
+        f"{words.capital(each.kind)} {each.what}: {' and '.join(each.hypotheses)} are mistaken for each other"
+        f" in {percent(each.error)} of cases then, {percent(each.error_now)} now."
         for each in wanted[:SHOWN_SUGGESTIONS]
     )
     if lines:
         return lines
-    if len(result["hypotheses"]) < 2:
+    if len(result.hypotheses) < 2:
         return ("There is no second hypothesis.",)
-    second = result["hypotheses"][1]
+    second = result.hypotheses[1]
     return (
-        f"The diagnosis suggests no further measurement; the second hypothesis, {words.label(second)}, has a"
-        f" probability of {words.percent(second['probability'])}.",
+        f"The diagnosis suggests no further measurement; the second hypothesis, {second.label}, has a"
+        f" probability of {percent(second.probability)}.",
     )
 
 
-def inspection(result: Mapping[str, Any]) -> tuple[str, ...]:
+def inspection(result: Answer) -> tuple[str, ...]:
     """Return what to look at, by verdict."""
     back = "Report what was found to this diagnosis (its finding), so that later answers can be judged by it."
-    if result["verdict"] == "in_order":
+    if result.verdict == "in_order":
         return ("No inspection follows from this recording. Repeat the measurement at the usual interval.",)
-    if result["verdict"] == "changed":
-        named = [words.cause(each) for each in result["causes"]]
+    if result.verdict == "changed":
+        named = [words.cause(each) for each in result.causes]
         looked = (
             f"Look at what may have changed: {'; or '.join(named)}."
             if named
@@ -214,39 +209,38 @@ def inspection(result: Mapping[str, Any]) -> tuple[str, ...]:
         " diametral play (twice the radial clearance)."
         for joint, each in worn.items()
     ]
-    sound = {words.label(entry) for entry in result["hypotheses"] if set(entry["joints"]) <= set(worn)}
-    others = [label for label in result["candidate_set"] if label not in sound]
+    sound = {entry.label for entry in result.hypotheses if set(entry.joints) <= set(worn)}
+    others = [label for label in result.candidate_set if label not in sound]
     if others:
         lines.append(f"If that is not found, look at {words.enumerate_words(others)} next.")
     return (*lines, back)
 
 
-def double(entry: Mapping[str, Any]) -> str:
+def double(found: JointState) -> str:
     """Return the interval of the diametral play."""
-    low, high = (2.0 * end for end in entry["interval_um"])
-    play = {**entry, "interval_um": (low, high)}
-    return words.between(low, high) if entry.get("bound", "none") == "none" else words.clearance(play)
+    low, high = (2.0 * end for end in found.interval_um)
+    if found.bound == "none":
+        return between(low, high)
+    return play_of(found.model_copy(update={"interval_um": (low, high)})).value
 
 
 def method(row: DiagnosisRow) -> tuple[Named, ...]:
     """Return everything that determined the answer."""
-    result = row.result
-    origin = result["provenance"]
-    matcher = origin["matcher"]
-    baseline = result["baseline"]
+    result = row.answer
+    origin, matcher, baseline = result.provenance, result.provenance.matcher, result.baseline
     shown = "none"
     if baseline is not None:
-        shown = f"{cut(baseline['measurement'])}, {'used' if baseline['used'] else 'not used'}"
-    versions = f"solver {origin['solver_version']} (catalogue: {origin['catalogue_solver_version']}),"
+        shown = f"{cut(baseline.measurement)}, {'used' if baseline.used else 'not used'}"
+    versions = f"solver {origin.solver_version} (catalogue: {origin.catalogue_solver_version}),"
     return (
-        Named("Diagnosis", f"{row.id}, answer {result['hash']}"),
-        Named("Recording", f"SHA-256 {origin['measurement_sha256']}"),
-        Named("Catalogue", f"SHA-256 {origin['catalogue_sha256']}"),
-        Named("Machine", f"SHA-256 {origin['machine_sha256']}"),
-        Named("Network", f"SHA-256 {matcher['network']}" if matcher["network"] else "none"),
-        Named("Versions", f"{versions} matcher {matcher['name']} {matcher['version']}"),
-        Named("Settings", f"effort {result['effort']}, mode {result['mode']['used']}, baseline {shown}"),
-        Named("Steps", ", ".join(f"{step['name']} {step['version']}" for step in origin["recipe"])),
+        Named("Diagnosis", f"{row.id}, answer {result.hash}"),
+        Named("Recording", f"SHA-256 {origin.measurement_sha256}"),
+        Named("Catalogue", f"SHA-256 {origin.catalogue_sha256}"),
+        Named("Machine", f"SHA-256 {origin.machine_sha256}"),
+        Named("Network", f"SHA-256 {matcher.network}" if matcher.network else "none"),
+        Named("Versions", f"{versions} matcher {matcher.name} {matcher.version}"),
+        Named("Settings", f"effort {result.effort}, mode {result.mode.used}, baseline {shown}"),
+        Named("Steps", ", ".join(f"{step.name} {step.version}" for step in origin.recipe)),
     )
 
 

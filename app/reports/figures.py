@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
-from jointplay.app.figures.spectra import Band, Comparison, comparisons
+from jointplay.app.figures.spectra import Comparison, comparisons
 from jointplay.app.storage.store import DiagnosisRow
+from jointplay.catalogue.diagnosing.answer import BandEvidence
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.machine import Machine, parse_machine
 
@@ -44,10 +45,10 @@ class Figures:
 def figures_of(row: DiagnosisRow) -> Figures:
     """Return the figures of a stored diagnosis."""
     machine = parse_machine(row.machine)
-    channels = comparisons(row.result)
+    channels = comparisons(row.answer)
     more = len(channels) - SHOWN_SPECTRA
     return Figures(
-        mechanism(machine, row.result["joint_probabilities"]),
+        mechanism(machine, row.answer.joint_probabilities),
         tuple(spectrum(each) for each in channels[:SHOWN_SPECTRA]),
         f"{CAPTION} Not drawn: {more} more, which are in the answer itself." if more > 0 else CAPTION,
     )
@@ -134,7 +135,7 @@ class Scale:
         return self._start + part * self._length
 
 
-def limits(bands: Sequence[Band]) -> tuple[float, float]:
+def limits(bands: Sequence[BandEvidence]) -> tuple[float, float]:
     """Return the lowest and highest level shown [dB]; scatter further off than the levels by 20 dB is cut."""
     levels = [level for band in bands for level in (band.measured_db, band.predicted_db)]
     low = min(band.predicted_db - 2 * band.spread_db for band in bands)
@@ -142,7 +143,7 @@ def limits(bands: Sequence[Band]) -> tuple[float, float]:
     return max(min(*levels, low), min(levels) - 20), min(max(*levels, high), max(levels) + 20)
 
 
-def scales(bands: Sequence[Band]) -> tuple[Scale, Scale]:
+def scales(bands: Sequence[BandEvidence]) -> tuple[Scale, Scale]:
     """Return the scales of orders and of levels."""
     low, high = limits(bands)
     across = Scale(bands[0].order, bands[-1].order, LEFT, WIDTH - RIGHT, logarithmic=True)
@@ -150,7 +151,7 @@ def scales(bands: Sequence[Band]) -> tuple[Scale, Scale]:
     return across, up
 
 
-def grid(bands: Sequence[Band]) -> list[str]:
+def grid(bands: Sequence[BandEvidence]) -> list[str]:
     """Return lines and numbers of both axes."""
     across, along = scales(bands)
     low, high = limits(bands)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import APIRouter, Request
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
 from sqlalchemy import select
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
@@ -14,7 +12,9 @@ from starlette.responses import RedirectResponse, Response
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http import paging
 from jointplay.app.http.handlers import note, problem_from, templates
-from jointplay.app.pages.history import history, moment
+from jointplay.app.http.validation import validated
+from jointplay.app.moments import spelled
+from jointplay.app.pages.history import history
 from jointplay.app.pages.page_forms import messages_of, plain_form
 from jointplay.app.problems import Problem
 from jointplay.app.routes.assets import check_baseline
@@ -89,12 +89,8 @@ async def change(request: Request, external_id: str) -> Response:
 
 def checked(given: dict[str, str]) -> tuple[str, AssetIn]:
     """Return the name of an asset and what a form says of it, by the rules of the HTTP interface."""
-    try:
-        name = AssetName.model_validate({"external_id": given["external_id"]}).external_id
-        members = {field: value for field, value in given.items() if field != "external_id"}
-        return name, AssetIn.model_validate(members)
-    except ValidationError as error:
-        raise RequestValidationError(error.errors()) from None
+    name = validated(AssetName, {"external_id": given["external_id"]}).external_id
+    return name, validated(AssetIn, {field: value for field, value in given.items() if field != "external_id"})
 
 
 async def listed(
@@ -171,7 +167,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     return {
         "asset": asset_item(row),
         "baseline": None if baseline is None else baseline.name,
-        "recordings": [(each.id, f"{each.name}, {moment(each.created_at)}") for each in recordings],
+        "recordings": [(each.id, f"{each.name}, {spelled(each.created_at)}") for each in recordings],
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
         "catalogue": next(
@@ -189,7 +185,7 @@ def asset_item(row: AssetRow) -> dict[str, Any]:
         "machine": row.machine,
         "notes": row.notes,
         "baseline": row.baseline or "",
-        "created": moment(row.created_at),
+        "created": spelled(row.created_at),
     }
 
 

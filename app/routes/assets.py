@@ -17,7 +17,6 @@ from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, AssetOut, AssetPage
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
-from jointplay.app.storage.store import aware
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
@@ -83,6 +82,6 @@ def asset_out(row: AssetRow) -> AssetOut:
         machine=row.machine,
         notes=row.notes,
         baseline=row.baseline,
-        created_at=aware(row.created_at),
-        updated_at=aware(row.updated_at),
+        created_at=row.created_at,
+        updated_at=row.updated_at,
     )

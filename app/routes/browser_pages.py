@@ -15,9 +15,9 @@ from jointplay.app.http.handlers import is_fragment, note, problem_from, templat
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, plain_number
 from jointplay.app.routes.pages import REFUSALS, context
+from jointplay.app.rows import micrometres, order
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer
-from jointplay.app.words import micrometres, order
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.units import LENGTH, to_si
 

@@ -9,8 +9,6 @@ from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
@@ -19,6 +17,7 @@ from jointplay.app.http import paging
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
 from jointplay.app.http.uploads import MULTIPART, Form, media_type, received_form
+from jointplay.app.http.validation import validated
 from jointplay.app.routes.findings import Only, Since
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import DiagnosisItem, DiagnosisPage, DiagnosisRequest
@@ -26,7 +25,7 @@ from jointplay.app.service import of_request
 from jointplay.app.storage.assets import diagnoses_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.results import DiagnosisOut, diagnosis_out
-from jointplay.app.storage.store import DiagnosisRow, aware, measurement_key
+from jointplay.app.storage.store import DiagnosisRow, measurement_key
 from jointplay.app.storage.told import TOLD, Told, told_of
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
@@ -71,7 +70,7 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
     service = of_request(request)
     kind = media_type(request)
     if kind == JSON_TYPE:
-        wanted = checked(parsed(await request.body()))
+        wanted = validated(DiagnosisRequest, parsed(await request.body()))
         return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
     if kind != MULTIPART:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
@@ -130,18 +129,11 @@ def of_form(form: Form) -> tuple[DiagnosisRequest, Told]:
         named = sorted(TOLD & form.fields.keys())
         if named:
             raise BadFieldError(f"{named[0]}: says something of a file, and there is none", field=named[0])
-        return checked(members), told
+        return validated(DiagnosisRequest, members), told
     if "measurement" in members:
         raise BadFieldError("measurement: give either a measurement or a file, not both", field="measurement")
-    return checked({**members, "measurement": measurement_key(form.file.sha256, form.file_name, told)}), told
-
-
-def checked(members: object) -> DiagnosisRequest:
-    """Return a request whose members keep the rules."""
-    try:
-        return DiagnosisRequest.model_validate(members)
-    except ValidationError as error:
-        raise RequestValidationError(error.errors()) from None
+    members["measurement"] = measurement_key(form.file.sha256, form.file_name, told)
+    return validated(DiagnosisRequest, members), told
 
 
 def parsed(text: bytes | str, name: str = "") -> object:
@@ -162,11 +154,11 @@ def item(row: DiagnosisRow) -> DiagnosisItem:
     """Return what a list says about a diagnosis."""
     return DiagnosisItem(
         id=row.id,
-        created_at=aware(row.created_at),
-        machine=row.result["machine"],
+        created_at=row.created_at,
+        machine=row.answer.machine,
         catalogue=row.catalogue,
         measurement=row.measurement,
         asset=row.request.get("asset"),
-        verdict=row.result["verdict"],
-        candidate_set=row.result["candidate_set"],
+        verdict=row.answer.verdict,
+        candidate_set=list(row.answer.candidate_set),
     )

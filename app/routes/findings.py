@@ -17,7 +17,6 @@ from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, Joi
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import Assets, FindingRow
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.store import aware
 
 router = APIRouter(tags=["findings"])
 
@@ -78,8 +77,8 @@ def finding_out(row: FindingRow) -> FindingOut:
         id=row.id,
         diagnosis=row.diagnosis,
         asset=row.asset,
-        created_at=aware(row.created_at),
-        at=aware(row.at),
+        created_at=row.created_at,
+        at=row.at,
         joints={name: JointFound.model_validate(found) for name, found in row.joints.items()},
         text=row.text,
     )

@@ -19,7 +19,7 @@ from jointplay.app.schemas.resources import MeasurementOut, MeasurementPage
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import measurements_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.store import MeasurementRow, aware
+from jointplay.app.storage.store import MeasurementRow
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 
@@ -79,7 +79,7 @@ def measurement_out(row: MeasurementRow) -> MeasurementOut:
         name=row.name,
         sha256=row.sha256,
         size_bytes=row.size_bytes,
-        created_at=aware(row.created_at),
+        created_at=row.created_at,
         told=row.told.shown,
         **row.summary,
     )

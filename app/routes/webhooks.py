@@ -14,7 +14,6 @@ from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.webhooks import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
 from jointplay.app.service import of_request
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.store import aware
 from jointplay.app.storage.webhooks import WebhookRow, Webhooks, place_of
 
 router = APIRouter(prefix="/webhooks", tags=["webhooks"])
@@ -80,8 +79,8 @@ def deliveries(request: Request, key: str, cursor: Cursor = None, limit: Limit =
             state=row.state,
             attempts=row.attempts,
             error=row.error,
-            created_at=aware(row.created_at),
-            due_at=aware(row.due_at) if row.state == "waiting" else None,
+            created_at=row.created_at,
+            due_at=row.due_at if row.state == "waiting" else None,
         )
         for row in shown
     ]
@@ -90,4 +89,4 @@ def deliveries(request: Request, key: str, cursor: Cursor = None, limit: Limit =
 
 def webhook_out(row: WebhookRow) -> WebhookOut:
     """Return the outside shape of a webhook."""
-    return WebhookOut(id=row.id, url=row.url, events=list(row.events), created_at=aware(row.created_at))
+    return WebhookOut(id=row.id, url=row.url, events=list(row.events), created_at=row.created_at)

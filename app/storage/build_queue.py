@@ -20,7 +20,7 @@ from jointplay.app.errors import BuildEndedError, UnknownBuildError
 from jointplay.app.logs import request_id
 from jointplay.app.schemas.builds import BuildOut, State
 from jointplay.app.storage.database import Database
-from jointplay.app.storage.store import Base, aware, newest, now
+from jointplay.app.storage.store import Base, newest, now
 
 ATTEMPTS = 5
 """How often a build is begun before one whose process or server dies each time is given up."""
@@ -259,13 +259,11 @@ class BuildQueue:
 
 def build_out(row: BuildRow) -> BuildOut:
     """Return the outside shape of a build."""
-    same = ("id", "plan_hash", "catalogue", "catalogue_id", "workers", "state", "message")
+    moments = ("created_at", "started_at", "ended_at")
+    same = ("id", "plan_hash", "catalogue", "catalogue_id", "workers", "state", "message", *moments)
     counts = ("cases_done", "cases_total", "rate_per_s", "seconds_left", "attempts")
     return BuildOut(
         **{name: getattr(row, name) for name in (*same, *counts)},
         machine=row.machine["name"],
         plan=row.plan["name"],
-        created_at=aware(row.created_at),
-        started_at=aware(row.started_at) if row.started_at else None,
-        ended_at=aware(row.ended_at) if row.ended_at else None,
     )

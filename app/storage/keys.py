@@ -14,7 +14,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from jointplay.app.errors import UnauthorizedError, UnknownKeyError
 from jointplay.app.scopes import Scope
 from jointplay.app.storage.database import Database, is_id
-from jointplay.app.storage.store import Base, aware, now
+from jointplay.app.storage.store import Base, now
 
 PREFIX = "jp"
 ID_BYTES = 6
@@ -178,7 +178,7 @@ class Keys:
         with self._database.reading() as session:
             row = session.get(SessionRow, digest(token))
             owner = None if row is None else session.get(ApiKeyRow, row.key)
-        if row is None or owner is None or aware(row.expires_at) <= now():
+        if row is None or owner is None or row.expires_at <= now():
             raise UnauthorizedError("the session is over; sign in again")
         return valid(key_of(owner))
 
@@ -204,8 +204,7 @@ def valid(key: Key) -> Key:
 def key_of(row: ApiKeyRow) -> Key:
     """Return what a row says of a key."""
     scopes = frozenset(Scope(scope) for scope in row.scopes.split())
-    revoked = None if row.revoked_at is None else aware(row.revoked_at)
-    return Key(row.id, row.name, scopes, aware(row.created_at), aware(row.expires_at), revoked)
+    return Key(row.id, row.name, scopes, row.created_at, row.expires_at, row.revoked_at)
 
 
 def digest(secret: str) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, TypeVar
 
@@ -23,6 +24,7 @@ from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMe
 from jointplay.app.storage.database import Database, UtcDateTime, database_url
 from jointplay.app.storage.older_results import in_present_form
 from jointplay.app.storage.told import Told
+from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
 
 PARTIAL = "partial-"
@@ -87,6 +89,11 @@ class DiagnosisRow(Base):
     def _read(self) -> None:
         set_committed_value(self, "result", in_present_form(self.result, self.machine))
 
+    @cached_property
+    def answer(self) -> Diagnosis:
+        """What was answered."""
+        return Diagnosis.model_validate(self.result)
+
 
 Row = TypeVar("Row", MeasurementRow, DiagnosisRow)
 
@@ -126,12 +133,12 @@ class NewDiagnosis:
     catalogue: str
     machine: Mapping[str, Any]
     request: Mapping[str, Any]
-    result: Mapping[str, Any]
+    result: Diagnosis
     also: Callable[[Session, str], None] | None = None
 
     def row(self) -> dict[str, Any]:
         """Return the members of the row."""
-        said = f"{self.measurement} {self.catalogue} {self.result['hash']}"
+        said = f"{self.measurement} {self.catalogue} {self.result.hash}"
         if self.request.get("asset"):
             said += f" {self.request['asset']}"
         return {
@@ -141,7 +148,7 @@ class NewDiagnosis:
             "machine": dict(self.machine),
             "created_at": now(),
             "request": dict(self.request),
-            "result": dict(self.result),
+            "result": self.result.model_dump(mode="json"),
         }
 
 
@@ -410,8 +417,3 @@ def measurement_key(sha256: str, name: str, told: Told) -> str:
 def now() -> datetime:
     """Return the present time in UTC."""
     return datetime.now(UTC)
-
-
-def aware(moment: datetime) -> datetime:
-    """Return a stored time as UTC."""
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -254,20 +254,23 @@ class BaselineShown(_Frozen):
     gains: Mapping[str, FittedNumber]
 
 
-class SuggestionShown(_Frozen):
-    """One thing that would tell the first hypotheses apart.
+class Suggestion(_Frozen):
+    """One thing that could be done to tell the first hypotheses apart, and what it would bring.
 
     Attributes
     ----------
     kind : {"sensor", "direction", "speed"}
+        A sensor of the machine file, or one at another point; another direction where there is a sensor; a recording
+        at another drive speed besides this one.
     what : str
         In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm".
     hypotheses : tuple of str
         Labels that are told apart.
     separation_now, separation : float
-        Distance of the hypotheses in standard deviations, as it is and as it would be.
+        Distance of the hypotheses in standard deviations, as it is and as it would be; of three, what gives the same
+        error.
     error_now, error : float
-        Share of such machines that would be taken for another one.
+        Share of machines of these hypotheses, at these clearances, that would be taken for another one.
     """
 
     kind: Literal["sensor", "direction", "speed"]
@@ -313,76 +316,60 @@ class Provenance(_Frozen):
     recipe: tuple[RecipeStep, ...]
 
 
-class Diagnosis(_Frozen):
-    """Answer to one recording; its JSON is the program's and the API's.
+class Answer(_Frozen):
+    """What a recording says of a machine."""
 
-    Attributes
-    ----------
-    id : str
-        Follows from recording, catalogue, settings and versions: the same question has the same id.
-    machine, catalogue : str
-        Name of the machine; the catalogue's folder name.
-    drive_speed_rpm : float
-        Estimated, or as given.
-    effort : {"fast", "standard", "thorough"}
-        As asked.
-    effort_spent : EffortSpent
-    mode : ModeUsed
-    prior : PriorUsed
-    verdict : {"worn", "in_order", "changed", "unknown"}
-        Changed is a machine that is not as its file says, and not by play.
-    joints : mapping of str to JointState
-        Every joint of the catalogue by itself.
-    hypotheses : tuple of Hypothesis
-        All of the catalogue, most probable first.
-    causes : tuple of Cause
-        Other than play, most probable first; empty where play is enough, or none of those known is.
-    sensors : tuple of SensorFlaw
-        What is wrong with which of them.
-    joint_probabilities : mapping of str to float
-        Of each joint, to be among the worn ones.
-    candidate_set : tuple of str
-        Labels of the fewest hypotheses that hold the truth with probability `coverage`, if it is in the catalogue.
-    coverage : float
-        As asked.
-    widened : bool
-        Whether no hypothesis was in that set, and it was widened; what it holds is then approximate.
-    goodness_of_fit : GoodnessOfFit
-    evidence : Evidence
-    baseline : BaselineShown or None
-        None where there was no recording of the machine in order.
-    suggestions : tuple of SuggestionShown
-        What would tell the first hypotheses apart, best first.
-    warnings : tuple of str
-    provenance : Provenance
-    hash : str
-        SHA-256 of the canonical JSON of everything else.
-    """
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
     id: str
+    """Follows from recording, catalogue, settings and versions: the same question has the same id."""
     machine: str
     catalogue: str
+    """Name of its folder."""
     drive_speed_rpm: float
+    """Estimated, or as given."""
     effort: Effort
+    """How much was computed."""
     effort_spent: EffortSpent
+    """What was simulated for this answer alone."""
     mode: ModeUsed
+    """How far the model of the machine was believed."""
     prior: PriorUsed
+    """What was held likely before the measurement."""
     verdict: Verdict
+    """`worn`: some joint is; `in_order`: none is; `changed`: the machine is not as its file says, and not by play;
+    `unknown`: nothing explains the measurement."""
     joints: Mapping[str, JointState]
+    """Every joint of the catalogue by itself."""
     hypotheses: tuple[Hypothesis, ...]
+    """The most probable first; no joints: no wear."""
     causes: tuple[Cause, ...]
+    """Other than play, the most probable first; empty: none is needed or known."""
     sensors: tuple[SensorFlaw, ...]
+    """What is wrong with which sensors."""
     joint_probabilities: Mapping[str, float]
+    """Of each joint, to be among the worn ones."""
     candidate_set: tuple[str, ...]
+    """Labels of the fewest hypotheses that hold the truth at `coverage`, if it is in the catalogue."""
     coverage: float
+    """As asked."""
     widened: bool
+    """No hypothesis was in that set, and it was widened: what it holds is approximate."""
     goodness_of_fit: GoodnessOfFit
     evidence: Evidence
     baseline: BaselineShown | None
-    suggestions: tuple[SuggestionShown, ...]
+    """What a recording of the machine in order said; null without one."""
+    suggestions: tuple[Suggestion, ...]
+    """What would tell the first hypotheses apart, the best first."""
     warnings: tuple[str, ...]
     provenance: Provenance
+
+
+class Diagnosis(Answer):
+    """Answer to one recording; its JSON is the program's."""
+
     hash: str
+    """SHA-256 of the canonical JSON of everything else."""
 
     def to_json(self, indent: int | None = 2) -> str:
         """Return the JSON text."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from jointplay.catalogue.diagnosing.answer import FittedNumber
 from jointplay.catalogue.diagnosing.baseline_fit import MOST_STEPS, Fit, fitted_numbers
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
 from jointplay.catalogue.diagnosing.healthy_machine import HealthyMachine
@@ -43,22 +44,6 @@ LEAST_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A number as the baseline has it.
-
-    Parameters
-    ----------
-    factor : float
-        On what the machine file says.
-    scatter : float
-        Standard deviation of its logarithm.
-    """
-
-    factor: float
-    scatter: float
-
-
-@dataclass(frozen=True)
 class Baseline:
     """What a healthy recording says of a machine and its sensors.
 
@@ -66,9 +51,9 @@ class Baseline:
     ----------
     name : str
         Of the recording.
-    numbers : mapping of str to Estimate
+    numbers : mapping of str to FittedNumber
         By path as in a plan: "frame.mass".
-    gains : mapping of str to Estimate
+    gains : mapping of str to FittedNumber
         By sensor: what it multiplies accelerations by.
     p_before, p_after : float
         Share of simulated recordings of the machine that fit worse than this one: with the numbers of the file and
@@ -83,8 +68,8 @@ class Baseline:
     """
 
     name: str
-    numbers: Mapping[str, Estimate]
-    gains: Mapping[str, Estimate]
+    numbers: Mapping[str, FittedNumber]
+    gains: Mapping[str, FittedNumber]
     p_before: float
     p_after: float
     parameters: Mapping[str, float]
@@ -189,7 +174,9 @@ def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: 
 
 def _answer(levels: OrderLevels, model: HealthyMachine, fit: Fit) -> Baseline:
     count = len(model.quantities)
-    estimates = [Estimate(math.exp(x), float(sd)) for x, sd in zip(fit.found, fit.scatter, strict=True)]
+    estimates = [
+        FittedNumber(factor=math.exp(x), scatter=float(sd)) for x, sd in zip(fit.found, fit.scatter, strict=True)
+    ]
     names = [quantity.name for quantity in model.quantities]
     numbers = dict(zip(names, estimates[:count], strict=True))
     gains = dict(zip(levels.prepared.sensing.sensors, estimates[count:], strict=True))

@@ -32,7 +32,6 @@ from jointplay.catalogue.diagnosing.evidence import (
     number_warnings,
     rival_of,
     speed_warnings,
-    suggestions_shown,
 )
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
@@ -267,7 +266,7 @@ def answer(
         joints = joint_states(result, catalogue, question.coverage)
     unclear = suggesting and verdict in ("worn", "in_order") and result.best.probability < CLEAR
     with one_thread():
-        suggestions = suggestions_shown(suggest(catalogue, prepared, result)) if unclear else ()
+        suggestions = suggest(catalogue, prepared, result) if unclear else ()
     provenance = Provenance(
         measurement=prepared.name,
         measurement_sha256=sha256,

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import asdict
 
-from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, Hypothesis, JointClearance, SuggestionShown
+from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, Hypothesis, JointClearance
 from jointplay.catalogue.diagnosing.baseline import Baseline
-from jointplay.catalogue.diagnosing.separation import Suggestion
 from jointplay.catalogue.matching.matcher import FloatArray, HypothesisMatch, MatchResult
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
@@ -70,11 +67,6 @@ def evidence(
         )
         (orders if axis.single_order else bands).append(item)
     return Evidence(orders=tuple(orders), bands=tuple(bands), rival=rival.label if rival else None)
-
-
-def suggestions_shown(found: Iterable[Suggestion]) -> tuple[SuggestionShown, ...]:
-    """Return suggestions as the answer shows them."""
-    return tuple(SuggestionShown(**asdict(suggestion)) for suggestion in found)
 
 
 def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.catalogue.diagnosing.answer import BaselineShown, FittedNumber
+from jointplay.catalogue.diagnosing.answer import BaselineShown
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.storage.store import Catalogue
 
@@ -31,16 +31,12 @@ class KnownMachine:
     def shown(self) -> BaselineShown:
         """Return it as the answer shows it."""
         found = self.baseline
-        numbers, gains = (
-            {name: FittedNumber(factor=each.factor, scatter=each.scatter) for name, each in group.items()}
-            for group in (found.numbers, found.gains)
-        )
         return BaselineShown(
             measurement=found.name,
             measurement_sha256=self.sha256,
             used=found.explained,
             p_before=found.p_before,
             p_after=found.p_after,
-            numbers=numbers,
-            gains=gains,
+            numbers=found.numbers,
+            gains=found.gains,
         )

@@ -18,6 +18,7 @@ import scipy.linalg
 import scipy.spatial
 import scipy.stats
 
+from jointplay.catalogue.diagnosing.answer import Suggestion
 from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
@@ -49,35 +50,6 @@ LEAST_ERROR = 5e-3
 LEAST_GAIN = 0.05
 #: Two points [m] that count as one.
 SAME_POINT = 1e-6
-
-
-@dataclass(frozen=True)
-class Suggestion:
-    """One thing that could be done, and what it would bring.
-
-    Parameters
-    ----------
-    kind : {"sensor", "direction", "speed"}
-        A sensor of the machine file, or one at another point; another direction where there is a sensor; a recording
-        at another drive speed besides this one.
-    what : str
-        In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm".
-    hypotheses : tuple of str
-        The labels that are told apart.
-    separation_now, separation : float
-        Distance of the hypotheses in standard deviations, as it is and as it would be; of three, what gives the same
-        error.
-    error_now, error : float
-        Share of machines of these hypotheses, at these clearances, that would be taken for another one.
-    """
-
-    kind: Literal["sensor", "direction", "speed"]
-    what: str
-    hypotheses: tuple[str, ...]
-    separation_now: float
-    separation: float
-    error_now: float
-    error: float
 
 
 def suggest(
@@ -190,7 +162,15 @@ class _Question:
     ) -> Suggestion:
         apart = [float(2.0 * scipy.stats.norm.isf(value)) for value in (error_now, error)]
         labels = tuple(match.label for match in self.contenders)
-        return Suggestion(kind, what, labels, apart[0], apart[1], error_now, error)
+        return Suggestion(
+            kind=kind,
+            what=what,
+            hypotheses=labels,
+            separation_now=apart[0],
+            separation=apart[1],
+            error_now=error_now,
+            error=error,
+        )
 
 
 def _held_out(first: FloatArray, first_case: IntArray, second: FloatArray, second_case: IntArray) -> float:

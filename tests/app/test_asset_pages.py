@@ -6,12 +6,13 @@ import html
 import json
 import re
 from datetime import UTC, datetime
-from typing import Any
 
 import httpx
 import pytest
+from answers import diagnosis, hypothesis, joint
 
 from jointplay.app.pages.history import chart, history
+from jointplay.app.rows import Play
 from jointplay.app.storage.assets import FindingRow
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
 
@@ -138,14 +139,10 @@ def measured(number: int) -> MeasurementRow:
 
 
 def diagnosed(number: int, verdict: str, made: int = 0, effort: str = "fast", **worn: float) -> DiagnosisRow:
-    joints = {name: {"clearance_um": um, "interval_um": [0.8 * um, 1.2 * um]} for name, um in worn.items()}
-    hypotheses: list[dict[str, Any]] = [
-        {"joints": joints, "probability": 0.9, "label": "+".join(worn)},
-        {"joints": {}, "probability": 0.1, "label": "healthy"},
-    ]
-    said = {name: {**each, "condition": "worn", "p_worn": 0.9} for name, each in joints.items()}
-    result: dict[str, Any] = {"verdict": verdict, "joints": said, "causes": [], "effort": effort}
-    result["hypotheses"] = hypotheses if worn else hypotheses[1:]
+    joints = {name: joint("worn", um, 0.9, interval_um=[0.8 * um, 1.2 * um]) for name, um in worn.items()}
+    hypotheses = [hypothesis("+".join(worn), 0.9, **worn), hypothesis("healthy", 0.1)]
+    shown = hypotheses if worn else hypotheses[1:]
+    result = diagnosis(verdict=verdict, joints=joints, effort=effort, hypotheses=shown).model_dump(mode="json")
     machine = {"joints": {"O": {}, "A": {}, "B": {}}}
     return DiagnosisRow(
         id=f"d{number}{made}", measurement=f"m{number}", created_at=day(number + made), machine=machine, result=result
@@ -172,7 +169,7 @@ def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> No
         "B worn",
     ]
     assert [row["percent"] for row in shown["rows"]] == ["90 %", "–", "–", "90 %", "10 %", "90 %"]
-    assert shown["rows"][3]["clearances"] == [("A", "80 µm", "64 to 96"), ("B", "150 µm", "120 to 180")]
+    assert shown["rows"][3]["plays"] == (Play("80 µm", "64 to 96", "A"), Play("150 µm", "120 to 180", "B"))
     drawn = shown["chart"]["data"]
     points = {joint["name"]: [(point["at"], point["um"]) for point in joint["points"]] for joint in drawn["joints"]}
     third = day(3).timestamp()

@@ -22,7 +22,8 @@ from jointplay.app.reports.pdf import pdf
 from jointplay.app.settings import Settings
 from jointplay.app.storage.older_results import in_present_form
 from jointplay.app.storage.results import DiagnosisOut, diagnosis_out
-from jointplay.app.storage.store import MeasurementRow, NewDiagnosis, Store
+from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, Store, now
+from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.solver.machines.machine import shipped_machine
 
 STORED = Path(__file__).parents[1] / "data" / "answers" / "answer-1.24.json"
@@ -50,8 +51,18 @@ def of_verdict(older: dict[str, Any], verdict: str) -> dict[str, Any]:
 
 def kept(store: Store, result: dict[str, Any]) -> tuple[str, MeasurementRow]:
     measurement = store.add_measurement(uploaded(store), "a.csv", None, SUMMARY)
-    key = store.add_diagnosis(NewDiagnosis(measurement.id, "c" * 64, MACHINE, {"catalogue": "slider-crank"}, result)).id
-    return key, measurement
+    row = DiagnosisRow(
+        id="d" * 32,
+        measurement=measurement.id,
+        catalogue="c" * 64,
+        machine=MACHINE,
+        created_at=now(),
+        request={"catalogue": "slider-crank"},
+        result=result,
+    )
+    with store.database.writing() as session:
+        session.add(row)
+    return "d" * 32, measurement
 
 
 def test_a_worn_joint_is_said_by_itself(older: dict[str, Any]) -> None:
@@ -68,15 +79,18 @@ def test_a_worn_joint_is_said_by_itself(older: dict[str, Any]) -> None:
     assert {name: found[name] for name in ("id", "hash", "hypotheses")} == {
         name: older[name] for name in ("id", "hash", "hypotheses")
     }
-    assert words.sentence(found) == "Joint B is worn: radial clearance 192 µm (90 %: 154 to 227), probability > 99 %."
+    assert (
+        words.sentence(Diagnosis.model_validate(found))
+        == "Joint B is worn: radial clearance 192 µm (90 %: 154 to 227), probability > 99 %."
+    )
 
 
 def test_a_joint_that_was_not_sure_is_open(older: dict[str, Any]) -> None:
     doubtful = {**older, "joint_probabilities": {"A": 0.3, "B": 0.7, "O": 0.0}}
     found = in_present_form(doubtful, MACHINE)
     assert found["joints"]["B"]["condition"] == "open"
-    assert words.sentence(found).startswith("Probably joint B is worn: ")
-    assert words.short(found) == "B probably worn"
+    assert words.sentence(Diagnosis.model_validate(found)).startswith("Probably joint B is worn: ")
+    assert words.short(Diagnosis.model_validate(found)) == "B probably worn"
 
 
 @pytest.mark.parametrize(("verdict", "now"), [("healthy", "in_order"), ("unknown", "unknown")])
@@ -111,7 +125,7 @@ def test_what_was_stored_is_read_and_shown(store: Store, older: dict[str, Any], 
     (listed,) = store.diagnoses(None, 5)
     assert row.result == listed.result == in_present_form(result, MACHINE)
     assert DiagnosisOut.model_validate_json(diagnosis_out(row).model_dump_json()).verdict == row.result["verdict"]
-    assert view(row, measurement)["sentence"] == words.sentence(row.result)
+    assert view(row, measurement)["sentence"] == words.sentence(row.answer)
     report = report_of(row, measurement)
     assert report.sentence in unescape(html(report, figures_of(row)))
     assert pdf(report, figures_of(row)).startswith(b"%PDF-")
@@ -132,4 +146,4 @@ def test_the_service_answers_in_the_present_form(older: dict[str, Any], tmp_path
         assert client.get(f"/api/v1/diagnoses/{key}", headers={"If-None-Match": f'"{key}"'}).status_code == 200
         page = client.get(f"/diagnoses/{key}")
         assert page.status_code == 200
-        assert words.sentence(in_present_form(older, MACHINE)) in unescape(page.text)
+        assert words.sentence(Diagnosis.model_validate(in_present_form(older, MACHINE))) in unescape(page.text)

@@ -11,35 +11,37 @@ from xml.etree import ElementTree
 
 import httpx
 import pytest
+from answers import hypothesis, joint
 from pypdf import PdfReader
 
 from jointplay.app import words
-from jointplay.app.figures.spectra import Band, Comparison
+from jointplay.app.figures.spectra import Comparison
 from jointplay.app.reports.content import NO_ZONE, Report, report_of
 from jointplay.app.reports.figures import figures_of, spectrum
 from jointplay.app.reports.html import html
 from jointplay.app.reports.pdf import pdf
 from jointplay.app.settings import Settings
+from jointplay.app.storage.results import DiagnosisOut
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, Store
+from jointplay.catalogue.diagnosing.answer import BandEvidence
 
 API = "/api/v1"
 NAME = "press <7> & 'co'.csv"
 
 
 @pytest.fixture(scope="module")
-def diagnosis(client: httpx.Client, worn: bytes) -> dict[str, Any]:
+def diagnosis(client: httpx.Client, worn: bytes) -> DiagnosisOut:
     files = {"file": (NAME, worn)}
     fields = {"catalogue": "slider-crank", "effort": "fast"}
     answer = client.post(f"{API}/diagnoses", files=files, data=fields)
     assert answer.status_code == 201, answer.text
-    found: dict[str, Any] = answer.json()
-    return found
+    return DiagnosisOut.model_validate(answer.json())
 
 
 @pytest.fixture(scope="module")
-def rows(settings: Settings, diagnosis: dict[str, Any]) -> Iterator[tuple[DiagnosisRow, MeasurementRow]]:
+def rows(settings: Settings, diagnosis: DiagnosisOut) -> Iterator[tuple[DiagnosisRow, MeasurementRow]]:
     store = Store(settings.data)
-    row = store.diagnosis(diagnosis["id"])
+    row = store.diagnosis(diagnosis.id)
     yield row, store.measurement(row.measurement)
     store.close()
 
@@ -69,8 +71,8 @@ def everything(report: Report) -> str:
     )
 
 
-def test_html_says_the_verdict_and_escapes_names(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
-    answer = client.get(f"{API}/diagnoses/{diagnosis['id']}/report")
+def test_html_says_the_verdict_and_escapes_names(client: httpx.Client, diagnosis: DiagnosisOut) -> None:
+    answer = client.get(f"{API}/diagnoses/{diagnosis.id}/report")
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == "text/html; charset=utf-8"
     assert "Accept" in answer.headers["vary"].split(", ")
@@ -78,11 +80,11 @@ def test_html_says_the_verdict_and_escapes_names(client: httpx.Client, diagnosis
     assert "press &lt;7&gt; &amp; &#39;co&#39;.csv" in answer.text
     assert "<7>" not in answer.text
     assert answer.text.count("<svg") == 4
-    assert diagnosis["provenance"]["catalogue_sha256"] in answer.text
+    assert diagnosis.provenance.catalogue_sha256 in answer.text
 
 
-def test_html_loads_nothing_and_says_so(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
-    answer = client.get(f"{API}/diagnoses/{diagnosis['id']}/report")
+def test_html_loads_nothing_and_says_so(client: httpx.Client, diagnosis: DiagnosisOut) -> None:
+    answer = client.get(f"{API}/diagnoses/{diagnosis.id}/report")
     policy = answer.headers["content-security-policy"]
     assert policy.startswith("default-src 'none'; style-src 'sha256-")
     assert "unsafe" not in policy
@@ -90,21 +92,21 @@ def test_html_loads_nothing_and_says_so(client: httpx.Client, diagnosis: dict[st
     assert set(re.findall(r"https?://[^\s\"'<]+", answer.text)) == {"http" + "://www.w3.org/2000/svg"}
 
 
-def test_pdf_is_one_page_with_the_verdict(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
-    answer = client.get(f"{API}/diagnoses/{diagnosis['id']}/report", headers={"Accept": "application/pdf"})
+def test_pdf_is_one_page_with_the_verdict(client: httpx.Client, diagnosis: DiagnosisOut) -> None:
+    answer = client.get(f"{API}/diagnoses/{diagnosis.id}/report", headers={"Accept": "application/pdf"})
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == "application/pdf"
-    assert f"diagnosis-{diagnosis['id']}.pdf" in answer.headers["content-disposition"]
+    assert f"diagnosis-{diagnosis.id}.pdf" in answer.headers["content-disposition"]
     said = text_of(answer.content)
     assert words.sentence(diagnosis) in said
     assert NAME in said
-    assert diagnosis["provenance"]["measurement_sha256"] in said
+    assert diagnosis.provenance.measurement_sha256 in said
     assert "s2-y" in said, "the drawing has its labels"
     assert "rotation of the frame" in said, "the spectra are there"
 
 
-def test_the_form_is_chosen_by_query_before_accept(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
-    place = f"{API}/diagnoses/{diagnosis['id']}/report"
+def test_the_form_is_chosen_by_query_before_accept(client: httpx.Client, diagnosis: DiagnosisOut) -> None:
+    place = f"{API}/diagnoses/{diagnosis.id}/report"
     answer = client.get(place, params={"format": "pdf"}, headers={"Accept": "text/html"})
     assert answer.content.startswith(b"%PDF-")
     assert client.get(place, params={"format": "odt"}).status_code == 422
@@ -115,8 +117,8 @@ def test_the_form_is_chosen_by_query_before_accept(client: httpx.Client, diagnos
 
 
 @pytest.mark.parametrize("form", ["html", "pdf"])
-def test_the_same_report_is_not_sent_twice(client: httpx.Client, diagnosis: dict[str, Any], form: str) -> None:
-    place = f"{API}/diagnoses/{diagnosis['id']}/report?format={form}"
+def test_the_same_report_is_not_sent_twice(client: httpx.Client, diagnosis: DiagnosisOut, form: str) -> None:
+    place = f"{API}/diagnoses/{diagnosis.id}/report?format={form}"
     first = client.get(place)
     again = client.get(place, headers={"If-None-Match": first.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
@@ -134,11 +136,11 @@ def test_severity_and_likelihood_stand_apart(rows: tuple[DiagnosisRow, Measureme
 def test_the_play_to_be_measured_is_twice_the_clearance(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
     row, measurement = rows
     hypotheses = [
-        {"label": "A", "joints": {"A": {"clearance_um": 200.0, "interval_um": [150.0, 260.0]}}, "probability": 0.8},
-        {"label": "B", "joints": {"B": {"clearance_um": 90.0, "interval_um": [60.0, 99.0]}}, "probability": 0.2},
+        {**hypothesis("A", 0.8), "joints": {"A": {"clearance_um": 200.0, "interval_um": [150.0, 260.0]}}},
+        hypothesis("B", 0.2, B=90.0),
     ]
-    told = [{**entry, "distance_db": 1.0} for entry in hypotheses]
-    members = {"verdict": "worn", "hypotheses": told, "candidate_set": ["A", "B"], "joints": {}}
+    joints = {"A": joint("open", 190.0, 0.8), "B": joint("open", 40.0, 0.2)}
+    members = {"verdict": "worn", "hypotheses": hypotheses, "candidate_set": ["A", "B"], "joints": joints}
     report = report_of(changed(row, **members), measurement)
     assert "300 to 520 µm of diametral play" in report.inspection[0]
     assert report.inspection[1] == "If that is not found, look at B next."
@@ -147,7 +149,7 @@ def test_the_play_to_be_measured_is_twice_the_clearance(rows: tuple[DiagnosisRow
 
 def test_what_tells_the_first_two_apart_comes_first(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
     row, measurement = rows
-    first, second, third = (entry["label"] for entry in row.result["hypotheses"][:3])
+    first, second, third = (entry.label for entry in row.answer.hypotheses[:3])
     numbers = {"separation_now": 1.0, "separation": 3.0, "error_now": 0.2, "error": 0.03}
     told = [
         {"kind": "speed", "what": "96 rpm", "hypotheses": [first, third], **numbers},
@@ -168,7 +170,7 @@ def test_no_joint_is_to_be_opened_without_a_fault(rows: tuple[DiagnosisRow, Meas
 def test_much_text_stays_on_one_page(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
     row, measurement = rows
     numbers = {"separation_now": 1.0, "separation": 3.0, "error_now": 0.2, "error": 0.03}
-    first, second = (entry["label"] for entry in row.result["hypotheses"][:2])
+    first, second = (entry.label for entry in row.answer.hypotheses[:2])
     told = [{"kind": "direction", "what": "y at (0.2, -0.1) m", "hypotheses": [first, second], **numbers}] * 9
     full = changed(row, warnings=["<script>alert(1)</script> & more " * 30] * 20, suggestions=told)
     report, figures = report_of(full, measurement, "W" * 300), figures_of(full)
@@ -180,8 +182,14 @@ def test_much_text_stays_on_one_page(rows: tuple[DiagnosisRow, MeasurementRow]) 
     assert "W" * 65 not in page
 
 
+def band(order: int, measured: float, spread: float, z: float) -> BandEvidence:
+    edges = {"low_hz": order - 0.5, "high_hz": order + 0.5}
+    levels = {"measured_db": measured, "predicted_db": -20.0, "spread_db": spread, "z": z}
+    return BandEvidence(order=order, channel="x", **edges, **levels)
+
+
 def test_a_spectrum_rings_the_bands_that_stand_out() -> None:
-    bands = tuple(Band(float(order), -20.0 + order, -20.0, 2.0, float(order)) for order in range(1, 11))
+    bands = tuple(band(order, -20.0 + order, 2.0, float(order)) for order in range(1, 11))
     drawn = ElementTree.fromstring(spectrum(Comparison("s1 <x>", bands)))
     circles = [each for each in drawn.iter() if each.tag.endswith("circle")]
     rings = [each for each in circles if each.get("fill") == "none"]
@@ -192,4 +200,4 @@ def test_a_spectrum_rings_the_bands_that_stand_out() -> None:
 
 
 def test_a_single_band_can_be_drawn() -> None:
-    ElementTree.fromstring(spectrum(Comparison("x", (Band(1.0, -20.0, -20.0, 0.0, 0.0),))))
+    ElementTree.fromstring(spectrum(Comparison("x", (band(1, -20.0, 0.0, 0.0),))))

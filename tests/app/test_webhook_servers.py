@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from answers import diagnosis
 from uploaded import uploaded
 from webhook_listener import Listener, state, tell
 
@@ -124,7 +125,7 @@ def test_a_webhook_that_is_forgotten_while_something_is_told(
 def test_the_same_finding_sent_to_both_is_told_once(stores: list[Store]) -> None:
     hook = Webhooks(stores[0].database).add("http://127.0.0.1:9/", ["finding.created"])
     measurement = stores[0].add_measurement(uploaded(stores[0]), "a.csv", None, {})
-    row = stores[0].add_diagnosis(NewDiagnosis(measurement.id, "c" * 64, MACHINE, {}, {"hash": "h"}))
+    row = stores[0].add_diagnosis(NewDiagnosis(measurement.id, "c" * 64, MACHINE, {}, diagnosis()))
 
     def finder(store: Store, text: str) -> Callable[[], str]:
         said = FindingIn.model_validate({"text": text, "at": "2026-03-01T08:00:00Z"})

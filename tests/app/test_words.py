@@ -5,29 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from answers import changed, diagnosis, hypothesis, joint
 
-from jointplay.app import words
-
-
-def hypothesis(label: str, probability: float, **joints: float) -> dict[str, Any]:
-    found = {joint: {"clearance_um": um, "interval_um": [0.9 * um, 1.1 * um]} for joint, um in joints.items()}
-    return {"label": label, "joints": found, "probability": probability, "distance_db": 1.0}
+from jointplay.app import rows, words
+from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, JointState
 
 
-def joint(condition: str, um: float, p_worn: float, **more: Any) -> dict[str, Any]:
-    found = {"p_over_limit": 0.0, "limit_um": 200.0, "bound": "none", "detectable_from_um": 35.0, **more}
-    return {
-        "condition": condition,
-        "p_worn": p_worn,
-        "clearance_um": um,
-        "interval_um": [0.9 * um, 1.1 * um],
-        **found,
-    }
-
-
-def result(verdict: str, *hypotheses: dict[str, Any], **more: Any) -> dict[str, Any]:
-    found: dict[str, Any] = {"joints": {}, "causes": [], "sensors": [], "goodness_of_fit": {"p_value": 0.004}, **more}
-    return {"verdict": verdict, "hypotheses": list(hypotheses), "coverage": 0.95, "candidate_set": [], **found}
+def result(verdict: str, *hypotheses: dict[str, Any], **more: Any) -> Diagnosis:
+    return diagnosis(verdict=verdict, hypotheses=hypotheses, goodness_of_fit={"p_value": 0.004}, **more)
 
 
 def cause(name: str, size: float, unit: str, probability: float) -> dict[str, Any]:
@@ -85,16 +70,27 @@ def test_wear_of_which_the_joint_is_not_sure() -> None:
     assert words.short(found) == "A probably worn"
     assert list(words.named_joints(found)) == ["A"]
     joints["A"] = joint("open", 90.0, 0.7)  # of fit or wear; what is said is its size if it is worn
-    assert "radial clearance 250 µm" in words.sentence({**found, "joints": joints})
+    assert "radial clearance 250 µm" in words.sentence(changed(found, joints=joints))
 
 
-def test_where_nothing_was_said_of_single_joints_the_hypothesis_is_named() -> None:
-    found = result("worn", hypothesis("A+C", 0.8, A=250, C=8))
+def test_two_joints_of_which_neither_is_sure() -> None:
+    joints = {"A": joint("open", 240.0, 0.8), "C": joint("open", 9.0, 0.7)}
+    found = result("worn", hypothesis("A+C", 0.8, A=250, C=8), joints=joints)
     assert words.sentence(found) == (
-        "Joints A and C are worn: radial clearance A 250 µm (90 %: 225 to 275); C 8.0 µm (90 %: 7.2 to 8.8), "
-        "probability 80 %."
+        "Probably joints A and C are worn: radial clearance A 250 µm (90 %: 225 to 275), probability 80 %; "
+        "C 8.0 µm (90 %: 7.2 to 8.8), probability 70 %."
     )
-    assert (words.short(found), words.joints_sentence(found), words.remarks(found)) == ("A+C worn", "", [])
+    assert (words.short(found), words.probability(found)) == ("A+C probably worn", "70 %")
+
+
+def test_rows_of_the_ranking() -> None:
+    pair, sound = hypothesis("A+C", 0.8, A=250, C=8), hypothesis("healthy", 0.2)
+    first, second = rows.hypothesis_rows(result("in_order", pair, sound, candidate_set=["A+C"]))
+    assert (first.label, first.candidate, first.percent, first.distance) == ("A+C", True, "80 %", "1.0 dB")
+    assert first.clearance == "A 250 µm (225 to 275); C 8.0 µm (7.2 to 8.8)"
+    assert (second.label, second.candidate, second.clearance) == ("healthy", False, "")
+    single = rows.hypothesis_rows(result("unknown", hypothesis("A", 0.9, A=250), sound), most=1)
+    assert [row.clearance for row in single] == ["250 µm (225 to 275)"]
 
 
 @pytest.mark.parametrize(
@@ -107,18 +103,21 @@ def test_where_nothing_was_said_of_single_joints_the_hypothesis_is_named() -> No
     ],
 )
 def test_clearances_and_bounds(bound: str, interval: list[float], text: str) -> None:
-    assert words.clearance(joint("worn", 1200.0, 1.0, bound=bound, interval_um=interval)) == text
+    assert (
+        rows.play_of(JointState.model_validate(joint("worn", 1200.0, 1.0, bound=bound, interval_um=interval))).said()
+        == text
+    )
 
 
 def test_a_machine_in_order() -> None:
     found = result("in_order", hypothesis("healthy", 0.9), hypothesis("B", 0.1, B=20), joints=SOUND)
     assert words.sentence(found) == "Probably no worn joint: the recording fits a machine in order, probability 90 %."
-    sure = {**found, "coverage": 0.9}
+    sure = changed(found, coverage=0.9)
     assert words.sentence(sure) == "No worn joint: the recording fits a machine in order, probability 90 %."
     assert words.short(found) == "in order"
     joints = {**SOUND, "B": joint("open", 40.0, 0.4, interval_um=[20, 60]), "E": joint("in_order", 9.0, 0.0)}
     joints["E"]["detectable_from_um"] = None
-    open_joint = {**found, "joints": joints}
+    open_joint = changed(found, joints=joints)
     assert words.sentence(open_joint).endswith("probability 90 %; joint B cannot be told.")
     assert words.joints_sentence(open_joint) == (
         "A: in order; wear from 35 µm on would have shown. E: in order. B: cannot be told (20 to 60 µm)."
@@ -133,12 +132,12 @@ def test_a_machine_that_has_changed() -> None:
     assert words.joints_sentence(found).startswith("A, B: in order")
     assert words.remarks(found) == []
     load = cause("load", -150.0, "N", 0.12)
-    assert words.remarks({**found, "causes": [mount, load]}) == ["It may also be: load, −150 N, 12 %."]
-    doubted = {**found, "joints": {**SOUND, "O": joint("worn", 300.0, 0.96)}}
+    assert words.remarks(changed(found, causes=[mount, load])) == ["It may also be: load, −150 N, 12 %."]
+    doubted = changed(found, joints={**SOUND, "O": joint("worn", 300.0, 0.96)})
     assert words.remarks(doubted) == [
         "Whether there is wear in joint O as well is told with reserve: measure again when the change is put right."
     ]
-    nameless = {**found, "causes": []}
+    nameless = changed(found, causes=[])
     assert words.sentence(nameless) == "Changed, but not by play; none of the known causes explains it."
     assert (words.short(nameless), words.probability(nameless)) == ("changed", "–")
 
@@ -153,7 +152,7 @@ def test_a_machine_that_has_changed() -> None:
     ],
 )
 def test_causes(name: str, size: float, unit: str, text: str) -> None:
-    assert words.cause(cause(name, size, unit, 0.5)) == text
+    assert words.cause(Cause.model_validate(cause(name, size, unit, 0.5))) == text
 
 
 def test_causes_and_sensors_beside_wear() -> None:
@@ -165,31 +164,31 @@ def test_causes_and_sensors_beside_wear() -> None:
 
 
 def test_why_a_model_is_not_believed() -> None:
-    doubted = {"mode": {"asked": "auto", "used": "robust", "trusted_p_value": 0.004}}
+    doubted = diagnosis(mode={"asked": "auto", "used": "robust", "trusted_p_value": 0.004})
     assert words.mode_sentence(doubted) == (
         "The machine is taken to differ from its model (robust): "
         "as simulated it does not explain the recording, p = 0.004."
     )
-    asked = {"mode": {"asked": "robust", "used": "robust", "trusted_p_value": None}}
+    asked = diagnosis(mode={"asked": "robust", "used": "robust", "trusted_p_value": None})
     assert words.mode_sentence(asked) == "The machine is taken to differ from its model (robust)."
 
 
 def test_what_was_held_likely() -> None:
     usual = {"worn": 0.75, "another": 0.6, "joints": {}, "numbers": [0.51, 0.306, 0.184]}
-    assert words.prior_sentence({"prior": usual}) == (
+    assert words.prior_sentence(diagnosis(prior=usual)) == (
         "Before the recording: wear with 75 %, and then of joints at once 1 with 51 %, 2 with 31 % and 3 with 18 %."
     )
     own = {"worn": 0.5, "another": 1.0, "joints": {"A": 3.0, "B": 0.5}, "numbers": [0.5, 0.5]}
-    assert words.prior_sentence({"prior": own}) == (
+    assert words.prior_sentence(diagnosis(prior=own)) == (
         "Before the recording: wear with 50 %, and then of joints at once 1 with 50 % and 2 with 50 %; "
         "A 3 times as likely; B 0.5 times as likely."
     )
 
 
 def test_a_widened_set_promises_nothing() -> None:
-    found = {**result("worn", hypothesis("F", 0.6, F=20)), "candidate_set": ["F"]}
+    found = result("worn", hypothesis("F", 0.6, F=20), candidate_set=["F"])
     assert words.set_sentence(found) == "Candidates, which hold the true cause in 95 % of cases: F."
-    assert words.set_sentence({**found, "widened": True}) == (
+    assert words.set_sentence(changed(found, widened=True)) == (
         "Candidates, from a set widened because the one for 95 % was empty: F."
     )
 
@@ -200,12 +199,12 @@ def test_nothing_known() -> None:
         "No verdict: the recording fits none of the hypotheses of this catalogue, p = 0.004; the closest is F."
     )
     assert (words.short(found), words.probability(found)) == ("no verdict", "–")
-    flawed = {**found, "sensors": [SWAPPED], "joints": WORN}
-    assert (words.joint_rows(flawed), words.joints_sentence(flawed)) == ([], "")
+    flawed = changed(found, sensors=[SWAPPED], joints=WORN)
+    assert (rows.joint_rows(flawed), words.joints_sentence(flawed)) == ([], "")
     assert words.sentence(flawed) == "No verdict: s1-x and s2-y seem to be swapped."
     assert words.remarks(flawed) == []
     assert "none of them explains the recording" in words.set_sentence(found)
-    assert "what has changed is none of them" in words.set_sentence({**found, "verdict": "changed"})
+    assert "what has changed is none of them" in words.set_sentence(changed(found, verdict="changed"))
 
 
 @pytest.mark.parametrize(
@@ -213,9 +212,9 @@ def test_nothing_known() -> None:
     [(1.0, "> 99 %"), (0.996, "> 99 %"), (0.99, "99 %"), (0.5, "50 %"), (0.004, "< 1 %"), (0.0, "< 1 %")],
 )
 def test_nothing_is_certain(probability: float, text: str) -> None:
-    assert words.percent(probability) == text
+    assert rows.percent(probability) == text
 
 
 @pytest.mark.parametrize(("value", "text"), [(2.0, "2"), (14.52, "14.5"), (1428.6, "1429"), (100.4, "100")])
 def test_orders(value: float, text: str) -> None:
-    assert words.order(value) == text
+    assert rows.order(value) == text

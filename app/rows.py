@@ -1,0 +1,185 @@
+"""Rows of the tables that say what a diagnosis found, and its numbers with the digits that mean something.
+
+The same on the terminal, on the page and in a report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from jointplay.catalogue.diagnosing.answer import Answer, JointClearance, JointState
+
+CONDITIONS = {"worn": "worn", "in_order": "in order", "open": "cannot be told"}
+
+
+@dataclass(frozen=True)
+class Play:
+    """A radial clearance.
+
+    Parameters
+    ----------
+    value, interval : str
+        No interval where the clearance is a bound.
+    joint : str
+        Whose it is; empty where that is plain.
+    """
+
+    value: str
+    interval: str
+    joint: str = ""
+
+    def said(self, interval: str = "") -> str:
+        """Return all of it, with what the interval is called."""
+        value = f"{self.joint} {self.value}" if self.joint else self.value
+        return f"{value} ({interval}{self.interval})" if self.interval else value
+
+
+@dataclass(frozen=True)
+class JointRow:
+    """What is said of one joint, for a table.
+
+    Parameters
+    ----------
+    name : str
+    condition, said : str
+        worn, in_order or open; and in words.
+    probability : float
+        To be worn.
+    percent : str
+        The same in words.
+    play : Play
+    limit, beyond : str
+        From which clearance on it is worn out, and how probably it is.
+    shows : str
+        From which clearance on its wear would have shown; empty where it is not known to.
+    """
+
+    name: str
+    condition: str
+    said: str
+    probability: float
+    percent: str
+    play: Play
+    limit: str
+    beyond: str
+    shows: str
+
+
+@dataclass(frozen=True)
+class HypothesisRow:
+    """One hypothesis, for a table.
+
+    Parameters
+    ----------
+    label : str
+    candidate : bool
+        Whether it is in the set of candidates.
+    plays : tuple of Play
+        Of its worn joints.
+    probability : float
+    percent : str
+        The same in words.
+    distance : str
+    """
+
+    label: str
+    candidate: bool
+    plays: tuple[Play, ...]
+    probability: float
+    percent: str
+    distance: str
+
+    @property
+    def clearance(self) -> str:
+        """Clearances of all its joints; empty without one."""
+        return "; ".join(play.said() for play in self.plays)
+
+
+def hypothesis_rows(result: Answer, most: int | None = None) -> list[HypothesisRow]:
+    """Return the first hypotheses, or all, the most probable first."""
+    return [
+        HypothesisRow(
+            entry.label,
+            entry.label in result.candidate_set,
+            plays(entry.joints),
+            entry.probability,
+            percent(entry.probability),
+            f"{entry.distance_db:.1f} dB",
+        )
+        for entry in result.hypotheses[:most]
+    ]
+
+
+def plays(joints: Mapping[str, JointClearance | JointState]) -> tuple[Play, ...]:
+    """Return the clearances of joints; of a single one without its name."""
+    return tuple(play_of(found, name if len(joints) > 1 else "") for name, found in joints.items())
+
+
+def joint_rows(result: Answer) -> list[JointRow]:
+    """Return what is said of every joint, the most probably worn first; nothing for the verdict unknown."""
+    joints = {} if result.verdict == "unknown" else result.joints
+    return [
+        JointRow(
+            name,
+            state.condition,
+            CONDITIONS[state.condition],
+            state.p_worn,
+            percent(state.p_worn),
+            play_of(state),
+            length(state.limit_um),
+            percent(state.p_over_limit),
+            "" if state.detectable_from_um is None else length(state.detectable_from_um),
+        )
+        for name, state in sorted(joints.items(), key=lambda item: -item[1].p_worn)
+    ]
+
+
+def play_of(found: JointClearance | JointState, joint: str = "") -> Play:
+    """Return a clearance in words."""
+    low, high = found.interval_um
+    bound = found.bound if isinstance(found, JointState) else "none"
+    if bound != "none":
+        return Play(f"at least {length(low)}" if bound == "at_least" else f"at most {length(high)}", "", joint)
+    scale, unit = _unit(high)
+    return Play(f"{scaled(found.clearance_um, scale)} {unit}", f"{scaled(low, scale)} to {scaled(high, scale)}", joint)
+
+
+def between(low: float, high: float) -> str:
+    """Return an interval of clearances with its unit."""
+    scale, unit = _unit(high)
+    return f"{scaled(low, scale)} to {scaled(high, scale)} {unit}"
+
+
+def length(value: float) -> str:
+    """Return a clearance [µm] with its unit, mm from 1 mm on."""
+    scale, unit = _unit(value)
+    return f"{scaled(value, scale)} {unit}"
+
+
+def _unit(largest: float) -> tuple[float, str]:
+    return (1e-3, "mm") if largest >= 999.5 else (1.0, "µm")
+
+
+def scaled(value: float, scale: float) -> str:
+    """Return a clearance [µm] times a scale, with the digits that mean something."""
+    return micrometres(value) if scale == 1.0 else f"{scale * value:.3g}"
+
+
+def micrometres(value: float) -> str:
+    """Return a clearance with the digits that mean something."""
+    return f"{value:.1f}" if value < 10 else f"{value:.0f}"
+
+
+def order(value: float) -> str:
+    """Return an order of the drive with the digits that mean something."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def percent(probability: float) -> str:
+    """Return a probability in per cent; what is not certain never reads as certain."""
+    if probability >= 0.995:
+        return "> 99 %"
+    if probability < 0.005:
+        return "< 1 %"
+    return f"{100 * probability:.0f} %"
