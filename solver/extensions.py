@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 
 @lru_cache
-def installed(group: str) -> dict[str, EntryPoint]:
+def entry_points_of(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name, sorted; nothing of them is loaded.
 
     Parameters

@@ -16,7 +16,7 @@ from jointplay.app.service import speed_of
 from jointplay.app.storage.told import TOLD
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.prior import Prior
-from jointplay.catalogue.signals.sensors import matched_by_name
+from jointplay.catalogue.signals.sensors import match_by_name
 from jointplay.solver.machines.machine import Machine
 
 SAID = tuple(sorted(TOLD))
@@ -82,7 +82,7 @@ def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -
 
 def chosen_sensors(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> dict[str, str]:
     """Return the mapping that the selects of a form stand for; empty where it is what the names say anyway."""
-    by_name = matched_by_name(columns, machine)
+    by_name = match_by_name(columns, machine)
     chosen = {
         column: given.get(f"sensor-{index}", by_name.get(column, NOT_USED)) for index, column in enumerate(columns)
     }

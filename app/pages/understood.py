@@ -9,7 +9,7 @@ from jointplay.app.jobs.summaries import channel_words, kind_of, said
 from jointplay.app.pages.page_forms import NOT_USED
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.store import MeasurementRow
-from jointplay.catalogue.signals.sensors import matched_by_name
+from jointplay.catalogue.signals.sensors import match_by_name
 
 
 def confirmation(
@@ -30,7 +30,7 @@ def confirmation(
     """
     summary = measurement.summary
     names = [channel["name"] for channel in summary["channels"]]
-    by_name = matched_by_name(names, offer.machine)
+    by_name = match_by_name(names, offer.machine)
     estimated = "" if found["speed_rpm"] is None else f"{found['speed_rpm']:.6g}"
     return {
         "measurement": measurement.id,

@@ -17,7 +17,7 @@ from jointplay.catalogue.diagnosing.frame_forces import MACHINES_KEPT, Revolutio
 from jointplay.catalogue.plans.variants import output_load
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.machines.joints import TurningJoint
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 
 FloatArray = npt.NDArray[np.float64]
@@ -93,7 +93,7 @@ def family_wrenches(machine: Machine, speed: float) -> tuple[Wrench, tuple[Famil
     return _family_wrenches(machine, pose_speed(machine, speed))
 
 
-@kept(MACHINES_KEPT)
+@keep_by_machine(MACHINES_KEPT)
 def _family_wrenches(machine: Machine, speed: float) -> tuple[Wrench, tuple[FamilyWrench, ...]]:
     slow = Revolution.of(machine, speed)
     fast = replace(slow, speed=2.0 * speed)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.parameters import DRIVE_SPEED
 from jointplay.solver.cases.history import Case, Settings, Status
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch
 
@@ -145,7 +145,7 @@ def pose_speed(machine: Machine, speed: float) -> float:
     return math.copysign(own, speed) if own and freedoms <= 0 else speed
 
 
-@kept(MACHINES_KEPT)
+@keep_by_machine(MACHINES_KEPT)
 def _poses(machine: Machine, speed: float) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
     """Moving links, with place (n, k, 2), angle (n, k) and turns (k,) as :class:`Revolution` has them."""
     frame = machine.links[machine.frame].model_copy(update={"fixed": True})

@@ -25,7 +25,7 @@ from jointplay.catalogue.matching.learning import Learning
 from jointplay.catalogue.matching.matcher import FloatArray, MatchResult, TrainingSet, ranked
 from jointplay.catalogue.matching.model_library import Effort, ModelLibrary, Observed
 from jointplay.catalogue.matching.spectra import Spectra
-from jointplay.solver.extensions import installed
+from jointplay.solver.extensions import entry_points_of
 
 OWN = "gaussian"
 """Name of the product's own method among the others."""
@@ -237,7 +237,7 @@ def _made(point: EntryPoint) -> Matcher:
 
 
 METHODS: Mapping[str, Callable[[], Matcher] | None] = {
-    **{name: partial(_made, method) for name, method in installed("matchers").items()},
+    **{name: partial(_made, method) for name, method in entry_points_of("matchers").items()},
     OWN: None,
     "cosine": cosine_entry,
     "nearest": NearestEntry,

@@ -23,7 +23,7 @@ from jointplay.catalogue.matching.network_training import NetworkTraining
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.plans.keys import content_digest
-from jointplay.catalogue.signals.sensors import compared_channels, free_motions
+from jointplay.catalogue.signals.sensors import choose_channels, free_motions
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 
@@ -160,7 +160,7 @@ def own_sensing(machine: Machine, cuts: tuple[int, ...]) -> Sensing | None:
     """Return what all sensors of a machine see of an entry, with some noise; None where they see nothing."""
     if not machine.sensors or not free_motions(machine):
         return None
-    transform, _, channels = compared_channels(machine, [sensor.name for sensor in machine.sensors])
+    transform, _, channels = choose_channels(machine, [sensor.name for sensor in machine.sensors])
     return Sensing(transform, channels, cuts, np.ones((len(cuts) - 1, len(channels))), np.ones(len(cuts) - 1))
 
 

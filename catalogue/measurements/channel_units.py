@@ -56,13 +56,13 @@ class ChannelUnit:
 def parse_unit(text: str) -> ChannelUnit | None:
     """Unit from its text, or None when it is not one of length, speed, acceleration, time or frequency."""
     plain = _plain(text)
-    found = _known(plain)
+    found = _find_known(plain)
     if found is None and len(plain) > 1 and (plain.isupper() or (len(plain) > 2 and plain.isalpha())):  # not Mm
-        found = _known(plain.lower())
+        found = _find_known(plain.lower())
     return None if found is None else ChannelUnit(text.strip(), _DIMENSIONS[found[0]], found[1])
 
 
-def _known(plain: str) -> tuple[units.Dimension, float] | None:
+def _find_known(plain: str) -> tuple[units.Dimension, float] | None:
     plain = _ALIASES.get(plain, plain)
     found = units.factor_of(plain, tuple(_DIMENSIONS)) if _FORM.fullmatch(plain) else None
     return found if found is not None and found[1] <= _LARGEST[found[0]] else None

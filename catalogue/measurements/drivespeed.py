@@ -140,7 +140,7 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
     if sample_rate < 8.0 * turn:
         rule = f"{sample_rate / turn:.2g} samples a revolution are too few to find the drive speed: give the speed"
         raise MeasurementError(source, rule=rule)
-    kept, rate = thinned(values, sample_rate, turn)
+    kept, rate = thin(values, sample_rate, turn)
     blocks = np.array_split(kept, math.ceil(revolutions / BLOCK_REVOLUTIONS))
     tracks = []
     for block in blocks:
@@ -149,11 +149,11 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
             low, high = (60.0 * turn * (1.0 + side * SEARCH_RANGE) for side in (-1, 1))
             rule = f"no orders of a drive speed between {low:.4g} and {high:.4g} rpm stand out: give the speed"
             raise MeasurementError(source, rule=rule)
-        tracks.append(_tracked(block, rate, coarse, contrast))
-    return _joined(tracks, [len(block) / rate for block in blocks])
+        tracks.append(_track(block, rate, coarse, contrast))
+    return _join(tracks, [len(block) / rate for block in blocks])
 
 
-def thinned(values: FloatArray, sample_rate: float, turn: float) -> tuple[FloatArray, float]:
+def thin(values: FloatArray, sample_rate: float, turn: float) -> tuple[FloatArray, float]:
     """Means of blocks of samples: orders near zero stay, what would fold onto them falls on zeros of the mean."""
     block = max(1, int(sample_rate / (turn * KEPT_PER_REVOLUTION)))
     count = len(values) // block
@@ -199,7 +199,7 @@ def rough_track(signal: npt.ArrayLike, sample_rate: float, nominal: float) -> Sp
         eight revolutions.
     """
     turn = abs(nominal) / (2.0 * math.pi)
-    kept, rate = thinned(np.asarray(signal, dtype=np.float64), sample_rate, turn)
+    kept, rate = thin(np.asarray(signal, dtype=np.float64), sample_rate, turn)
     length = min(len(kept), round(ROUGH_REVOLUTIONS * rate / turn))
     padded = scipy.fft.next_fast_len(8 * length, real=True)
     step = rate / (16.0 * COMB_ORDERS * length)
@@ -221,7 +221,7 @@ def rough_track(signal: npt.ArrayLike, sample_rate: float, nominal: float) -> Sp
     return SpeedTrack(np.array([0.0]), np.array([speed]), SpeedEstimate(speed, 5e-3 * speed, False, 0.0, decibels))
 
 
-def _tracked(kept: FloatArray, rate: float, turn: float, contrast: float) -> SpeedTrack:
+def _track(kept: FloatArray, rate: float, turn: float, contrast: float) -> SpeedTrack:
     """Refine by the phases of order 1, then 1-2, 1-4 ... in windows of one revolution."""
     duration = len(kept) / rate
     length = min(len(kept), round(WINDOW_REVOLUTIONS * rate / turn))
@@ -260,7 +260,7 @@ def _tracked(kept: FloatArray, rate: float, turn: float, contrast: float) -> Spe
     )
 
 
-def _joined(tracks: list[SpeedTrack], durations: list[float]) -> SpeedTrack:
+def _join(tracks: list[SpeedTrack], durations: list[float]) -> SpeedTrack:
     """One course out of those of blocks that follow each other."""
     starts = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
     share = np.asarray(durations) / sum(durations)

@@ -20,7 +20,7 @@ from jointplay.catalogue.measurements.channel_units import (
     split_label,
     volts_of,
 )
-from jointplay.catalogue.measurements.measured_columns import ALL_OTHERS, is_spectrum, said_unit
+from jointplay.catalogue.measurements.measured_columns import ALL_OTHERS, find_unit, is_spectrum
 from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording, SpectrumForm
 from jointplay.catalogue.measurements.tacho import turns_of
 from jointplay.solver.errors import MachineError
@@ -120,7 +120,7 @@ class ImportProfile(_Part):
         delimiter = {"tab": "\t", "blank": " "}.get(self.delimiter or "", self.delimiter)
         return {"delimiter": delimiter, "decimal": self.decimal, "skipped": self.skip_lines, "names": self.channels}
 
-    def applied(self, raw: RawRecording) -> RawRecording:
+    def apply(self, raw: RawRecording) -> RawRecording:
         """Return what a reader found with what the profile says of it.
 
         Parameters
@@ -132,7 +132,7 @@ class ImportProfile(_Part):
         MeasurementError
             The profile does not fit the file.
         """
-        raw = self._scaled(self._named(raw))
+        raw = self._scale(self._name_columns(raw))
         names = [column.name for column in raw.columns]
         told = list(raw.facts)
         for field in ("units", "sensitivity", "sensors", "ignore"):
@@ -162,16 +162,16 @@ class ImportProfile(_Part):
             if column.name in self.ignore or (self.tacho is not None and column.name == self.tacho.column):
                 continue
             name = "time" if column.name == self.time_column else self.sensors.get(column.name, column.name)
-            unit = said_unit(column, self.units)
+            unit = find_unit(column, self.units)
             if (name, unit) != (column.name, column.unit):
                 told.append(f"{column.position} {column.label!r}: {name} in {unit or 'no unit'}, as the profile says")
-            factor, unit = self._sensed(column, unit, raw, told)
+            factor, unit = self._scale_sensor(column, unit, raw, told)
             factors.append(factor)
             columns.append(RawColumn(column.label, name, unit, column.position))
             kept.append(index)
         if not kept:
             raise MeasurementError(raw.source, rule="the profile ignores all columns", field="profile")
-        if ALL_OTHERS in self.sensitivity and not any(is_voltage(said_unit(each, self.units)) for each in raw.columns):
+        if ALL_OTHERS in self.sensitivity and not any(is_voltage(find_unit(each, self.units)) for each in raw.columns):
             rule = "is said of columns in volts, but no column is in V, mV or uV"
             raise MeasurementError(raw.source, None, "sensitivity", rule=rule, field="sensitivity")
         values = raw.values[:, kept]
@@ -184,7 +184,7 @@ class ImportProfile(_Part):
             turns=turns,
         )
 
-    def _sensed(
+    def _scale_sensor(
         self, column: RawColumn, unit: str | None, raw: RawRecording, told: list[str]
     ) -> tuple[float, str | None]:
         """Factor and unit of the motion that the voltage of a column stands for."""
@@ -206,7 +206,7 @@ class ImportProfile(_Part):
         told.append(f"{column.position} {column.label!r}: {unit} by a sensor of {said}")
         return volts_of(unit) / found[0], found[1]
 
-    def _named(self, raw: RawRecording) -> RawRecording:
+    def _name_columns(self, raw: RawRecording) -> RawRecording:
         if self.channels is None:
             return raw
         if len(self.channels) != len(raw.columns):
@@ -219,7 +219,7 @@ class ImportProfile(_Part):
         )
         return dataclasses.replace(raw, columns=columns)
 
-    def _scaled(self, raw: RawRecording) -> RawRecording:
+    def _scale(self, raw: RawRecording) -> RawRecording:
         """Turn fractions of a full scale into what they stand for."""
         if self.full_scale_m_s2 is None and self.full_scale is None:
             return raw

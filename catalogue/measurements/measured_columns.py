@@ -69,14 +69,14 @@ def check_given(raw: RawRecording, given: Mapping[str, str]) -> None:
         raise MeasurementError(raw.source, None, unknown[0], rule=rule, field="units")
 
 
-def said_unit(column: RawColumn, given: Mapping[str, str]) -> str | None:
+def find_unit(column: RawColumn, given: Mapping[str, str]) -> str | None:
     """Unit of a column as somebody gives it, as the file has it, or as it is given for all others."""
     axis = column.name.lower() in TIME_NAMES | FREQUENCY_NAMES
     return given.get(column.name) or column.unit or (None if axis else given.get(ALL_OTHERS))
 
 
 def _unit_of(column: RawColumn, given: Mapping[str, str], source: str) -> ChannelUnit | None:
-    text = said_unit(column, given)
+    text = find_unit(column, given)
     if text is None:
         rule = "has no unit: write it in the header, as in 's1-x [m/s2]', or give it"
         raise MeasurementError(source, None, column.name, rule=rule, field="units")

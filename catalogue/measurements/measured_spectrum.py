@@ -18,7 +18,7 @@ import numpy.typing as npt
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import parse_unit
 from jointplay.catalogue.measurements.import_profile import WINDOWS, ImportProfile, profile_beside
-from jointplay.catalogue.measurements.measured_columns import check_given, is_spectrum, said_unit
+from jointplay.catalogue.measurements.measured_columns import check_given, find_unit, is_spectrum
 from jointplay.catalogue.measurements.measurement import SI_UNITS, Channel, Recording, measurement_of, raw_of
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, SpectrumForm
 from jointplay.catalogue.measurements.readers.raw import LARGEST
@@ -107,13 +107,13 @@ def spectrum_of(raw: RawRecording, units: Mapping[str, str], limits: Limits, sha
     step = float(frequency[1] - frequency[0])
     facts, warnings = list(raw.facts), list(raw.warnings)
     facts.append(f"spectrum of {len(frequency)} lines, {step:.6g} Hz apart, to {frequency[-1]:.6g} Hz")
-    form = _windowed(raw, facts)
+    form = _name_window(raw, facts)
     check_given(raw, units)
     channels: list[Channel] = []
     forms: list[SpectrumForm] = []
     densities: list[FloatArray] = []
     for column, values in zip(raw.columns[1:], raw.values.T[1:], strict=True):
-        text, own = _form_of(column, said_unit(column, units), form, raw.source)
+        text, own = _form_of(column, find_unit(column, units), form, raw.source)
         unit = parse_unit(text)
         if unit is None or unit.quantity in ("time", "frequency"):
             warnings.append(f"column {column.label!r} left out: {text!r} is no unit of a motion")
@@ -161,7 +161,7 @@ def _frequencies(raw: RawRecording, given: Mapping[str, str]) -> FloatArray:
     return np.asarray(place, dtype=np.float64)
 
 
-def _windowed(raw: RawRecording, facts: list[str]) -> SpectrumForm:
+def _name_window(raw: RawRecording, facts: list[str]) -> SpectrumForm:
     """Form of the file, with the window that its header names."""
     form = raw.form or SpectrumForm()
     if form.line_widths is None:

@@ -39,7 +39,7 @@ def file_bytes(path: Path, limits: Limits) -> bytes:
         raise MeasurementError(str(path), rule=f"cannot be read: {error.strerror or error}") from None
 
 
-def decompressed(data: bytes, title: str, limits: Limits) -> bytes:
+def decompress(data: bytes, title: str, limits: Limits) -> bytes:
     """Content of a gzip file, anything else as it is.
 
     Raises
@@ -224,7 +224,7 @@ def raw_of(
         raise MeasurementError(title, rule=f"is larger than {limits.file_bytes / 1e6:g} MB, the most that is read")
     if data[:2] == b"\x1f\x8b" or title.lower().endswith(".gz"):
         known_ending(title)  # what is not read anyway need not be unpacked
-    raw = profile.applied(read_raw(decompressed(data, title, limits), title, limits, **profile.table))
+    raw = profile.apply(read_raw(decompress(data, title, limits), title, limits, **profile.table))
     return raw, hashlib.sha256(data).hexdigest()
 
 

@@ -59,7 +59,7 @@ def even_time_base(
     """
     steps = np.diff(time)
     step = float(np.median(steps))
-    quantum = _printed_quantum(time)
+    quantum = _find_quantum(time)
     if not step > 0 or quantum > step * (1.0 + 1e-9):
         mean = float(time[-1] - time[0]) / len(steps)
         if mean > 0 and quantum > mean:
@@ -93,7 +93,7 @@ def even_time_base(
     return TimeBase(rate, (fact,), ())
 
 
-def _printed_quantum(time: npt.NDArray[np.float64]) -> float:
+def _find_quantum(time: npt.NDArray[np.float64]) -> float:
     """Last printed digit of the times, 0 when they have more than nine decimals.
 
     Looked at in neighbouring times of both ends: every tenth time of a recording has one decimal less than all of them,
@@ -194,7 +194,7 @@ def inspect_waveform(
     return Inspection(fact, tuple(warnings), tuple(flaws))
 
 
-def clipped_samples(signal: npt.NDArray[np.float64], sample_rate: float) -> npt.NDArray[np.bool_]:
+def find_clipped(signal: npt.NDArray[np.float64], sample_rate: float) -> npt.NDArray[np.bool_]:
     """Samples of flat tops at either end of the range, (n,)."""
     found = np.zeros(len(signal), dtype=bool)
     for mask, _, _ in _flat_tops(signal, _standstills(signal, sample_rate)):
@@ -214,11 +214,11 @@ def _flat_tops(
         return
     low, high = float(rest.min()), float(rest.max())
     for extreme, side in ((high, "upper"), (low, "lower")):
-        if high > low and _clipped(rest, extreme, high - low):
+        if high > low and _count_clipped(rest, extreme, high - low):
             yield kept & (np.abs(signal - extreme) <= 1e-3 * (high - low)), extreme, side
 
 
-def _clipped(signal: npt.NDArray[np.float64], extreme: float, span: float) -> int:
+def _count_clipped(signal: npt.NDArray[np.float64], extreme: float, span: float) -> int:
     """Number of samples at an end of the range if they are a flat top, else 0.
 
     A flat top has runs of three and more samples, and far more samples in its outermost thousandth of the range than in

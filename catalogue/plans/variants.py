@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self, get_args
 
 from jointplay.solver.machines.joints import Contact, TurningJoint
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Load, Ripple, RotationDrive
 
@@ -128,7 +128,7 @@ def output_load(machine: Machine) -> ProcessLoad | None:
     return turning[0] if turning else None
 
 
-@kept(64)
+@keep_by_machine(64)
 def _machine(base: Machine, variant: Variant) -> Machine:
     changes: dict[str, Any] = {}
     if variant.law != "own":

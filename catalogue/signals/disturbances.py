@@ -135,7 +135,7 @@ def stretches_of(mask: BoolArray) -> list[tuple[int, int]]:
     return [(int(first), int(last)) for first, last in steps.reshape(-1, 2)]
 
 
-def patched(signal: FloatArray, sample_rate: float, track: SpeedTrack, bad: BoolArray) -> tuple[FloatArray, BoolArray]:
+def patch(signal: FloatArray, sample_rate: float, track: SpeedTrack, bad: BoolArray) -> tuple[FloatArray, BoolArray]:
     """Replace samples by those of the same angle in the nearest revolution that is whole there.
 
     Parameters

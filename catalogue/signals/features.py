@@ -31,10 +31,10 @@ from jointplay.catalogue.signals.steadiness import (
     steady_stretch,
 )
 from jointplay.catalogue.signals.undisturbed import (
-    flawed_samples,
+    band_power_without,
+    find_flawed,
     lines_of,
-    undisturbed,
-    undisturbed_bands,
+    remove_disturbances,
     without_lines,
 )
 from jointplay.catalogue.storage.feature_bands import (
@@ -120,9 +120,9 @@ def prepare(
         track, doubt = _track(signal, rate, nominal, speed, measurement.name)
         return track
 
-    flawed = {kind: mask[first:last] for kind, mask in flawed_samples(measurement, sensing).items()}
+    flawed = {kind: mask[first:last] for kind, mask in find_flawed(measurement, sensing).items()}
     raw = measurement.signal[first:last, list(sensing.columns)]
-    rest = undisturbed(raw, rate, flawed, tracking, expected, sensing, measurement.name, first / rate)
+    rest = remove_disturbances(raw, rate, flawed, tracking, expected, sensing, measurement.name, first / rate)
     signal, track = rest.signal, rest.track
     if any(each.kind == "shock" for each in rest.disturbances):
         unsteady = [line for line in unsteady if not line.endswith(KEPT)]
@@ -141,7 +141,7 @@ def prepare(
     even = at_mean_speed(cleaned.signal, rate, track) if resampled else cleaned.signal
     scheme = scheme or BandScheme.for_drive(nominal)
     bad = samples_at_mean_speed(rest.bad, rate, track) if resampled else rest.bad
-    bands = undisturbed_bands(even, bad, rate, estimate.speed, scheme, sensing)
+    bands = band_power_without(even, bad, rate, estimate.speed, scheme, sensing)
     edges = scheme.edges_hz(estimate.speed)
     cuts = usable_cuts(scheme, estimate.speed, rate)
     flaws = find_sensor_flaws(sensing, bands, floor)
@@ -246,7 +246,7 @@ def _sensors(
     sensing = map_sensors(measurement, machine, mapping)
     names = measurement.channel_names
     left_out: list[int] = []
-    flawed = flawed_samples(measurement, sensing)
+    flawed = find_flawed(measurement, sensing)
     # What all have lost is not won back by doing without one of them.
     alone = flawed["drop-out"] & ~flawed["drop-out"].all(axis=1, keepdims=True)
     share = {
@@ -272,7 +272,7 @@ def _sensors(
 def _steady_part(measurement: Recording, sensing: SensorMap, speed: float) -> tuple[int, int, RecipeStep, list[str]]:
     """Samples to be used: the steady part; and what there is to say."""
     raw = measurement.signal[:, list(sensing.columns)]
-    dropped = flawed_samples(measurement, sensing)["drop-out"]
+    dropped = find_flawed(measurement, sensing)["drop-out"]
     if dropped.any():
         raw = np.where(dropped, np.median(raw, axis=0), raw)
     rate = measurement.sample_rate

@@ -133,8 +133,8 @@ def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) 
     unrigid = UNRIGID**2 + (frequency / FLEXIBLE_FROM) ** 4
     judge = _Judge(power, (noise + unrigid[:, None] * own) @ silent**2, silent)
     least = LIMIT + silent.shape[1] * len(power)
-    whole = judge.explained(_Change(tuple(range(count))))
-    candidates = sorted((judge.explained(change) for change in _changes(count)), key=lambda each: each.misfit)
+    whole = judge.explain(_Change(tuple(range(count))))
+    candidates = sorted((judge.explain(change) for change in _changes(count)), key=lambda each: each.misfit)
     best = candidates[0].misfit
     little = candidates[0].change.free is not None and 1.0 / LITTLE_OFF < candidates[0].correction < LITTLE_OFF
     if (whole.misfit < least and whole.misfit - best < LIMIT) or (best < least and little):
@@ -143,7 +143,7 @@ def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) 
         names = ", ".join(sensing.sensors)
         text = f"sensors {names} contradict each other as parts of one rigid frame: no single change explains it"
         return (SensorFlaw("contradicts", sensing.sensors, text),)
-    return (_told([each for each in candidates if each.misfit < best + AS_GOOD], sensing.sensors),)
+    return (_choose([each for each in candidates if each.misfit < best + AS_GOOD], sensing.sensors),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ class _Judge:
     allowed: FloatArray
     silent: FloatArray
 
-    def explained(self, change: _Change) -> _Explained:
+    def explain(self, change: _Change) -> _Explained:
         """Misfit of a recording after a change, and how much amplitude the changed sensor lacks."""
         order = list(change.order)
         power = self.power[:, order][:, :, order]
@@ -186,7 +186,7 @@ def _changes(count: int) -> Iterator[_Change]:
         yield _Change(tuple(order))
 
 
-def _told(found: list[_Explained], names: tuple[str, ...]) -> SensorFlaw:
+def _choose(found: list[_Explained], names: tuple[str, ...]) -> SensorFlaw:
     """Explanations that are as good as each other in one flaw, of the kind of the best."""
     kinds: list[FlawKind] = []
     texts, concerned = [], []

@@ -117,7 +117,7 @@ def map_sensors(
         raise MeasurementError(measurement.name, rule=f"no column is a sensor; {lists}; map them: COLUMN=SENSOR")
     unused = [name for index, name in enumerate(names) if index not in found.values()]
     warnings = [f"columns not used, as they are no sensor of {machine.name}: {', '.join(unused)}"] if unused else []
-    transform, compared, channels = compared_channels(machine, tuple(found))
+    transform, compared, channels = choose_channels(machine, tuple(found))
     if compared == tuple(found):
         warnings.append("the sensors do not see all motions of the frame: they are compared one by one")
     columns = tuple(found.values())
@@ -126,13 +126,13 @@ def map_sensors(
     return SensorMap(columns, tuple(found), transform, compared, channels, derivatives, tuple(warnings))
 
 
-def matched_by_name(names: Sequence[str], machine: Machine) -> dict[str, str]:
+def match_by_name(names: Sequence[str], machine: Machine) -> dict[str, str]:
     """Return the sensor of each column whose name says it, as :func:`map_sensors` finds it without a mapping."""
     plain = {_plain(sensor.name): sensor.name for sensor in machine.sensors}
     return {name: plain[_plain(name)] for name in names if _plain(name) in plain}
 
 
-def compared_channels(
+def choose_channels(
     machine: Machine, names: Sequence[str]
 ) -> tuple[npt.NDArray[np.float64], tuple[str, ...], npt.NDArray[np.float64]]:
     """Return what some sensors see, and what is compared: fields of :class:`SensorMap`.

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import scipy.fft
 import scipy.ndimage
 
-from jointplay.catalogue.measurements.drivespeed import SpeedTrack, comb_speed, thinned
+from jointplay.catalogue.measurements.drivespeed import SpeedTrack, comb_speed, thin
 from jointplay.solver.compiler.compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
@@ -94,7 +94,7 @@ def steady_stretch(signal: npt.ArrayLike, sample_rate: float, nominal: float) ->
     everything = Stretch(0, len(values))
     if len(values) / sample_rate * turn < LEAST_REVOLUTIONS + 1.0 or sample_rate < 8.0 * turn:
         return everything
-    kept, rate = thinned(values, sample_rate, turn)
+    kept, rate = thin(values, sample_rate, turn)
     usual = _usual_turn(kept, rate, turn)
     if usual is None:
         return everything
@@ -240,7 +240,7 @@ def at_mean_speed(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) 
     length = scipy.fft.next_fast_len(count, real=True)
     spectrum = scipy.fft.rfft(values - mean, length)
     dense = DENSER * scipy.fft.irfft(spectrum, DENSER * length)[:, : DENSER * count]
-    taken = np.stack([splined(row, DENSER * place) for row in dense])
+    taken = np.stack([interpolate(row, DENSER * place) for row in dense])
     return np.asarray((taken + mean).T, dtype=np.float64)
 
 
@@ -259,7 +259,7 @@ def _places(count: int, sample_rate: float, track: SpeedTrack) -> FloatArray:
     return np.asarray(np.clip(place, 0.0, count - 1.0), dtype=np.float64)
 
 
-def splined(row: FloatArray, places: FloatArray) -> FloatArray:
+def interpolate(row: FloatArray, places: FloatArray) -> FloatArray:
     """Return the cubic spline through a row (m,) at places (n,) from 0 to m - 1, in samples."""
     coefficients = scipy.ndimage.spline_filter1d(np.pad(row, PADDING, mode="edge"), order=3, mode="nearest")
     out = np.empty(len(places))

@@ -13,12 +13,12 @@ import numpy.typing as npt
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack, rough_track
 from jointplay.catalogue.measurements.measurement import Recording
-from jointplay.catalogue.measurements.waveform import clipped_samples
+from jointplay.catalogue.measurements.waveform import find_clipped
 from jointplay.catalogue.signals.disturbances import (
     Disturbance,
     DisturbanceKind,
     find_shocks,
-    patched,
+    patch,
     stretches_of,
 )
 from jointplay.catalogue.signals.hum import Cleaned, remove_hum
@@ -78,7 +78,7 @@ class Undisturbed:
     warnings: tuple[str, ...] = ()
 
 
-def flawed_samples(measurement: Recording, sensing: SensorMap) -> dict[DisturbanceKind, BoolArray]:
+def find_flawed(measurement: Recording, sensing: SensorMap) -> dict[DisturbanceKind, BoolArray]:
     """Samples (n, c) of the used columns that dropped out or were clipped, with what goes with them.
 
     Parameters
@@ -103,13 +103,13 @@ def flawed_samples(measurement: Recording, sensing: SensorMap) -> dict[Disturban
             if flaw.channel == names[column] and flaw.kind == "dropout":
                 found["drop-out"][max(0, flaw.first - reach) : flaw.last + reach, place] = True
         if "clipped" in kinds:
-            clipped = clipped_samples(measurement.signal[:, column], measurement.sample_rate)
+            clipped = find_clipped(measurement.signal[:, column], measurement.sample_rate)
             for first, last in stretches_of(clipped):
                 found["clipping"][max(0, first - reach) : last + reach, place] = True
     return found
 
 
-def undisturbed(
+def remove_disturbances(
     signal: FloatArray,
     sample_rate: float,
     flawed: dict[DisturbanceKind, BoolArray],
@@ -159,16 +159,16 @@ def undisturbed(
         if rough is None:
             raise
         blows = missing | find_shocks(filled, sample_rate, rough, missing)
-        track = tracking(patched(filled, sample_rate, rough, blows)[0])
+        track = tracking(patch(filled, sample_rate, rough, blows)[0])
     shocks = find_shocks(filled, sample_rate, track, missing)
     if shocks.any():
         found = missing | shocks
-        without = patched(filled, sample_rate, track, found)[0]
+        without = patch(filled, sample_rate, track, found)[0]
         shocks |= find_shocks(without, sample_rate, track, found, WEAKER)
     bad = missing | shocks
     if not bad.any():
         return Undisturbed(signal, track, signal, bad)
-    rest, left = patched(filled, sample_rate, track, bad)
+    rest, left = patch(filled, sample_rate, track, bad)
     if (left & flawed["drop-out"].any(axis=1)).any() or (left & shocks).any():
         rule = f"{100 * bad.mean():.2g} % of it are shocks, drop-outs or clipped, the same angles in every revolution"
         raise MeasurementError(source, rule=f"{rule}: too little is left")
@@ -179,7 +179,7 @@ def undisturbed(
         alike = _of_kind(kind, mask & ~left[:, None], sample_rate, sensing, start)
         disturbances += alike
         if alike:
-            warnings.append(_told(kind, alike, float((mask.any(axis=1) & ~left).mean())))
+            warnings.append(_describe(kind, alike, float((mask.any(axis=1) & ~left).mean())))
     return Undisturbed(
         signal=rest,
         track=tracking(rest),
@@ -215,7 +215,7 @@ def without_lines(rest: Undisturbed, sample_rate: float) -> Cleaned:
         if not found.lines:
             break
         lines = signal - found.signal
-        signal = patched(rest.raw - lines, sample_rate, rest.track, rest.bad)[0] + lines
+        signal = patch(rest.raw - lines, sample_rate, rest.track, rest.bad)[0] + lines
         found = remove_hum(signal, sample_rate, rest.track)
     return found
 
@@ -234,7 +234,7 @@ def lines_of(cleaned: Cleaned, begin: float, end: float) -> tuple[Disturbance, .
     return tuple(found)
 
 
-def undisturbed_bands(
+def band_power_without(
     signal: FloatArray, bad: BoolArray, sample_rate: float, speed: float, scheme: BandScheme, sensing: SensorMap
 ) -> BandMatrix:
     """Band powers of a signal, of windows without any disturbance where there are enough of them.
@@ -311,7 +311,7 @@ def _of_kind(
     return found
 
 
-def _told(kind: DisturbanceKind, alike: list[Disturbance], share: float) -> str:
+def _describe(kind: DisturbanceKind, alike: list[Disturbance], share: float) -> str:
     sensors = sorted({sensor for each in alike for sensor in each.sensors})
     where = f" of {', '.join(sensors)}" if sensors else ""
     times = ", ".join(f"{each.begin:.3g}" for each in alike[:LISTED]) + (" ..." if len(alike) > LISTED else "")

@@ -16,7 +16,7 @@ from jointplay.solver.equations.drive import travel_range
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.machines.joints import Contact, TurningJoint
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
@@ -36,7 +36,7 @@ def _top_speed(machine: Machine) -> float:
     return max((speed for _, speed in drive.speed), key=abs) if isinstance(drive.speed, tuple) else drive.speed
 
 
-@kept(MODELS_KEPT)
+@keep_by_machine(MODELS_KEPT)
 def _turning(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model with a rotation at a constant speed of 1 rad/s, a lane parameter; other drives as they are."""
     drive = machine.drive
@@ -57,7 +57,7 @@ def _paths(numbers: _Numbers) -> tuple[str, ...]:
     return tuple(path for path, _ in numbers if path != "drive.speed")  # that is a lane parameter anyway
 
 
-@kept(MODELS_KEPT)
+@keep_by_machine(MODELS_KEPT)
 def _moving(machine: Machine) -> Machine:
     """What poses and mobilities follow from: no contacts, loads, ripple, in which variants of a machine differ."""
     drive = machine.drive
@@ -70,7 +70,7 @@ def _moving(machine: Machine) -> Machine:
     return machine.model_copy(update={"joints": joints, "drive": drive, "loads": ()})
 
 
-@kept(MODELS_KEPT)
+@keep_by_machine(MODELS_KEPT)
 def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, Array]]:
     """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`."""
     model = _turning(machine, joints, _paths(motion))
@@ -78,7 +78,7 @@ def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[
     return poses[:: max(1, len(poses) // 12)]
 
 
-@kept(1024)
+@keep_by_machine(1024)
 def _mobility(machine: Machine, joints: tuple[str, ...], motion: _Numbers, masses: _Numbers) -> Mapping[str, float]:
     numbers = motion + masses
     model = _turning(machine, joints, _paths(numbers))
@@ -186,7 +186,7 @@ def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str,
         _check_ends(machine, joints, low, high)
 
 
-@kept(MODELS_KEPT)
+@keep_by_machine(MODELS_KEPT)
 def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: float) -> None:
     assert isinstance(machine.drive, TranslationDrive)
     drive = machine.drive.model_copy(update={"speed": 1.0, "harmonics": ()})  # time is travel then

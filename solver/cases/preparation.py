@@ -25,7 +25,7 @@ from jointplay.solver.cases.steps import (
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.errors import AssemblyError, MachineError, SettingsError
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 from jointplay.solver.machines.rules import restitution_remarks
@@ -98,13 +98,13 @@ class Prepared:
     spent: float = 0.0
 
 
-@kept(MODELS_KEPT)
+@keep_by_machine(MODELS_KEPT)
 def model_of(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model of a machine with clearance in `joints`, the numbers `varying` as lane parameters; kept."""
     return build_model(machine, joints, varying)
 
 
-@kept(MODELS_KEPT)
+@keep_by_machine(MODELS_KEPT)
 def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model with its drive standing, same coordinates."""
     drive = machine.drive
@@ -124,7 +124,7 @@ class _Smooth:
     suspension: tuple[complex, ...]
 
 
-@kept(1024)
+@keep_by_machine(1024)
 def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
     """Of the machine without clearances, its drive standing, with the given numbers by path."""
     model = _standing(without_sliding_friction(machine), (), tuple(path for path, _ in values))
@@ -204,7 +204,7 @@ def prepare(
     )  # fmt: skip
 
 
-@kept(1024)
+@keep_by_machine(1024)
 def _start(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: tuple[tuple[str, float], ...]
 ) -> tuple[Array, Array]:

@@ -219,7 +219,7 @@ def prescribed_motion(machine: Machine, number: Callable[[str, float], Number], 
         base = number("drive.speed", drive.speed) * t
     value = ca.SX(base)
     if isinstance(drive, RotationDrive):
-        return PrescribedMotion(drive.joint, True, *_rippled(value, drive.ripple, number, t))
+        return PrescribedMotion(drive.joint, True, *_add_ripple(value, drive.ripple, number, t))
     for i, harmonic in enumerate(drive.harmonics):
         amplitude = number(f"drive.harmonics.{i}.amplitude", harmonic.amplitude)
         phase = 2 * ca.pi * harmonic.frequency * t + harmonic.phase
@@ -228,7 +228,7 @@ def prescribed_motion(machine: Machine, number: Callable[[str, float], Number], 
     return PrescribedMotion(drive.joint, False, value, rate, ca.jacobian(rate, t))
 
 
-def _rippled(
+def _add_ripple(
     base: ca.SX, ripples: Sequence[Ripple], number: Callable[[str, float], Number], t: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Angle, rate and acceleration of a drive with ripple; sums of the same sines and cosines."""

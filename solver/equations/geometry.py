@@ -211,13 +211,13 @@ class Pose:
     angle_index: int | None
     cg: tuple[float, float]
 
-    def fixed(self, vector: tuple[float, float]) -> Vector:
+    def rotate(self, vector: tuple[float, float]) -> Vector:
         """A vector drawn on the link, as it has turned."""
         return Vector({self.turn: complex(*vector)})
 
     def arm(self, point: tuple[float, float]) -> Vector:
         """From the centre of gravity to a point of the link, given where it was drawn."""
-        return self.fixed((point[0] - self.cg[0], point[1] - self.cg[1]))
+        return self.rotate((point[0] - self.cg[0], point[1] - self.cg[1]))
 
     def point(self, point: tuple[float, float]) -> Vector:
         """A point of the link, given where it was drawn."""
@@ -275,5 +275,5 @@ def slide(joint: SlidingJoint, poses: dict[str, Pose], terms: Terms) -> tuple[ca
     """As :meth:`Kinematics.slide`."""
     slider, guide = (poses[name] for name in joint.links)
     gap = terms.value(slider.point(joint.at) - guide.point(joint.at))
-    along = terms.value(guide.fixed(joint.direction))
+    along = terms.value(guide.rotate(joint.direction))
     return along.dot(gap), along.cross(gap)

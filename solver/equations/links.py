@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from jointplay.solver.equations.geometry import Complex
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.equations.numbers import contact_paths
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
@@ -43,8 +43,8 @@ class LinkMotion:
     reactions: dict[str, Array]
 
 
-@kept(16)
-def _expanded(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+@keep_by_machine(16)
+def _expand(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     return build_model(machine, joints, varying, expanded=True)
 
 
@@ -114,7 +114,7 @@ def link_motion(
     """
     contact = {path for joint in reduced.clearance_joints for path in contact_paths(reduced.machine, joint)}
     varying = tuple(path for path in reduced.parameters if path not in contact and path != "drive.speed")
-    full = _expanded(reduced.machine, reduced.clearance_joints, varying)
+    full = _expand(reduced.machine, reduced.clearance_joints, varying)
     count = len(t)
     if count == 0:  # a case that failed at once: shapes are all there is
         t, z, v = np.zeros(1), np.zeros((1, reduced.size)), np.zeros((1, reduced.size))

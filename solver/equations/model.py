@@ -58,14 +58,14 @@ class ModelFunctions:
 
         Contacts count as beginning now: nothing is remembered.
         """
-        dense = [ca.densify(self.unremembered(part)) for part in outputs]
+        dense = [ca.densify(self.forget(part)) for part in outputs]
         return ca.Function(name, [self.t, self.z, self.v, self.p], dense)
 
     def function_of_memory(self, name: str, *outputs: ca.SX) -> ca.Function:
         """A CasADi function of (t, z, v, p, memory)."""
         return ca.Function(name, [self.t, self.z, self.v, self.p, self.memory], list(outputs))
 
-    def unremembered(self, expression: ca.SX) -> ca.SX:
+    def forget(self, expression: ca.SX) -> ca.SX:
         """The expression with nothing remembered."""
         if not self.remembering:
             return expression
@@ -125,7 +125,7 @@ class ModelFunctions:
         stacked = ca.vertcat(self.phi, self.eccentricity)
         multipliers = ca.SX.sym("l", stacked.shape[0])
         gradient = ca.jacobian(stacked, self.z)
-        force = ca.mtimes(self.kinematics.axes, self.unremembered(self.force)) + ca.mtimes(gradient.T, multipliers)
+        force = ca.mtimes(self.kinematics.axes, self.forget(self.force)) + ca.mtimes(gradient.T, multipliers)
         unknowns = ca.vertcat(self.z, multipliers)
         equations = ca.vertcat(force, stacked)
         arguments = [unknowns, self.t, self.v, self.p]

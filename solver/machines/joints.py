@@ -20,7 +20,7 @@ from jointplay.solver.machines.parts import Damping, Part
 from jointplay.solver.machines.restitution import CONTACT_LAWS, HYSTERESIS
 
 
-def _known(law: object) -> object:
+def _check_law(law: object) -> object:
     if not isinstance(law, str) or law not in CONTACT_LAWS:
         *first, last = CONTACT_LAWS
         raise RuleError(f"must be {', '.join(first)} or {last}")
@@ -28,7 +28,7 @@ def _known(law: object) -> object:
 
 
 #: A law of :data:`jointplay.solver.machines.restitution.CONTACT_LAWS`; other packages may add some.
-ContactLaw = Annotated[str, BeforeValidator(_known), WithJsonSchema({"enum": list(CONTACT_LAWS), "type": "string"})]
+ContactLaw = Annotated[str, BeforeValidator(_check_law), WithJsonSchema({"enum": list(CONTACT_LAWS), "type": "string"})]
 FrictionCoefficient = Annotated[float, Quantity(units.RATIO, at_least=0)]
 FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]
 

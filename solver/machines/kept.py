@@ -15,7 +15,7 @@ from jointplay.solver.machines.machine import Machine
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def kept(most: int) -> Callable[[Function], Function]:
+def keep_by_machine(most: int) -> Callable[[Function], Function]:
     """Keep the last `most` results of a function of a machine and of other things that can be hashed."""
 
     def decorated(function: Function) -> Function:

@@ -44,12 +44,12 @@ class Machine(MachineContent):
     def _complete(self, info: ValidationInfo) -> Machine:
         fill = self.__dict__.update  # the model is frozen for everybody else
         fill(frame=self.frame or next(iter(self.links), ""))
-        fill(joints={name: self._completed_joint(joint) for name, joint in self.joints.items()})
+        fill(joints={name: self._complete_joint(joint) for name, joint in self.joints.items()})
         rules.check(self, (info.context or {}).get("source", "machine"))
-        fill(supports=tuple(map(_completed_support, self.supports)))
+        fill(supports=tuple(map(_complete_support, self.supports)))
         return self
 
-    def _completed_joint(self, joint: TurningJoint | SlidingJoint) -> TurningJoint | SlidingJoint:
+    def _complete_joint(self, joint: TurningJoint | SlidingJoint) -> TurningJoint | SlidingJoint:
         if isinstance(joint, SlidingJoint):
             return joint
         contact = joint.contact.over(self.defaults.contact)
@@ -74,7 +74,7 @@ class Machine(MachineContent):
         return hash(self.content_key)
 
 
-def _completed_support(support: Spring | Damper | Mount) -> Spring | Damper | Mount:
+def _complete_support(support: Spring | Damper | Mount) -> Spring | Damper | Mount:
     if not isinstance(support, Spring) or support.free_length is not None:
         return support
     free_length = math.dist(support.at, support.anchor) + (support.static_deflection or 0.0)
@@ -115,14 +115,14 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine") 
     return machine
 
 
-def _shipped() -> dict[str, Any]:
+def _find_shipped() -> dict[str, Any]:
     folder = resources.files("jointplay.solver.machines") / "shipped"
     return {file.name.removesuffix(".yaml"): file for file in folder.iterdir() if file.name.endswith(".yaml")}
 
 
 def shipped_machine_names() -> tuple[str, ...]:
     """Names of the machines that come with the program, sorted."""
-    return tuple(sorted(_shipped()))
+    return tuple(sorted(_find_shipped()))
 
 
 def shipped_machine_text(name: str) -> str:
@@ -133,7 +133,7 @@ def shipped_machine_text(name: str) -> str:
     MachineError
         When there is none of that name.
     """
-    files = _shipped()
+    files = _find_shipped()
     if name not in files:
         raise MachineError("", "", name, f"is not a shipped machine{nearest(name, sorted(files))}")
     return str(files[name].read_text(encoding="utf-8"))

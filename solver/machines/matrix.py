@@ -196,7 +196,7 @@ def read_matrix_form(tree: Mapping[str, Any], source: str) -> MatrixForm:
     MachineError
         When matrix, links and joints do not fit together.
     """
-    links = _named_links(tree.get("links"), source)
+    links = _check_links(tree.get("links"), source)
     names = list(links)
     matrix = MechanismMatrix.parse(tree.get("matrix"), names, source)
     if tree.get("frame", names[0]) != names[0]:
@@ -229,7 +229,7 @@ def read_matrix_form(tree: Mapping[str, Any], source: str) -> MatrixForm:
     return MatrixForm(plain, matrix, tuple(open_joints))
 
 
-def _named_links(links: object, source: str) -> dict[str, Any]:
+def _check_links(links: object, source: str) -> dict[str, Any]:
     if isinstance(links, Mapping):
         return dict(links)
     if not isinstance(links, list) or not all(isinstance(link, Mapping) for link in links):

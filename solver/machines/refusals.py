@@ -53,7 +53,7 @@ def first_error(error: ValidationError, tree: Mapping[str, object], source: str)
     elif details["type"].startswith("union_tag"):
         path += ("kind",)
         value = context.get("tag", MISSING)
-    return MachineError(source, ".".join(path), shown(value), _rule(details, context))
+    return MachineError(source, ".".join(path), show_value(value), _rule(details, context))
 
 
 def _path(location: Sequence[int | str], tree: object) -> tuple[str, ...]:
@@ -88,7 +88,7 @@ def _rule(details: ErrorDetails, context: Mapping[str, Any]) -> str:
     return _RULES.get(kind) or " ".join(details["msg"].split())
 
 
-def shown(value: object) -> str | None:
+def show_value(value: object) -> str | None:
     """Return a value as a user would write it, or None if there is none to show."""
     if value is MISSING or value is None:
         return None
@@ -98,7 +98,7 @@ def shown(value: object) -> str | None:
         short = f"{value:g}"
         return short if float(short) == value else repr(value)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {shown(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {show_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(str(shown(item)) for item in value) + "]"
+        return "[" + ", ".join(str(show_value(item)) for item in value) + "]"
     return " ".join(str(value).split())

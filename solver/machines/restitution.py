@@ -17,12 +17,12 @@ from functools import partial
 from importlib.metadata import EntryPoint
 from typing import Any, TypeVar
 
-from jointplay.solver.extensions import installed
+from jointplay.solver.extensions import entry_points_of
 
 _Number = TypeVar("_Number")
 
 
-def _loaded(law: EntryPoint, e: Any) -> Any:
+def _load_law(law: EntryPoint, e: Any) -> Any:
     return law.load()(e)
 
 
@@ -34,7 +34,7 @@ _OWN: Mapping[str, Callable[[Any], Any]] = {
     "lankarani-nikravesh": lambda e: 0.75 * (1 - e * e),
 }
 _KNOWN = ("linear", "hertz", *_OWN)
-_OTHER = {name: partial(_loaded, law) for name, law in installed("contact_laws").items() if name not in _KNOWN}
+_OTHER = {name: partial(_load_law, law) for name, law in entry_points_of("contact_laws").items() if name not in _KNOWN}
 HYSTERESIS: Mapping[str, Callable[[Any], Any]] = {**_OWN, **_OTHER}
 CONTACT_LAWS = ("linear", "hertz", *HYSTERESIS)
 #: A law that misses what it was asked for by more than this part says so.
@@ -47,7 +47,7 @@ def hysteresis_factor(law: str, e: _Number) -> _Number:
     return factor
 
 
-def returned(c: float) -> float:
+def restitution_of(c: float) -> float:
     """Restitution of a free impact with hysteresis factor c >= 0."""
 
     def identity(e: float) -> float:
@@ -83,7 +83,7 @@ def effective_restitution(law: str, e: float) -> float:
     if law == "linear":
         ratio = -math.log(e) / math.hypot(math.pi, math.log(e))
         return math.exp(-ratio / math.sqrt(1 - ratio * ratio) * (math.pi - 2 * math.asin(ratio)))
-    return returned(hysteresis_factor(law, e))
+    return restitution_of(hysteresis_factor(law, e))
 
 
 def remark(law: str, e: float) -> str:

@@ -11,7 +11,7 @@ from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import RuleError, nearest
 from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact, TurningJoint
 from jointplay.solver.machines.parts import Damper, ForceDrive, RotationDrive, Spring, TorqueDrive
-from jointplay.solver.machines.refusals import shown
+from jointplay.solver.machines.refusals import show_value
 from jointplay.solver.machines.restitution import remark
 
 _Breach = tuple[str, object, str]
@@ -47,7 +47,7 @@ def _foreign(path: str, contact: Contact) -> Iterator[_Breach]:
         value = getattr(contact, name)
         # A damping of 0 says nothing: it is what a contact of another law is written with.
         if value and not contact.has(name) and name in contact.model_fields_set:
-            rule = f"law {contact.law} has no {name}, it has {_listed(LAW_NUMBERS[contact.law])}"
+            rule = f"law {contact.law} has no {name}, it has {_join_names(LAW_NUMBERS[contact.law])}"
             yield f"{path}.{name}", value, rule
 
 
@@ -74,7 +74,7 @@ def restitution_remarks(
     return lines
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def _join_names(names: tuple[str, ...]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]])
 
 
@@ -142,10 +142,10 @@ def check(machine: MachineContent, source: str) -> None:
     """
     for rules in (_links, _joints, _contacts, _drive, _initial, _supports, _loads, _sensors, _connections):
         for breach in rules(machine):
-            raise MachineError(source, breach.path, shown(breach.value), breach.rule)
+            raise MachineError(source, breach.path, show_value(breach.value), breach.rule)
 
 
-def _known(path: str, name: str, names: Iterable[str], noun: str) -> Iterator[Breach]:
+def _check_known(path: str, name: str, names: Iterable[str], noun: str) -> Iterator[Breach]:
     names = list(names)
     if name not in names:
         yield Breach(path, name, f"is not a {noun} of this machine{nearest(name, names)}")
@@ -154,7 +154,7 @@ def _known(path: str, name: str, names: Iterable[str], noun: str) -> Iterator[Br
 def _links(machine: MachineContent) -> Iterator[Breach]:
     if not machine.links:
         yield Breach("links", None, "a machine needs at least one link, the frame")
-    yield from _known("frame", machine.frame, machine.links, "link")
+    yield from _check_known("frame", machine.frame, machine.links, "link")
     for name, link in machine.links.items():
         path = f"links.{name}"
         if not link.fixed:
@@ -169,7 +169,7 @@ def _joints(machine: MachineContent) -> Iterator[Breach]:
     for name, joint in machine.joints.items():
         path = f"joints.{name}"
         for index, link in enumerate(joint.links):
-            yield from _known(f"{path}.links.{index}", link, machine.links, "link")
+            yield from _check_known(f"{path}.links.{index}", link, machine.links, "link")
         if joint.links[0] == joint.links[1]:
             yield Breach(f"{path}.links", ", ".join(joint.links), "must be two different links")
         if isinstance(joint, TurningJoint) and joint.pin not in joint.links:
@@ -187,7 +187,7 @@ def _drive(machine: MachineContent) -> Iterator[Breach]:
     drive = machine.drive
     if drive is None:
         return
-    yield from _known("drive.joint", drive.joint, machine.joints, "joint")
+    yield from _check_known("drive.joint", drive.joint, machine.joints, "joint")
     wanted = "turning" if isinstance(drive, (RotationDrive, TorqueDrive)) else "sliding"
     found = machine.joints[drive.joint].kind
     if found != wanted:
@@ -216,9 +216,9 @@ def _initial(machine: MachineContent) -> Iterator[Breach]:
 def _supports(machine: MachineContent) -> Iterator[Breach]:
     for index, support in enumerate(machine.supports):
         path = f"supports.{index}"
-        yield from _known(f"{path}.link", support.link, machine.links, "link")
+        yield from _check_known(f"{path}.link", support.link, machine.links, "link")
         if support.to_link is not None:
-            yield from _known(f"{path}.to_link", support.to_link, machine.links, "link")
+            yield from _check_known(f"{path}.to_link", support.to_link, machine.links, "link")
             if support.to_link == support.link:
                 yield Breach(f"{path}.to_link", support.to_link, "must be another link than link")
         if isinstance(support, (Spring, Damper)) and math.dist(support.at, support.anchor) == 0:
@@ -234,7 +234,7 @@ def _supports(machine: MachineContent) -> Iterator[Breach]:
 def _loads(machine: MachineContent) -> Iterator[Breach]:
     for index, load in enumerate(machine.loads):
         path = f"loads.{index}"
-        yield from _known(f"{path}.link", load.link, machine.links, "link")
+        yield from _check_known(f"{path}.link", load.link, machine.links, "link")
         table = load.over_time or load.over_angle
         said = not table and load.model_fields_set & {"force", "torque"}
         constant = True if said or any(load.force) or load.torque else None  # a zero beside a table is no load

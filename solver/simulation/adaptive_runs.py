@@ -29,7 +29,7 @@ from jointplay.solver.integrators.lanes import (
     empty_records,
     idle_lanes,
 )
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
@@ -55,7 +55,7 @@ _STATUSES = {
 }
 
 
-@kept(MODELS_KEPT)
+@keep_by_machine(MODELS_KEPT)
 def _adaptive_kernel(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
 ) -> Kernel:

@@ -16,7 +16,7 @@ from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators import gill
 from jointplay.solver.integrators.kernel import Kernel, compile_model
-from jointplay.solver.machines.kept import kept
+from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
@@ -31,7 +31,7 @@ def _round_number(count: int) -> int:
     return 3 * power // 4 if power >= 4 and 3 * power // 4 >= count else power
 
 
-@kept(64)
+@keep_by_machine(64)
 def _gill_kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Kernel:
     return compile_model(model_of(machine, joints, varying))
 

@@ -18,7 +18,7 @@ from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.native import processor
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.workbench import MOTIONS, REFERENCES, Point, bench_of, middle
-from jointplay.solver.spectra.harmonics import compared, mean_difference_db
+from jointplay.solver.spectra.harmonics import find_comparable, mean_difference_db
 
 #: A response is chaotic if runs of the reference differ by more than this, dB a harmonic, from starts a rounding apart.
 CHAOTIC_DB = 0.1
@@ -173,7 +173,7 @@ def measure(
     chaotic = difference > CHAOTIC_DB
     levels, others = (bench.levels(histories, bands=chaotic) for histories in (finest, check))
     reference = middle(levels, chaotic)
-    kept = compared(reference)
+    kept = find_comparable(reference)
     points: list[Point] = []
     for done, settings in enumerate(rungs, start=len(REFERENCES) + 1):
         histories, seconds = bench.run(settings)

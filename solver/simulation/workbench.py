@@ -22,7 +22,7 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.adaptive_runs import TOLERANCES
 from jointplay.solver.simulation.simulate import simulate_batch, start_of
 from jointplay.solver.spectra.harmonics import (
-    compared,
+    find_comparable,
     harmonic_levels,
     mean_difference_db,
     order_band_levels,
@@ -166,7 +166,7 @@ class Bench:
         levels = self.levels(histories, bands=chaotic)
         each = [mean_difference_db(lane, reference) for lane in levels]
         error = mean_difference_db(middle(levels, True), reference) if chaotic else float(np.mean(each))
-        repeat = float(np.std(levels[:, compared(reference)], axis=0, ddof=1).mean())
+        repeat = float(np.std(levels[:, find_comparable(reference)], axis=0, ddof=1).mean())
         return Point(settings, histories[0].step, Status.OK, seconds / self.duration, error, max(each), repeat)
 
     def levels(self, histories: Sequence[History], *, bands: bool = False) -> FloatArray:

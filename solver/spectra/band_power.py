@@ -217,7 +217,7 @@ def _band_limits(edges: FloatArray, segmentation: Segmentation) -> FloatArray:
 
 
 @partial(compiled, fastmath={"contract", "nsz", "reassoc"}, forceinline=True)
-def _weighted(one: ComplexArray, other: ComplexArray, first: float, last: float) -> tuple[float, float]:
+def _weigh(one: ComplexArray, other: ComplexArray, first: float, last: float) -> tuple[float, float]:
     """Sum of ``one conj(other)``, of which the end lines count only in part: real and imaginary part."""
     real = imaginary = 0.0
     for k in range(1, one.size - 1):
@@ -266,9 +266,9 @@ def _sum_bands(spectrum: ComplexArray, limits: FloatArray, end: float, auto: Flo
         for window in range(windows):
             for a in range(width):
                 one = spectrum[window, a, i : j + 1]
-                auto[window, a, band] = _weighted(one, one, first, last)[0]
+                auto[window, a, band] = _weigh(one, one, first, last)[0]
                 for b in range(a + 1, width):
-                    real, imaginary = _weighted(one, spectrum[window, b, i : j + 1], first, last)
+                    real, imaginary = _weigh(one, spectrum[window, b, i : j + 1], first, last)
                     power[band, a, b] += complex(real, imaginary) / windows
         for a in range(width):
             for b in range(a + 1, width):
@@ -315,7 +315,7 @@ def _sum_cyclic(
                 for a in range(width):
                     one = spectrum[window, a, i + apart[k] : j + 1 + apart[k]]
                     for b in range(width):
-                        real, imaginary = _weighted(one, spectrum[window, b, i : j + 1], first, last)
+                        real, imaginary = _weigh(one, spectrum[window, b, i : j + 1], first, last)
                         half = 0.5 * complex(real, imaginary) * turns[k, window]
                         cyclic[band, k, a, b] += half
                         cyclic[band, k, b, a] += half

@@ -90,7 +90,7 @@ def order_band_levels(signal: npt.ArrayLike, sample_rate: float, frequency: floa
     return np.asarray(10 * np.log10(np.maximum(found.auto_power[:, 0], np.finfo(np.float64).tiny)))
 
 
-def compared(reference: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+def find_comparable(reference: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Which of the reference's levels (dB) stand far enough out to be compared."""
     levels = np.asarray(reference)
     return np.asarray(levels > levels.max() - FLOOR_DB)
@@ -98,7 +98,7 @@ def compared(reference: npt.ArrayLike) -> npt.NDArray[np.bool_]:
 
 def mean_difference_db(levels: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     """Mean of absolute differences of levels (..., k), dB, over those that are :func:`compared`."""
-    kept = compared(reference)
+    kept = find_comparable(reference)
     return float(np.mean(np.abs(np.asarray(levels)[..., kept] - np.asarray(reference)[kept])))
 
 

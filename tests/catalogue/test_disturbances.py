@@ -12,7 +12,7 @@ from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, rough_track
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
-from jointplay.catalogue.signals.disturbances import find_shocks, patched, stretches_of
+from jointplay.catalogue.signals.disturbances import find_shocks, patch, stretches_of
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.solver.machines.machine import Machine, shipped_machine
@@ -109,10 +109,10 @@ def test_patches_are_of_the_same_angle() -> None:
     bad = np.zeros(len(signal), dtype=bool)
     bad[1000:1900] = bad[:30] = bad[-7:] = True
     spoilt = np.where(bad[:, None], 99.0, signal)
-    values, left = patched(spoilt, FS, TRACK, bad)
+    values, left = patch(spoilt, FS, TRACK, bad)
     assert not left.any() and np.abs(values - signal).max() < 0.1
     assert np.array_equal(values[100:900], signal[100:900])
-    values, left = patched(spoilt, FS, TRACK, np.ones(len(signal), dtype=bool))
+    values, left = patch(spoilt, FS, TRACK, np.ones(len(signal), dtype=bool))
     assert left.all() and np.array_equal(values, spoilt)
 
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.ndimage
 
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
-from jointplay.catalogue.signals.steadiness import at_mean_speed, splined
+from jointplay.catalogue.signals.steadiness import at_mean_speed, interpolate
 from jointplay.catalogue.storage.feature_bands import feature_vector, usable_cuts
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
@@ -91,4 +91,4 @@ def test_splines_are_those_of_scipy_to_the_last_bit(count: int) -> None:
     row, place = generator.normal(size=count), np.sort(generator.uniform(0.0, count - 1.0, 3 * count))
     place[0], place[-1] = 0.0, count - 1.0
     expected = scipy.ndimage.map_coordinates(row, [place], order=3, mode="nearest")
-    assert np.array_equal(splined(row, place), expected)
+    assert np.array_equal(interpolate(row, place), expected)

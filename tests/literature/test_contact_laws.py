@@ -15,7 +15,7 @@ from trajectory import Trajectory, trajectories
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.machines.restitution import effective_restitution, returned
+from jointplay.solver.machines.restitution import effective_restitution, restitution_of
 from jointplay.solver.simulation.simulate import simulate
 
 #: Effective restitution, computed independently of this product from the identity, four digits; by restitution asked
@@ -110,7 +110,7 @@ def test_fixed_hysteresis_loses_more_of_faster_impacts() -> None:
             {"law": "hertz", "stiffness": 1e9, "hysteresis": 0.3}, [{"hysteresis": a} for a in (0.1, 0.3)], speed=speed
         )
         for a, flight in zip((0.1, 0.3), runs, strict=True):
-            assert leaving(flight) / speed == pytest.approx(returned(a * speed), abs=2e-7)
+            assert leaving(flight) / speed == pytest.approx(restitution_of(a * speed), abs=2e-7)
 
 
 @pytest.mark.parametrize(

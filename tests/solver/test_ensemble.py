@@ -20,7 +20,7 @@ from jointplay.solver.simulation.blocks import BLOCK, Members
 from jointplay.solver.simulation.ensemble import simulate_ensemble
 from jointplay.solver.simulation.ensemble_result import Ensemble, EnsembleResult
 from jointplay.solver.simulation.simulate import simulate, start_of
-from jointplay.solver.spectra.harmonics import compared
+from jointplay.solver.spectra.harmonics import find_comparable
 from jointplay.solver.spectra.spectrum import order_levels
 from jointplay.solver.spectra.welch import welch
 
@@ -56,7 +56,7 @@ def long(machine: Machine) -> np.ndarray:
 
 def mean_difference(found: EnsembleResult, power: np.ndarray) -> float:
     """Mean |dB| of bands of y between an ensemble and a power (k, 3)."""
-    kept = compared(decibels(power[:, 1]))
+    kept = find_comparable(decibels(power[:, 1]))
     return float(np.mean(np.abs(20 * np.log10(found.level[kept, 1]) - decibels(power[kept, 1]))))
 
 
@@ -75,7 +75,7 @@ def test_a_periodic_machine_has_no_spread_and_stops_at_once(machine: Machine) ->
         revolutions_per_window=3.0,
     )  # fmt: skip
     level = order_levels(spectrum, found.orders[:100])
-    kept = compared(20 * np.log10(level[:, 1]))
+    kept = find_comparable(20 * np.log10(level[:, 1]))
     away = 20 * np.log10(found.level[:100, 1] / level[:, 1])[kept]
     assert np.abs(away).mean() < 0.05  # measured 0.02 dB
 

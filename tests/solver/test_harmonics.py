@@ -7,8 +7,8 @@ import pytest
 
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.spectra.harmonics import (
-    compared,
     count_of,
+    find_comparable,
     harmonic_error,
     harmonic_levels,
     mean_difference_db,
@@ -34,7 +34,7 @@ def test_levels_of_known_lines() -> None:
 def test_error_is_the_mean_over_lines_that_stand_out() -> None:
     reference = lines({1: 1.0, 2: 0.1, 3: 1e-6})
     found = lines({1: 1.0, 2: 0.2, 3: 1e-3})
-    assert compared(harmonic_levels(reference, RATE, DRIVE)).sum() == 2
+    assert find_comparable(harmonic_levels(reference, RATE, DRIVE)).sum() == 2
     assert harmonic_error(found, reference, RATE, DRIVE) == pytest.approx(20 * np.log10(2) / 2, abs=1e-9)
     assert harmonic_error(found[:3000], reference, RATE, DRIVE) == pytest.approx(20 * np.log10(2) / 2, abs=1e-9)
 

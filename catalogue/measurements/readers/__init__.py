@@ -7,7 +7,7 @@ from typing import Any
 from jointplay.catalogue.measurements.readers.cell import CELL
 from jointplay.catalogue.measurements.readers.csv import read_csv
 from jointplay.catalogue.measurements.readers.kinds import kind_of, known_ending
-from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm, checked
+from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm, check
 
 __all__ = ["Limits", "RawColumn", "RawRecording", "Reader", "SpectrumForm", "known_ending", "read_raw"]
 
@@ -31,4 +31,4 @@ def read_raw(data: bytes, source: str, limits: Limits, **table: Any) -> RawRecor
     """
     kind = kind_of(data, source)
     raw = read_csv(data, source, limits, **table) if kind is None else CELL.read(kind, data, source, limits)
-    return checked(raw, limits)
+    return check(raw, limits)

@@ -67,7 +67,7 @@ def recording_of(
         Nothing is a signal, or it is not clear what is.
     """
     told = list(facts)
-    scalars, texts, large = _sorted_out(arrays, source)
+    scalars, texts, large = _sort(arrays, source)
     rate = _rate(scalars, source, told)
     ours = {name: array for name, array in large.items() if _last(name).startswith(_SENSOR)}
     if ours:
@@ -104,7 +104,7 @@ def _last(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _sorted_out(
+def _sort(
     arrays: Mapping[str, Any], source: str
 ) -> tuple[dict[str, float], dict[str, list[str]], dict[str, npt.NDArray[np.float64]]]:
     """Scalars, texts and arrays of numbers; integers and single precision become double."""
@@ -287,7 +287,7 @@ def check_elements(data: bytes, source: str, limits: Limits) -> None:
             rule = f"is truncated: an element of {size} bytes, {len(data) - place - 8} are there"
             raise MeasurementError(source, rule=rule)
         if kind == _COMPRESSED:
-            unpacked += _unpacked(data[place + 8 : place + 8 + size], limits.decoded_bytes - unpacked, source)
+            unpacked += _unpack_size(data[place + 8 : place + 8 + size], limits.decoded_bytes - unpacked, source)
         else:
             unpacked += size
         if unpacked > limits.decoded_bytes:
@@ -296,7 +296,7 @@ def check_elements(data: bytes, source: str, limits: Limits) -> None:
         place += 8 + size
 
 
-def _unpacked(packed: bytes, most: int, source: str) -> int:
+def _unpack_size(packed: bytes, most: int, source: str) -> int:
     """Size of a compressed element, counted no further than the limit."""
     stream, total = zlib.decompressobj(), 0
     try:

@@ -16,7 +16,7 @@ from typing import Any
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.readers.kinds import Kind
-from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording, decoded
+from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording, decode
 
 #: Waited longer than a file may take before the whole process is given up [s].
 _GRACE = 10.0
@@ -82,7 +82,7 @@ class Cell:
             raise MeasurementError(source, rule=f"{kind.name} file: its reader gave no answer") from None
         if "error" in answer:
             raise MeasurementError(source, *answer["error"])
-        return decoded(answer, rest, source)
+        return decode(answer, rest, source)
 
     def _running(self) -> subprocess.Popen[bytes]:
         # A process that was forked off has its parent's pipes, which it must not share.

@@ -95,7 +95,7 @@ def read_csv(
     else:
         columns, header = _columns(looked_at, layout, source)
     facts = [f"text in {encoding}, {layout.dialect.words}"]
-    rate, rate_facts, used = _stated_rate(looked_at[: layout.first], layout.dialect, source)
+    rate, rate_facts, used = _read_rate(looked_at[: layout.first], layout.dialect, source)
     facts += rate_facts
     facts += [
         f"line {number + 1}: {' '.join(line.split())[:80]!r}: not used"
@@ -185,7 +185,7 @@ def _line_above(head: Sequence[str], index: int) -> int | None:
     return next((i for i in range(index - 1, -1, -1) if head[i].strip()), None)
 
 
-def _stated_rate(block: Sequence[str], dialect: Dialect, source: str) -> tuple[float | None, list[str], set[int]]:
+def _read_rate(block: Sequence[str], dialect: Dialect, source: str) -> tuple[float | None, list[str], set[int]]:
     """Sample rate from the lines above the table: "Abtastrate;10000;Hz", "# dt = 0.1 ms"."""
     rates: dict[int, float] = {}
     for number, line in enumerate(block):
@@ -194,7 +194,7 @@ def _stated_rate(block: Sequence[str], dialect: Dialect, source: str) -> tuple[f
             value = _VALUE.search(line, said.end()) if said else None
             if value is None:
                 continue
-            plain = _stated_number(value[1], dialect)
+            plain = _read_number(value[1], dialect)
             # A rate without a unit is in Hz wherever people write one; an interval could be anything.
             unit = parse_unit(value[2] or ("" if inverse else "Hz"))
             if plain is None or plain <= 0 or unit is None or unit.quantity != ("time" if inverse else "frequency"):
@@ -209,7 +209,7 @@ def _stated_rate(block: Sequence[str], dialect: Dialect, source: str) -> tuple[f
     return (next(iter(rates.values())) if rates else None), facts, set(rates)
 
 
-def _stated_number(text: str, dialect: Dialect) -> float | None:
+def _read_number(text: str, dialect: Dialect) -> float | None:
     """Number of a header line, where 10,000 and 10.000 may be ten thousand or ten: the table's decimal sign decides."""
     thousands = "." if dialect.decimal == "," else ","
     return Dialect(";", ".").number(re.sub(rf"{re.escape(thousands)}(?=\d{{3}}(\D|$))", "", text).replace(",", "."))

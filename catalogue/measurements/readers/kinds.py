@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.solver.extensions import installed
+from jointplay.solver.extensions import entry_points_of
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -73,7 +73,7 @@ FOREIGN = {
 _OWN_ENDINGS = {*TEXT_ENDINGS, *(ending for kind in FOREIGN.values() for ending in kind.endings)}
 INSTALLED = {
     name.upper(): Kind(name.upper(), (f".{name.lower()}",), point.module, point.attr)
-    for name, point in installed("readers").items()
+    for name, point in entry_points_of("readers").items()
     if f".{name.lower()}" not in _OWN_ENDINGS and name.upper() not in FOREIGN
 }
 KINDS = {**FOREIGN, **INSTALLED}

@@ -147,7 +147,7 @@ class RawRecording:
 Reader = Callable[[bytes, str, Limits], RawRecording]
 
 
-def encoded(raw: RawRecording) -> dict[str, Any]:
+def encode(raw: RawRecording) -> dict[str, Any]:
     """Answer that stands for a recording.
 
     Parameters
@@ -173,7 +173,7 @@ def encoded(raw: RawRecording) -> dict[str, Any]:
     }
 
 
-def decoded(head: dict[str, Any], body: bytes, source: str) -> RawRecording:
+def decode(head: dict[str, Any], body: bytes, source: str) -> RawRecording:
     """Recording of an answer; the inverse of :func:`encoded`.
 
     Parameters
@@ -209,7 +209,7 @@ LARGEST = 1e30
 NO_TEXT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff]")
 
 
-def checked(raw: RawRecording, limits: Limits) -> RawRecording:
+def check(raw: RawRecording, limits: Limits) -> RawRecording:
     """Refuse what is no recording; warn of samples at the end of what the file's coding can hold.
 
     Parameters

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.readers.kinds import KINDS
-from jointplay.catalogue.measurements.readers.raw import Limits, encoded
+from jointplay.catalogue.measurements.readers.raw import Limits, encode
 
 #: Beyond the arrays, an answer holds facts; they are short.
 _MORE_OUTPUT = 16_000_000
@@ -61,7 +61,7 @@ def answer_and_leave(asked: dict[str, Any], data: bytes, limits: Limits, file: A
             kind = KINDS[asked["kind"]]
             reader = getattr(import_module(kind.module), kind.function)
             raw = reader(data, asked["source"], limits)
-        write(file, encoded(raw))
+        write(file, encode(raw))
     except MeasurementError as error:
         write(file, {"error": [error.line, error.column, _plain(error.value), error.rule]})
     except BaseException as error:  # whatever a library raises at a damaged file is a statement about the file
