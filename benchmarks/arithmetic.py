@@ -82,10 +82,9 @@ def filled(kernel: Kernel, model: Model, clearances: Mapping[str, float]) -> Arr
     """Work array with all lanes at the start of one case."""
     p = model.vector({f"joints.{joint}.clearance": value for joint, value in clearances.items()})
     z = np.zeros(model.size)
-    work, layout = kernel.work_array(), kernel.layout
-    for start, column in ((layout.z, z), (layout.v, start_velocity(model, p, z)), (layout.p, p)):
-        for i, value in enumerate(column):
-            work[start + LANES * i : start + LANES * (i + 1)] = value
+    work, rows = kernel.work_array(), kernel.rows
+    for place, column in ((rows.z, z), (rows.v, start_velocity(model, p, z)), (rows.parameters, p)):
+        work[place] = np.reshape(column, (-1, 1))
     return work
 
 

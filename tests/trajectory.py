@@ -75,24 +75,23 @@ def trajectories(
     usual = {path for joint in clearances[0] for path in contact_paths(machine, joint)} | {"drive.speed"}
     model = build_model(machine, clearances[0], sorted(given - usual))
     kernel = compile_model(model)
-    names, layout, n = model.kinematics.names, kernel.layout, model.size
+    names, rows, n = model.kinematics.names, kernel.rows, model.size
     vectors = []
     work = kernel.work_array()
     for lane in range(LANES):
         run = min(lane, len(starts) - 1)
         values = {f"joints.{joint}.clearance": c for joint, c in clearances[min(run, len(clearances) - 1)].items()}
         vectors.append(model.vector(values | dict(parameters[run] if parameters else {})))
-        work[layout.p + lane : layout.p + lane + LANES * len(vectors[-1]) : LANES] = vectors[-1]
+        work[rows.parameters, lane] = vectors[-1]
         for name, (place, rate) in starts[run].items():
             k = names.index(name)
-            work[layout.z + LANES * k + lane], work[layout.v + LANES * k + lane] = place, rate
-    record = np.array([*range(layout.z, layout.a, LANES), *layout.rows(layout.memory, layout.memories)])
+            work[rows.z[k], lane], work[rows.v[k], lane] = place, rate
+    record = np.array([*rows.z, *rows.v, *rows.memory])
     out = np.zeros((LANES, record.size, samples))
     broken = np.zeros(LANES, dtype=np.int64)
     counts, finals = np.full(LANES, samples), np.zeros((LANES, 2 + 2 * n))
     integrate(
-        kernel.functions, work, n, np.zeros(LANES), step, steps_a_sample, record, out, broken, kernel.jam, counts,
-        finals, layout.memory, layout.memories,
+        kernel.functions, work, kernel.first, np.zeros(LANES), step, steps_a_sample, record, out, broken, counts, finals
     )  # fmt: skip
     assert (broken < 0).all()
     t = np.arange(samples) * step * steps_a_sample

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from jointplay.solver.compiler.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
-from jointplay.solver.compiler.ir import LANES, Block
+from jointplay.solver.compiler.ir import Block
 
 _ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul"}
 _COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "one"}
@@ -80,10 +80,10 @@ class _Printer:
         if value.text in self.source:
             return self.load(*self.source[value.text], fixed=False).text
         if value.text not in self.kept:
-            offset = self.hoist_at + LANES * self.slots
+            row = self.hoist_at + self.slots
             self.slots += 1
-            self.hoisted.store(offset, value.text)
-            self.kept[value.text] = self.body.load(offset)
+            self.hoisted.store(row, value.text)
+            self.kept[value.text] = self.body.load(row)
         return self.kept[value.text]
 
     def reciprocal(self, value: _Value) -> _Value:
@@ -141,12 +141,12 @@ def straight_line(
     function : casadi.Function
         Of SX, dense inputs and outputs.
     inputs, outputs : sequence of sequence of int
-        Offset in the work array of every element of every input and output. Outputs are stored after everything is
+        Row of the work array of every element of every input and output. Outputs are stored after everything is
         read, so they may overlap the inputs.
     fixed_input : int
         Input that holds the lane parameters.
     hoist_at : int
-        Offset from which hoisted values are kept.
+        Row from which hoisted values are kept.
 
     Raises
     ------
@@ -168,6 +168,6 @@ def straight_line(
         else:
             unary = op in _UNARY or op in _OTHER_UNARY
             registers[writes[0]] = printer.apply(op, [registers[r] for r in (reads[:1] if unary else reads[:2])])
-    for offset, value in stores:
-        printer.body.store(offset, value)
+    for row, value in stores:
+        printer.body.store(row, value)
     return Program(printer.body, printer.hoisted, printer.slots)

@@ -79,14 +79,14 @@ class Block:
         """Whether a value is a literal, which every function can write down itself."""
         return value.startswith("<")
 
-    def load(self, offset: int) -> str:
-        """The row at `offset` doubles into the work array."""
-        address = self._new(f"getelementptr double, ptr %w, i64 {offset}")
+    def load(self, row: int) -> str:
+        """A row of the work array."""
+        address = self._new(f"getelementptr double, ptr %w, i64 {LANES * row}")
         return self._new(f"load {ROW}, ptr {address}, align 8")
 
-    def store(self, offset: int, value: str) -> None:
+    def store(self, row: int, value: str) -> None:
         """Write a row."""
-        address = self._new(f"getelementptr double, ptr %w, i64 {offset}")
+        address = self._new(f"getelementptr double, ptr %w, i64 {LANES * row}")
         self.lines.append(f"store {ROW} {value}, ptr {address}, align 8")
 
     def binary(self, operation: str, a: str, b: str) -> str:

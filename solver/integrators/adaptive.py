@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from jointplay.solver.compiler.compiled import compiled, inlined
 from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.integrators.control import (
     DIVERGING,
     JAMMED,
@@ -32,7 +33,7 @@ from jointplay.solver.integrators.control import (
 from jointplay.solver.integrators.dense import record, samples_until
 from jointplay.solver.integrators.gill import DIVERGED, PATIENCE, call
 from jointplay.solver.integrators.lane_work import load, put_away, restore_closures
-from jointplay.solver.integrators.lanes import BUSY, NEXT, STALE, Lanes, Queue, Records, Rows
+from jointplay.solver.integrators.lanes import BUSY, NEXT, STALE, Lanes, Queue, Records
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -40,37 +41,36 @@ Structured = NDArray[Any]
 
 
 @inlined
-def _remember_impacts(w: Array, rows: Rows, remembering: Integers, lane: int) -> None:
+def _remember_impacts(w: Array, rows: Rows[int], remembering: Integers, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
-        penetration, approach = rows.penetration + remembering[m], rows.approach + remembering[m]
-        remember(w, (rows.memory + m) * LANES + lane, penetration * LANES + lane, approach * LANES + lane)
+        contact = remembering[m]
+        remember(w, rows.memory + m, rows.penetration + contact, rows.approach + contact, lane)
 
 
 @inlined
-def _remember_contacts(w: Array, contacts: int, rows: Rows, lane: int, old: Array) -> None:
+def _remember_contacts(w: Array, rows: Rows[int], lane: int, old: Array) -> None:
     """Penetration, its rate and the switch function now are those at the start of the next step."""
-    for j in range(contacts):
-        old[0, j, lane] = w[(rows.penetration + j) * LANES + lane]
-        old[1, j, lane] = w[(rows.approach + j) * LANES + lane]
-        old[2, j, lane] = w[(rows.switch + j) * LANES + lane]
+    for j in range(rows.switch - rows.touching):
+        old[0, j, lane] = w[rows.penetration + j, lane]
+        old[1, j, lane] = w[rows.approach + j, lane]
+        old[2, j, lane] = w[rows.switch + j, lane]
 
 
 @inlined
 def _first_switch(
-    w: Array, contacts: int, rows: Rows, lane: int, step: float, precision: float, shortest: float, old: Array
+    w: Array, rows: Rows[int], lane: int, step: float, precision: float, shortest: float, old: Array
 ) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step (-1 for none), and the shorter step to it, or 0.
 
     0 only where no contact needs a shorter one: what has switched by then has done so at the end of the step.
     """
     event, first, shorter = -1, 1.0, 0.0
-    for j in range(contacts):
-        at = j * LANES + lane
-        pushing = w[rows.touching * LANES + at] > 0.5
-        switch, approach = w[rows.switch * LANES + at], w[rows.approach * LANES + at]
+    for j in range(rows.switch - rows.touching):
+        pushing = w[rows.touching + j, lane] > 0.5
+        switch, approach = w[rows.switch + j, lane], w[rows.approach + j, lane]
         where = switch_part(
-            pushing, old[2, j, lane], switch, old[0, j, lane], w[rows.penetration * LANES + at],
+            pushing, old[2, j, lane], switch, old[0, j, lane], w[rows.penetration + j, lane],
             old[1, j, lane], approach, step,
         )  # fmt: skip
         if where <= 1.0:
@@ -83,29 +83,27 @@ def _first_switch(
 
 
 @inlined
-def _switch(w: Array, contacts: int, rows: Rows, lane: int, event: int) -> bool:
+def _switch(w: Array, rows: Rows[int], lane: int, event: int) -> bool:
     """Let the contact of the event push or cease to, with those that switched at the same time; whether it pushes."""
-    for j in range(contacts):
-        at = j * LANES + lane
-        pushes = w[rows.touching * LANES + at] > 0.5
-        if j == event or pushes != (w[rows.switch * LANES + at] > 0.0):
-            w[rows.touching * LANES + at] = 0.0 if pushes else 1.0
-    return bool(w[(rows.touching + event) * LANES + lane] > 0.5)
+    for j in range(rows.switch - rows.touching):
+        pushes = w[rows.touching + j, lane] > 0.5
+        if j == event or pushes != (w[rows.switch + j, lane] > 0.0):
+            w[rows.touching + j, lane] = 0.0 if pushes else 1.0
+    return bool(w[rows.touching + event, lane] > 0.5)
 
 
 @inlined
-def _any_contact(w: Array, contacts: int, rows: Rows, lane: int) -> bool:
+def _any_contact(w: Array, rows: Rows[int], lane: int) -> bool:
     """Whether any contact of the lane pushes over the step."""
     pushing = 0.0
-    for j in range(contacts):
-        pushing += w[(rows.touching + j) * LANES + lane]
+    for i in range(rows.touching, rows.switch):
+        pushing += w[i, lane]
     return pushing > 0.5
 
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: Array, n: int, contacts: int, rows: Rows, queue: Queue, records: Records,
-    state: Lanes,
+    kernel: tuple[int, int, int, int], w: Array, rows: Rows[int], queue: Queue, records: Records, state: Lanes
 ) -> None:  # fmt: skip
     """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 
@@ -113,18 +111,17 @@ def integrate(
     ----------
     kernel : tuple of int
         Addresses of ``prepare``, ``held``, ``dopri`` and ``project`` (0 for none).
-    w : (total,) array
+    w : (rows, LANES) array
         Work array.
-    n, contacts : int
-        Coordinates, clearance joints.
-    rows : Rows
+    rows : Rows of int
+        Its first rows.
     queue : Queue
     records : Records
     state : Lanes
         Of the call before, or idle ones; its ended cases must have been taken, and their slots freed.
     """
     prepare, held, dopri, project = kernel
-    jam = rows.jam
+    n, contacts = rows.v - rows.z, rows.switch - rows.touching
     # Taken out of their tuples once: compiled code counts references whenever an array is.
     cases, starts, parameters = queue.cases, queue.starts, queue.parameters
     lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
@@ -135,10 +132,10 @@ def integrate(
     loading = True
     while True:
         if loading:
-            if load(w, n, contacts, rows, cases, starts, parameters, lanes, remembering, free, cursor) > 0:
+            if load(w, rows, cases, starts, parameters, lanes, remembering, free, cursor) > 0:
                 call(prepare, w)
                 for lane in range(LANES):
-                    w[lane] = lanes[lane].t
+                    w[rows.time, lane] = lanes[lane].t
                 call(held, w)
                 # Whether a contact pushes at the start follows from the switch, which knows nothing of the assumption.
                 for lane in range(LANES):
@@ -147,8 +144,7 @@ def integrate(
                         mine.fresh = 0
                         mine.end = mine.begin + (cases[mine.case].samples - 1) * interval
                         for j in range(contacts):
-                            pushes = w[(rows.switch + j) * LANES + lane] > 0.0
-                            w[(rows.touching + j) * LANES + lane] = 1.0 if pushes else 0.0
+                            w[rows.touching + j, lane] = 1.0 if w[rows.switch + j, lane] > 0.0 else 0.0
                         _remember_impacts(w, rows, remembering, lane)  # a contact at the start begins there
                 cursor[STALE] = 1
             loading = False
@@ -158,18 +154,17 @@ def integrate(
             return
         if cursor[STALE] == 1:
             for lane in range(LANES):
-                w[lane] = lanes[lane].t
+                w[rows.time, lane] = lanes[lane].t
             call(held, w)
-            for i in range(n * LANES):
-                w[rows.slopes * LANES + i] = w[(2 + 2 * n) * LANES + i]
+            for i in range(n):
+                w[rows.slopes + i] = w[rows.a + i]
             for lane in range(LANES):
-                _remember_contacts(w, contacts, rows, lane, old)
+                _remember_contacts(w, rows, lane, old)
             cursor[STALE] = 0
         for lane in range(LANES):
-            w[lane] = lanes[lane].t
-            w[LANES + lane] = lanes[lane].h if lanes[lane].case >= 0 else 0.0
-            if jam >= 0:
-                w[jam * LANES + lane] = 0.0
+            w[rows.time, lane] = lanes[lane].t
+            w[rows.step, lane] = lanes[lane].h if lanes[lane].case >= 0 else 0.0
+            w[rows.jam, lane] = 0.0
         call(dopri, w)
         for lane in range(LANES):
             mine = lanes[lane]
@@ -177,10 +172,10 @@ def integrate(
                 continue
             case = cases[mine.case]
             mine.trials += 1
-            e, step, t = w[rows.error * LANES + lane], mine.h, mine.t
+            e, step, t = w[rows.error, lane], mine.h, mine.t
             now = arrival(t, step, mine.end, interval)
             shortest = SHORTEST * (abs(t) + interval)
-            jammed = jam >= 0 and w[jam * LANES + lane] > 0.5
+            jammed = w[rows.jam, lane] > 0.5
             accept, noise = accepted(
                 e, jammed, step, case.first_step, case.tolerance, mine.over == 1, mine.forced
             )  # fmt: skip
@@ -188,14 +183,14 @@ def integrate(
             mine.over = 0
             event = -1
             if accept:
-                event, shorter = _first_switch(w, contacts, rows, lane, step, case.precision, shortest, old)
+                event, shorter = _first_switch(w, rows, lane, step, case.precision, shortest, old)
                 if shorter > 0.0:
                     accept = False
                     mine.natural, mine.h = max(mine.natural, step), shorter
             else:
-                smooth = project != 0 and not _any_contact(w, contacts, rows, lane)
+                smooth = project != 0 and not _any_contact(w, rows, lane)
                 mine.h, mine.uncut, mine.uncut_error, over, restore = refused(
-                    step, e, jammed, w[rows.growth * LANES + lane], case.tolerance, mine.forced, smooth, mine.uncut,
+                    step, e, jammed, w[rows.growth, lane], case.tolerance, mine.forced, smooth, mine.uncut,
                     mine.uncut_error,
                 )  # fmt: skip
                 mine.over = over
@@ -206,50 +201,49 @@ def integrate(
             tired = mine.trials > case.most_trials
             if not accept:
                 for i in range(2 * n):
-                    w[(2 + i) * LANES + lane] = w[(rows.kept + i) * LANES + lane]
+                    w[rows.z + i, lane] = w[rows.kept + i, lane]
                 if mine.h < shortest or tired:
                     outcome = JAMMED if jammed else STALLED
-                    put_away(w, n, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor, rows.memory)
+                    put_away(w, rows, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor)
                     loading = loading or cursor[NEXT] < cases.size
                 continue
             case.accepted += 1
-            size = w[rows.size * LANES + lane]
+            size = w[rows.size, lane]
             lost = mine.lost >= PATIENCE
             mine.t = now
             if not (size < DIVERGED) or lost or tired:
                 reached = mine.held_at if lost else mine.sample
                 outcome = STALLED if tired else DIVERGING
-                put_away(w, n, lane, outcome, reached, cases, starts, lanes, ended, cursor, rows.memory)
+                put_away(w, rows, lane, outcome, reached, cases, starts, lanes, ended, cursor)
                 loading = loading or cursor[NEXT] < cases.size
                 continue
             last = samples_until(now, mine.begin, interval, mine.sample, case.samples)
             if last > mine.sample:
                 record(
-                    w, rows.kept, rows.dense, n, lane, mine.begin, t, step, mine.sample, last, mine.slot, channels,
-                    interval, records.head, velocities, coordinates, accelerations, rows.memory,
-                    memories,
+                    w, rows, lane, mine.begin, t, step, mine.sample, last, mine.slot, channels,
+                    interval, records.head, velocities, coordinates, accelerations, memories,
                 )  # fmt: skip
                 mine.sample = last
                 if last == case.samples:
-                    put_away(w, n, lane, OK, last, cases, starts, lanes, ended, cursor, rows.memory)
+                    put_away(w, rows, lane, OK, last, cases, starts, lanes, ended, cursor)
                     loading = loading or cursor[NEXT] < cases.size
                     continue
             for i in range(n):
-                w[(rows.slopes + i) * LANES + lane] = w[(rows.last_slopes + i) * LANES + lane]
-            _remember_contacts(w, contacts, rows, lane, old)
+                w[rows.slopes + i, lane] = w[rows.last_slopes + i, lane]
+            _remember_contacts(w, rows, lane, old)
             natural, longest = 0.0, case.longest_step
             if event >= 0:
-                natural, pushes = mine.natural, _switch(w, contacts, rows, lane, event)
+                natural, pushes = mine.natural, _switch(w, rows, lane, event)
                 mine.pressed, longest = after_switch(natural, step, mine.pressed, longest, pushes)
                 cursor[STALE] = 1
             _remember_impacts(w, rows, remembering, lane)
             # Refusals in a contact say nothing of the closures.
-            if mine.uncut > 0.0 and (step >= mine.uncut or _any_contact(w, contacts, rows, lane)):
+            if mine.uncut > 0.0 and (step >= mine.uncut or _any_contact(w, rows, lane)):
                 mine.uncut = 0.0
             mine.natural = 0.0
-            growth = w[rows.growth * LANES + lane] * mine.root
-            mine.root = w[rows.root * LANES + lane] if event < 0 else 1.0
+            growth = w[rows.growth, lane] * mine.root
+            mine.root = w[rows.root, lane] if event < 0 else 1.0
             mine.h = next_step(step, case.first_step, growth, natural, longest, now, mine.end)
             mine.since += 1
-        if project != 0 and restore_closures(project, w, n, lanes, saved):
+        if project != 0 and restore_closures(project, w, rows, lanes, saved):
             cursor[STALE] = 1

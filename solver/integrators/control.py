@@ -258,7 +258,7 @@ def next_step(
 
 
 @inlined
-def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: int) -> None:
+def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: int, lane: int) -> None:
     """What one contact remembers (:mod:`jointplay.solver.equations.contact`), brought up to date with an accepted
     state.
 
@@ -268,10 +268,10 @@ def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: in
     ----------
     w : array
         Work array.
-    memory, penetration, approach : int
-        Places of these numbers of one contact in one lane.
+    memory, penetration, approach, lane : int
+        Rows of these numbers of one contact, and the lane.
     """
-    if w[penetration] <= 0.0:
-        w[memory] = 0.0
-    elif w[memory] == 0.0:
-        w[memory] = max(abs(w[approach]), SLOWEST_APPROACH)
+    if w[penetration, lane] <= 0.0:
+        w[memory, lane] = 0.0
+    elif w[memory, lane] == 0.0:
+        w[memory, lane] = max(abs(w[approach, lane]), SLOWEST_APPROACH)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from jointplay.solver.compiler.compiled import compiled, inlined
 from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.integrators.lanes import GROUP, PHASES
 
 Array = NDArray[np.float64]
@@ -138,28 +139,25 @@ _write_in_turn: Any = intrinsic(_in_turn)
 
 @inlined
 def record(
-    w: Array, kept: int, dense: int, n: int, lane: int, begin: float, t: float, step: float, first: int, last: int,
+    w: Array, rows: Rows[int], lane: int, begin: float, t: float, step: float, first: int, last: int,
     slot: int, channels: Integers, interval: float, head: int, velocities: Array,
-    coordinates: Array, accelerations: Array, memory: int, memories: Array,
+    coordinates: Array, accelerations: Array, memories: Array,
 ) -> None:  # fmt: skip
     """Write the samples `first` ... `last` - 1, which lie within the step.
 
     Parameters
     ----------
-    w : (total,) array
+    w : (rows, LANES) array
         Work array.
-    kept, dense : int
-        Rows of the state at the start of the step and of the dense output's coefficients.
-    n, lane : int
-        Coordinates; lane.
+    rows : Rows of int
+        Its first rows.
+    lane : int
     begin, t, step : float
         Time of sample 0, time at the start of the step, its length, s.
     first, last : int
         Samples.
     slot : int
         Place in the records.
-    memory : int
-        Row of the first contact's memory.
     channels, interval, head, velocities, coordinates, accelerations, memories
         See :class:`jointplay.solver.integrators.lanes.Records`; one by one, because compiled code counts references of
         every array it takes out of a tuple.
@@ -169,10 +167,11 @@ def record(
     x0, dx = (begin - t) * scale, interval * scale
     wide = PHASES * dx
     motion = coordinates.shape[0] > 0
+    kept, kept_velocity = rows.kept, rows.kept + rows.v - rows.z
     low, high = (first + 1) // PHASES, (last + 1) // PHASES
     for r in range(count):
-        start = w[(kept + n + channels[r]) * LANES + lane]
-        at = (dense + 4 * (count + r)) * LANES + lane
+        start = w[kept_velocity + channels[r], lane]
+        at = (rows.dense + 4 * (count + r)) * LANES + lane
         long = velocities.shape[3]
         even = (slot * count + r) * PHASES * long + head + first // PHASES
         odd = even + long
@@ -185,11 +184,11 @@ def record(
             row = (slot * count + r) * coordinates.shape[2]
             for s in range(low, high, GROUP):
                 _write_slopes(w, at, accelerations, row + s, start, scale, x0 + s * wide, wide)
-            start = w[(kept + channels[r]) * LANES + lane]
-            at = (dense + 4 * r) * LANES + lane
+            start = w[kept + channels[r], lane]
+            at = (rows.dense + 4 * r) * LANES + lane
             for s in range(low, high, GROUP):
                 _write_values(w, at, coordinates, row + s, start, 1.0, x0 + s * wide, wide)
     if motion:
         for m in range(memories.shape[1]):
             for s in range(low, high):
-                memories[slot, m, s] = w[(memory + m) * LANES + lane]
+                memories[slot, m, s] = w[rows.memory + m, lane]

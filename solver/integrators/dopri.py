@@ -11,10 +11,10 @@ and the driver (:mod:`jointplay.solver.integrators.adaptive`) looks for the swit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-from jointplay.solver.compiler.ir import LANES, Block
-from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.compiler.ir import Block
+from jointplay.solver.compiler.rows import Rows, work_rows
+from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import SAFETY
 
 _NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
@@ -41,103 +41,15 @@ _LEAST_ROOT = 0.5623
 DENSE_ROWS = 4
 
 
-@dataclass(frozen=True)
-class StepRows:
-    """Rows that the error-controlled step needs in the extra space of a
-    :class:`~jointplay.solver.compiler.layout.Layout`.
-
-    Attributes
-    ----------
-    layout : Layout
-    contacts : int
-        Clearance joints.
-    recorded : tuple of int
-        Coordinates with dense output.
-    """
-
-    layout: Layout
-    contacts: int
-    recorded: tuple[int, ...]
-
-    @staticmethod
-    def count(size: int, contacts: int, recorded: int) -> int:
-        """Rows needed."""
-        return 4 * contacts + 6 + _COUNT * size + (_COUNT - 2) * size + 2 * DENSE_ROWS * recorded
-
-    @property
-    def touching(self) -> int:
-        """1 where a contact pushes over this step, else 0."""
-        return self.layout.extra_at
-
-    @property
-    def switch(self) -> int:
-        """Switch function of every contact at the end of the step, m."""
-        return self.touching + LANES * self.contacts
-
-    @property
-    def penetration(self) -> int:
-        """Penetration at the end of the step, m."""
-        return self.switch + LANES * self.contacts
-
-    @property
-    def approach(self) -> int:
-        """Its rate, m/s."""
-        return self.penetration + LANES * self.contacts
-
-    @property
-    def error(self) -> int:
-        """Largest scaled error of the step in parts of what is allowed."""
-        return self.approach + LANES * self.contacts
-
-    @property
-    def growth(self) -> int:
-        """Next step in parts of this one, as the error wants it."""
-        return self.error + LANES
-
-    @property
-    def size(self) -> int:
-        """Sum of the sizes of coordinates and velocities at the end of the step."""
-        return self.growth + LANES
-
-    @property
-    def pace(self) -> int:
-        """Given: time in which the machine moves by its own size, s; errors of velocities count times this."""
-        return self.size + LANES
-
-    @property
-    def strictness(self) -> int:
-        """Given: 1 / the scaled error that is allowed."""
-        return self.pace + LANES
-
-    @property
-    def root(self) -> int:
-        """16th root of the error, which holds back the step after the next (see ``docs/solver.md``)."""
-        return self.strictness + LANES
-
-    @property
-    def slopes(self) -> int:
-        """Accelerations of the seven stages, n rows each; the first holds those at the start of the step."""
-        return self.root + LANES
-
-    @property
-    def stage_velocities(self) -> int:
-        """Velocities of stages 2 to 6, n rows each."""
-        return self.slopes + LANES * _COUNT * self.layout.size
-
-    @property
-    def dense(self) -> int:
-        """Dense output: four rows for each recorded coordinate, then for its velocity."""
-        return self.stage_velocities + LANES * (_COUNT - 2) * self.layout.size
-
-    @property
-    def jam(self) -> int:
-        """1 once a sliding joint has jammed within the step; only where sliding joints rub."""
-        return self.dense + LANES * 2 * DENSE_ROWS * len(self.recorded)
-
-    @property
-    def last_slopes(self) -> int:
-        """Accelerations at the end of the step."""
-        return self.slopes + LANES * (_COUNT - 1) * self.layout.size
+def adaptive_rows(model: Model, recorded: int) -> Rows[range]:
+    """Work array of the error-controlled step, with dense output of so many coordinates."""
+    n, contacts = model.size, len(model.contacts)
+    return work_rows(
+        n, len(model.parameters), len(model.remembering),
+        touching=contacts, switch=contacts, penetration=contacts, approach=contacts,
+        error=1, growth=1, size=1, pace=1, strictness=1, root=1,
+        slopes=(_COUNT - 1) * n, last_slopes=n, stage_velocities=(_COUNT - 2) * n, dense=2 * DENSE_ROWS * recorded,
+    )  # fmt: skip
 
 
 def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) -> str:
@@ -159,23 +71,25 @@ def _growth(block: Block, error: str) -> tuple[str, str]:
     )
 
 
-def dopri_step(rows: StepRows, scales: Sequence[float]) -> str:
+def dopri_step(rows: Rows[range], recorded: Sequence[int], scales: Sequence[float]) -> str:
     """``dopri``: a trial step from (z, v, first slopes) with the step and time rows.
 
     Parameters
     ----------
-    rows : StepRows
+    rows : Rows
+        As :func:`adaptive_rows` has them.
+    recorded : sequence of int
+        Coordinates with dense output.
     scales : sequence of float
         Sizes of the coordinates that errors are compared with; n numbers.
     """
-    layout = rows.layout
-    n = layout.size
+    z, v, a, kept = rows.z, rows.v, rows.a, rows.kept
+    n = len(z)
     block = Block()
-    h, t = block.load(layout.step), block.load(layout.time)
-    z, v, a = (layout.rows(start, n) for start in (layout.z, layout.v, layout.a))
-    kept = layout.rows(layout.scratch, 2 * n)
-    slopes = [layout.rows(rows.slopes + LANES * n * i, n) for i in range(_COUNT)]
-    speeds = [kept[n:], *(layout.rows(rows.stage_velocities + LANES * n * i, n) for i in range(_COUNT - 2)), v]
+    h, t = block.load(rows.step[0]), block.load(rows.time[0])
+    slopes = [*(rows.slopes[n * i : n * (i + 1)] for i in range(_COUNT - 1)), rows.last_slopes]
+    between = [rows.stage_velocities[n * i : n * (i + 1)] for i in range(_COUNT - 2)]
+    speeds = [kept[n:], *between, v]
     for i in range(n):
         block.store(kept[i], block.load(z[i]))
         block.store(kept[n + i], block.load(v[i]))
@@ -189,7 +103,7 @@ def dopri_step(rows: StepRows, scales: Sequence[float]) -> str:
             block.store(v[i], speed)
             if stage < _COUNT - 1:
                 block.store(speeds[stage][i], speed)
-        block.store(layout.time, block.fma(block.constant(_NODES[stage]), h, t))
+        block.store(rows.time[0], block.fma(block.constant(_NODES[stage]), h, t))
         block.invoke("held")
         for i in range(n):
             block.store(slopes[stage][i], block.load(a[i]))
@@ -201,25 +115,24 @@ def dopri_step(rows: StepRows, scales: Sequence[float]) -> str:
             scaled = block.mul(block.call("fabs", error), block.constant(1 / scales[i]))
             found = block.call("maxnum", found, scaled)
         largest.append(found)
-    error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace)))
-    error = block.mul(block.mul(error, h), block.load(rows.strictness))
-    block.store(rows.error, error)
+    error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace[0])))
+    error = block.mul(block.mul(error, h), block.load(rows.strictness[0]))
+    block.store(rows.error[0], error)
     growth, root = _growth(block, error)
-    block.store(rows.growth, growth)
-    block.store(rows.root, root)
+    block.store(rows.growth[0], growth)
+    block.store(rows.root[0], root)
     size = block.constant(0.0)
     for row in (*z, *v):
         size = block.add(size, block.call("fabs", block.load(row)))
-    block.store(rows.size, size)
-    at = rows.dense
+    block.store(rows.size[0], size)
+    dense = iter(rows.dense)
     for k, (stages, ends) in enumerate(((speeds, z), (slopes, v))):
-        for i in rows.recorded:
+        for i in recorded:
             values = [block.load(stages[j][i]) for j in range(_COUNT)]
             change = block.sub(block.load(ends[i]), block.load(kept[k * n + i]))
             bend = block.sub(block.mul(h, values[0]), change)
             last = block.sub(block.sub(change, block.mul(h, values[-1])), bend)
             quartic = block.mul(h, _combination(block, _DENSE, values))
             for coefficient in (change, bend, last, quartic):
-                block.store(at, coefficient)
-                at += LANES
+                block.store(next(dense), coefficient)
     return block.function("dopri")

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from jointplay.solver.compiler.compiled import compiled
 from jointplay.solver.compiler.ir import LANES, Block
-from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.compiler.rows import Rows, work_rows
+from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import remember
 
 #: Sum of coordinates and velocities (absolute, SI) beyond which a case counts as diverged: no machine is that fast.
@@ -43,16 +44,20 @@ _STAGES = (
 )
 
 
-def gill_step(layout: Layout) -> str:
+def gill_rows(model: Model) -> Rows[range]:
+    """Work array of a step; penetration and approach are those of the contacts that remember."""
+    memories = len(model.remembering)
+    return work_rows(model.size, len(model.parameters), memories, penetration=memories, approach=memories)
+
+
+def gill_step(rows: Rows[range]) -> str:
     """One step as vector code: ``void gill(double* work)``, with the first right-hand side evaluated already."""
     block = Block()
-    n = layout.size
-    rows = [layout.rows(start, n) for start in (layout.z, layout.v, layout.a)]
-    scratch = layout.rows(layout.scratch, 2 * n)
-    h, t = block.load(layout.step), block.load(layout.time)
+    n = len(rows.z)
+    h, t = block.load(rows.step[0]), block.load(rows.time[0])
     for stage, (a, b, c, time) in enumerate(_STAGES):
         # Coordinates first: their rate is the velocity that the second pass overwrites.
-        for y, f, q in ((rows[0], rows[1], scratch[:n]), (rows[1], rows[2], scratch[n:])):
+        for y, f, q in ((rows.z, rows.v, rows.kept[:n]), (rows.v, rows.a, rows.kept[n:])):
             for i in range(n):
                 k = block.mul(h, block.load(f[i]))
                 kept = block.load(q[i])
@@ -61,7 +66,7 @@ def gill_step(layout: Layout) -> str:
                 kept = block.fma(block.constant(3.0), d, kept)
                 block.store(q[i], block.fma(block.constant(-c), k, kept))
         if time is not None:
-            block.store(layout.time, block.fma(block.constant(time), h, t))
+            block.store(rows.time[0], block.fma(block.constant(time), h, t))
         if stage < 3:
             block.invoke("rhs")
     return block.function("gill")
@@ -85,41 +90,37 @@ call: Any = intrinsic(_call)
 
 
 @compiled
-def _remember(w: NDArray[np.float64], n: int, memory: int, memories: int) -> None:
+def _remember(w: NDArray[np.float64], rows: Rows[int]) -> None:
     """Memories of all lanes after the right-hand side of an accepted state.
 
     It need not be evaluated again: with nothing remembered it took the same velocity that is remembered now.
     """
-    apart = LANES * memories
-    for i in range(apart):
-        penetration = LANES * (2 + 5 * n) + i
-        remember(w, memory + i, penetration, penetration + apart)
+    for m in range(rows.hoisted - rows.memory):
+        for lane in range(LANES):
+            remember(w, rows.memory + m, rows.penetration + m, rows.approach + m, lane)
 
 
 @compiled
-def _note(w: NDArray[np.float64], n: int, lane: int, how: int, finals: NDArray[np.float64]) -> None:
+def _note(w: NDArray[np.float64], rows: Rows[int], lane: int, how: int, finals: NDArray[np.float64]) -> None:
     """Keep how a lane has ended, its time and its state."""
     finals[lane, 0] = how
-    finals[lane, 1] = w[lane]
-    for i in range(2 * n):
-        finals[lane, 2 + i] = w[(2 + i) * LANES + lane]
+    finals[lane, 1] = w[rows.time, lane]
+    finals[lane, 2:] = w[rows.z : rows.a, lane]
 
 
 @compiled
-def _note_jams(w: NDArray[np.float64], n: int, jam: int, finals: NDArray[np.float64]) -> None:
+def _note_jams(w: NDArray[np.float64], rows: Rows[int], finals: NDArray[np.float64]) -> None:
     """Keep time and state of lanes that have just jammed."""
-    if jam < 0:
-        return
     for lane in range(LANES):
-        if finals[lane, 0] == RUNNING and w[jam * LANES + lane] > 0.5:
-            _note(w, n, lane, JAMMED, finals)
+        if finals[lane, 0] == RUNNING and w[rows.jam, lane] > 0.5:
+            _note(w, rows, lane, JAMMED, finals)
 
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: NDArray[np.float64], n: int, begins: NDArray[np.float64], h: float,
-    substeps: int, record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64], jam: int,
-    counts: NDArray[np.int64], finals: NDArray[np.float64], memory: int = 0, memories: int = 0,
+    kernel: tuple[int, int, int, int], w: NDArray[np.float64], rows: Rows[int], begins: NDArray[np.float64], h: float,
+    substeps: int, record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64],
+    counts: NDArray[np.int64], finals: NDArray[np.float64],
 ) -> None:  # fmt: skip
     """Integrate one group of lanes with a fixed step and record samples.
 
@@ -127,10 +128,10 @@ def integrate(
     ----------
     kernel : tuple of int
         Addresses of the kernel's ``prepare``, ``rhs``, ``gill`` and ``project``; the last 0 for none.
-    w : (total,) array
+    w : (rows, LANES) array
         Work array with parameters, coordinates and velocities at the start.
-    n : int
-        Number of coordinates.
+    rows : Rows of int
+        Its first rows.
     begins : (LANES,) array
         Time of the first sample, s.
     h : float
@@ -138,53 +139,47 @@ def integrate(
     substeps : int
         Steps from sample to sample; closures are restored at every sample.
     record : (r,) array of int
-        Offsets of the rows to record.
+        Rows to record.
     out : (LANES, r, samples) array
         Filled in.
     broken : (LANES,) array of int
         First sample at which a lane had jammed or was no longer finite, else -1; filled in.
-    jam : int
-        Row that says whether sliding joints have jammed, -1 where none rubs.
     counts : (LANES,) array of int
         Samples wanted of every lane.
     finals : (LANES, 2 + 2 n) array
         :data:`JAMMED`, :data:`ENDED` or :data:`RUNNING`; time, coordinates and velocities there or at the last sample;
         filled in.
-    memory, memories : int
-        Offset of what contacts remember, and how many do.
 
     Notes
     -----
     Compiled without the fast-math flags of the right-hand side: this is where non-finite numbers are looked for.
     """
     prepare, rhs, gill, project = kernel
-    samples = out.shape[2]
+    samples, n = out.shape[2], rows.v - rows.z
     call(prepare, w)
-    before = np.zeros(2 * n * LANES)
+    before = np.zeros((2 * n, LANES))
     lost = np.zeros(LANES, dtype=np.int64)
     for lane in range(LANES):
         broken[lane] = -1
-        w[LANES + lane] = h
-    for i in range(LANES * (2 + 3 * n), LANES * (2 + 5 * n)):
-        w[i] = 0.0  # nothing to correct yet
+    w[rows.step] = h
+    w[rows.kept : rows.kept + 2 * n] = 0.0  # nothing to correct yet
+    w[rows.jam] = 0.0
     finals[:] = RUNNING
-    if jam >= 0:
-        w[LANES * jam : LANES * (jam + 1)] = 0.0
     for s in range(samples):
         for lane in range(LANES):
-            w[lane] = begins[lane] + s * substeps * h
+            w[rows.time, lane] = begins[lane] + s * substeps * h
         call(rhs, w)
-        _remember(w, n, memory, memories)
+        _remember(w, rows)
         alive = 0
-        _note_jams(w, n, jam, finals)
+        _note_jams(w, rows, finals)
         for lane in range(LANES):
             if s + 1 == counts[lane] and finals[lane, 0] == RUNNING:
-                _note(w, n, lane, ENDED, finals)
+                _note(w, rows, lane, ENDED, finals)
             size = 0.0
-            for i in range(2, 2 + 2 * n):
-                size += abs(w[i * LANES + lane])
-            for i in range(2 + 2 * n, 2 + 3 * n):
-                size += 0.0 * w[i * LANES + lane]  # nothing, or no number
+            for i in range(rows.z, rows.a):
+                size += abs(w[i, lane])
+            for i in range(rows.a, rows.a + n):
+                size += 0.0 * w[i, lane]  # nothing, or no number
             if broken[lane] < 0:
                 if size < DIVERGED and lost[lane] < PATIENCE and finals[lane, 0] != JAMMED:
                     alive += 1
@@ -192,30 +187,29 @@ def integrate(
                     broken[lane] = max(0, s - lost[lane])
         for r in range(record.size):
             for lane in range(LANES):
-                out[lane, r, s] = w[record[r] + lane]
+                out[lane, r, s] = w[record[r], lane]
         if alive == 0 or s + 1 == samples:
             return
         for k in range(substeps):
             if k > 0:
                 for lane in range(LANES):
-                    w[lane] = begins[lane] + (s * substeps + k) * h
+                    w[rows.time, lane] = begins[lane] + (s * substeps + k) * h
                 call(rhs, w)
-                _remember(w, n, memory, memories)
+                _remember(w, rows)
             call(gill, w)
-            _note_jams(w, n, jam, finals)
+            _note_jams(w, rows, finals)
         if project != 0:
-            before[:] = w[2 * LANES : (2 + 2 * n) * LANES]
+            before[:] = w[rows.z : rows.a]
             call(project, w)
             for lane in range(LANES):
                 moved = 0.0
                 for i in range(n):
-                    moved += abs(w[(2 + i) * LANES + lane] - before[i * LANES + lane])
+                    moved += abs(w[rows.z + i, lane] - before[i, lane])
                 if moved < LOST:  # false for a correction that is no number
                     lost[lane] = 0
                 else:
                     lost[lane] += 1
-                    for i in range(2 * n):
-                        w[(2 + i) * LANES + lane] = before[i * LANES + lane]
+                    w[rows.z : rows.a, lane] = before[:, lane]
 
 
 @compiled

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.solver.compiler import native
-from jointplay.solver.compiler.emit import straight_line
+from jointplay.solver.compiler.emit import Program, straight_line
 from jointplay.solver.compiler.ir import DECLARATIONS, LANES
-from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.equations.model import Model
-from jointplay.solver.integrators.dopri import StepRows, dopri_step
-from jointplay.solver.integrators.gill import gill_step
+from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
+from jointplay.solver.integrators.gill import gill_rows, gill_step
 
 _ALIGNMENT = 64  # bytes: a row never straddles two cache lines
 
@@ -26,7 +26,7 @@ class Kernel:
 
     Attributes
     ----------
-    layout : Layout
+    rows : Rows of range
         Where everything is in the work array.
     functions : tuple of int
         Addresses of ``void f(double* work)``: ``prepare`` (what depends on the parameters alone), the right-hand side,
@@ -36,22 +36,24 @@ class Kernel:
         Vector operations of one right-hand side.
     key : str
         SHA-256 of code, processor and compiler.
-    jam : int
-        Row that a right-hand side sets to 1 where a sliding joint jams, and leaves else; -1 where none rubs.
     """
 
-    layout: Layout
+    rows: Rows[range]
     functions: tuple[int, int, int, int]
     operations: int
     key: str
-    jam: int
+
+    @property
+    def first(self) -> Rows[int]:
+        """The first row of everything, for compiled code."""
+        return Rows(*(rows.start for rows in self.rows))
 
     def work_array(self) -> NDArray[np.float64]:
-        """A zeroed, aligned work array."""
-        spare = _ALIGNMENT // 8
-        raw = np.zeros(self.layout.total + spare)
+        """A zeroed, aligned work array, (rows, LANES)."""
+        length = self.rows[-1].stop * LANES
+        raw = np.zeros(length + _ALIGNMENT // 8)
         skip = (-raw.ctypes.data % _ALIGNMENT) // 8
-        return raw[skip : skip + self.layout.total]
+        return raw[skip : skip + length].reshape(-1, LANES)
 
 
 @dataclass(frozen=True)
@@ -59,65 +61,63 @@ class KernelCode:
     """Source of a model, before compilation."""
 
     text: str
-    layout: Layout
+    rows: Rows[range]
     operations: int
     constrained: bool
-    jam: int = -1
 
 
-def _simplified(name: str, symbols: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
-    """A function after elimination of common subexpressions."""
-    return ca.Function(name, symbols, [ca.densify(out) for out in ca.cse(outputs)])
+#: Rows of a kernel, and what is read from them or written to them.
+Placed = list[tuple[range, ca.SX]]
+
+
+def _printed(name: str, reads: Placed, writes: Placed, hoist_at: int) -> Program:
+    """A function after elimination of common subexpressions; the fourth of what it reads are the lane parameters."""
+    simple = [ca.densify(out) for out in ca.cse([value for _, value in writes])]
+    function = ca.Function(name, [symbol for _, symbol in reads], simple)
+    places = ([rows for rows, _ in placed] for placed in (reads, writes))
+    return straight_line(function, *places, fixed_input=3, hoist_at=hoist_at)
 
 
 def _code(
-    model: Model, layout: Layout, name: str, symbols: list[ca.SX], inputs: list[list[int]], outputs: list[ca.SX],
-    targets: list[list[int]], step: str, jam: tuple[ca.SX, int],
-) -> KernelCode:  # fmt: skip
-    """Right-hand side `name`, projection, ``prepare`` and one step of a method; `jam` and the place of its row."""
+    model: Model, rows: Rows[range], name: str, reads: Placed, writes: Placed, jam: ca.SX, step: str
+) -> KernelCode:
+    """Right-hand side `name`, projection, ``prepare`` and one step of a method; `reads` beside the state."""
+    state = [(rows.time, model.t), (rows.z, model.z), (rows.v, model.v), (rows.parameters, model.p)]
     if model.rubbing is not None:
-        met, place = ca.SX.sym("met"), [jam[1]]
-        symbols, inputs = [*symbols, met], [*inputs, place]
-        outputs, targets = [*outputs, ca.fmax(met, jam[0])], [*targets, place]
-    simplified = _simplified(name, symbols, outputs)
-    right = straight_line(simplified, inputs, targets, fixed_input=3, hoist_at=layout.hoist)
+        met = ca.SX.sym("met")
+        reads, writes = [*reads, (rows.jam, met)], [*writes, (rows.jam, ca.fmax(met, jam))]
+    right = _printed(name, state + reads, writes, rows.hoisted.start)
     functions = [right.body.function(name)]
     prepare, slots = right.hoisted, right.hoist_slots
     constrained = bool(model.kinematics.closures)
     if constrained:
         # Velocities at the corrected pose: else a residual of gap times speed stays in them.
-        dz, _ = model.projection.call(symbols[:4])
-        _, dv = model.projection.call([symbols[0], model.z + dz, *symbols[2:4]])
-        project = straight_line(
-            _simplified("project", symbols[:4], [model.z + dz, model.v + dv]), inputs[:4], inputs[1:3],
-            fixed_input=3, hoist_at=layout.hoist + LANES * slots,
-        )  # fmt: skip
+        dz, _ = model.projection.call([model.t, model.z, model.v, model.p])
+        _, dv = model.projection.call([model.t, model.z + dz, model.v, model.p])
+        restored = [(rows.z, model.z + dz), (rows.v, model.v + dv)]
+        project = _printed("project", state, restored, rows.hoisted.start + slots)
         functions.append(project.body.function("project"))
         prepare.lines += project.hoisted.lines
         slots += project.hoist_slots
     functions += [prepare.function("prepare"), step]
+    hoisted = range(rows.hoisted.start, rows.hoisted.start + slots)
     text = "\n".join([DECLARATIONS, *functions])
-    row = -1 if model.rubbing is None else jam[1] // LANES
-    return KernelCode(text, replace(layout, hoisted=slots), right.body.operations, constrained, row)
+    return KernelCode(text, rows._replace(hoisted=hoisted), right.body.operations, constrained)
+
+
+def _of_contacts(model: Model, name: str, contacts: Iterable[int]) -> ca.SX:
+    column: ca.SX = ca.vertcat(*(getattr(model.contacts[j], name) for j in contacts))
+    return column
 
 
 def kernel_code(model: Model) -> KernelCode:
     """Print a model for Runge-Kutta-Gill: ``prepare``, ``rhs``, ``gill`` and ``project``."""
-    n, k, memories = model.size, len(model.parameters), len(model.remembering)
-    layout = Layout(n, k, extra=2 * memories + (model.rubbing is not None), memories=memories)
-    symbols = [model.t, model.z, model.v, model.p, model.memory]
-    inputs = [
-        [layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k),
-        layout.rows(layout.memory, memories),
-    ]  # fmt: skip
-    outputs, targets = [model.acceleration], [layout.rows(layout.a, n)]
-    at = layout.extra_at
-    if memories:
-        for name in ("penetration", "approach"):
-            outputs.append(ca.vertcat(*(getattr(model.contacts[j], name) for j in model.remembering)))
-            targets.append(layout.rows(at, memories))
-            at += LANES * memories
-    return _code(model, layout, "rhs", symbols, inputs, outputs, targets, gill_step(layout), (model.jam, at))
+    rows = gill_rows(model)
+    writes = [(rows.a, model.acceleration)]
+    if model.remembering:
+        for place, name in ((rows.penetration, "penetration"), (rows.approach, "approach")):
+            writes.append((place, _of_contacts(model, name, model.remembering)))
+    return _code(model, rows, "rhs", [(rows.memory, model.memory)], writes, model.jam, gill_step(rows))
 
 
 def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> KernelCode:
@@ -131,31 +131,23 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
     recorded : tuple of int
         Coordinates with dense output.
     """
-    n, k, contacts = model.size, len(model.parameters), len(model.contacts)
-    memories = len(model.remembering)
-    extra = StepRows.count(n, contacts, len(recorded)) + (model.rubbing is not None)
-    layout = Layout(n, k, extra=extra, memories=memories)
-    rows = StepRows(layout, contacts, recorded)
-    symbols = [model.t, model.z, model.v, model.p, model.touching, model.memory]
-    inputs = [
-        [layout.time], layout.rows(layout.z, n), layout.rows(layout.v, n), layout.rows(layout.p, k),
-        layout.rows(rows.touching, contacts), layout.rows(layout.memory, memories),
-    ]  # fmt: skip
-    outputs, targets = [model.held_acceleration], [layout.rows(layout.a, n)]
-    if contacts:
-        for start, name in ((rows.switch, "switch"), (rows.penetration, "penetration"), (rows.approach, "approach")):
-            outputs.append(ca.vertcat(*(getattr(contact, name) for contact in model.contacts)))
-            targets.append(layout.rows(start, contacts))
-    jam = (ca.SX(0) if model.rubbing is None else model.rubbing.jam, rows.jam)
-    step = dopri_step(rows, scales)
-    return _code(model, layout, "held", symbols, inputs, outputs, targets, step, jam)
+    rows = adaptive_rows(model, len(recorded))
+    reads = [(rows.touching, model.touching), (rows.memory, model.memory)]
+    writes = [(rows.a, model.held_acceleration)]
+    if model.contacts:
+        for place, name in (
+            (rows.switch, "switch"), (rows.penetration, "penetration"), (rows.approach, "approach"),
+        ):  # fmt: skip
+            writes.append((place, _of_contacts(model, name, range(len(model.contacts)))))
+    jam = ca.SX(0) if model.rubbing is None else model.rubbing.jam
+    return _code(model, rows, "held", reads, writes, jam, dopri_step(rows, recorded, scales))
 
 
 def _compiled(code: KernelCode, names: tuple[str, str]) -> Kernel:
     address = native.load(code.text)
     project = address("project") if code.constrained else 0
     functions = (address("prepare"), address(names[0]), address(names[1]), project)
-    return Kernel(code.layout, functions, code.operations, native.content_key(code.text), code.jam)
+    return Kernel(code.rows, functions, code.operations, native.content_key(code.text))
 
 
 def compile_model(model: Model) -> Kernel:

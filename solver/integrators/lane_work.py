@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from jointplay.solver.compiler.compiled import compiled, inlined
 from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.integrators.control import (
     CAUTION,
     PROJECT_EVERY,
 )
 from jointplay.solver.integrators.gill import LOST, call
-from jointplay.solver.integrators.lanes import BUSY, ENDED, FREE, NEXT, Rows
+from jointplay.solver.integrators.lanes import BUSY, ENDED, FREE, NEXT
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -23,11 +24,11 @@ Structured = NDArray[Any]
 
 @compiled
 def load(
-    w: Array, n: int, contacts: int, rows: Rows, cases: Structured, starts: Array, parameters: Array,
+    w: Array, rows: Rows[int], cases: Structured, starts: Array, parameters: Array,
     lanes: Structured, remembering: Integers, free: Integers, cursor: Integers,
 ) -> int:  # fmt: skip
     """Give idle lanes the next cases of the queue, as long as there is room for their records; how many got one."""
-    loaded = 0
+    loaded, n = 0, rows.v - rows.z
     for lane in range(LANES):
         c = cursor[NEXT]
         if lanes[lane].case >= 0 or c >= cases.size or cursor[FREE] == 0:
@@ -41,14 +42,14 @@ def load(
         mine.uncut, mine.over = 0.0, 0
         mine.sample = mine.trials = mine.since = mine.forced = mine.lost = mine.held_at = 0
         for i in range(2 * n):
-            w[(2 + i) * LANES + lane] = starts[c, i]
-        w[rows.pace * LANES + lane], w[rows.strictness * LANES + lane] = case.pace, 1.0 / case.tolerance
+            w[rows.z + i, lane] = starts[c, i]
+        w[rows.pace, lane], w[rows.strictness, lane] = case.pace, 1.0 / case.tolerance
         for i in range(parameters.shape[1]):
-            w[(rows.parameters + i) * LANES + lane] = parameters[c, i]
-        for j in range(contacts):
-            w[(rows.touching + j) * LANES + lane] = 0.0
+            w[rows.parameters + i, lane] = parameters[c, i]
+        for i in range(rows.touching, rows.switch):
+            w[i, lane] = 0.0
         for m in range(remembering.size):
-            w[(rows.memory + m) * LANES + lane] = starts[c, 2 * n + m]
+            w[rows.memory + m, lane] = starts[c, 2 * n + m]
         cursor[NEXT] += 1
         cursor[BUSY] += 1
         loaded += 1
@@ -57,17 +58,18 @@ def load(
 
 @inlined
 def put_away(
-    w: Array, n: int, lane: int, outcome: int, reached: int, cases: Structured, starts: Array, lanes: Structured,
-    ended: Integers, cursor: Integers, memory: int,
+    w: Array, rows: Rows[int], lane: int, outcome: int, reached: int, cases: Structured, starts: Array,
+    lanes: Structured, ended: Integers, cursor: Integers,
 ) -> None:  # fmt: skip
     """Put the lane's case away: how it ended, and where it stands."""
     mine = lanes[lane]
     case = cases[mine.case]
     case.outcome, case.reached, case.begin = outcome, reached, mine.t
-    for i in range(2 * n):
-        starts[mine.case, i] = w[(2 + i) * LANES + lane]
-    for i in range(2 * n, starts.shape[1]):
-        starts[mine.case, i] = w[(memory + i - 2 * n) * LANES + lane]
+    moving = rows.a - rows.z
+    for i in range(moving):
+        starts[mine.case, i] = w[rows.z + i, lane]
+    for i in range(moving, starts.shape[1]):
+        starts[mine.case, i] = w[rows.memory + i - moving, lane]
     ended[cursor[ENDED], 0], ended[cursor[ENDED], 1] = mine.case, mine.slot
     cursor[ENDED] += 1
     cursor[BUSY] -= 1
@@ -75,7 +77,7 @@ def put_away(
 
 
 @compiled
-def restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: Array) -> bool:
+def restore_closures(project: int, w: Array, rows: Rows[int], lanes: Structured, saved: Array) -> bool:
     """Restore the closures of the lanes that are due, and only of them; whether there were any.
 
     The others are left exactly as they are, so that no result depends on which cases run beside it.
@@ -85,23 +87,22 @@ def restore_closures(project: int, w: Array, n: int, lanes: Structured, saved: A
         due = due or (lanes[lane].case >= 0 and lanes[lane].since >= PROJECT_EVERY)
     if not due:
         return False
-    for i in range(2 * n * LANES):
-        saved[i] = w[2 * LANES + i]
+    saved[:] = w[rows.z : rows.a]
     for lane in range(LANES):
-        w[lane] = lanes[lane].t
+        w[rows.time, lane] = lanes[lane].t
     call(project, w)
     for lane in range(LANES):
         mine, moved = lanes[lane], LOST
         if mine.case >= 0 and mine.since >= PROJECT_EVERY:
             mine.since = 0
             moved = 0.0
-            for i in range(n):
-                moved += abs(w[(2 + i) * LANES + lane] - saved[i * LANES + lane])
+            for i in range(rows.v - rows.z):
+                moved += abs(w[rows.z + i, lane] - saved[i, lane])
             if moved < LOST:
                 mine.lost, mine.held_at = 0, mine.sample
             else:  # also a correction that is no number
                 mine.lost += 1
         if not (moved < LOST):
-            for i in range(2 * n):
-                w[(2 + i) * LANES + lane] = saved[i * LANES + lane]
+            for i in range(rows.a - rows.z):
+                w[rows.z + i, lane] = saved[i, lane]
     return True

@@ -53,30 +53,6 @@ LANE = np.dtype(
 )  # fmt: skip
 
 
-class Rows(NamedTuple):
-    """Rows of the work array, see :class:`~jointplay.solver.integrators.dopri.StepRows`; `jam` is -1 where no joint
-    rubs.
-    """
-
-    kept: int
-    touching: int
-    switch: int
-    penetration: int
-    approach: int
-    error: int
-    growth: int
-    root: int
-    size: int
-    pace: int
-    strictness: int
-    slopes: int
-    last_slopes: int
-    dense: int
-    parameters: int
-    memory: int
-    jam: int
-
-
 class Queue(NamedTuple):
     """The cases.
 
@@ -130,7 +106,7 @@ class Lanes(NamedTuple):
     lanes : (LANES,) array of LANE
     old : (3, contacts, LANES) array
         Penetration, its rate and the switch function at the start of the step.
-    saved : (2 n LANES,) array
+    saved : (2 n, LANES) array
         Coordinates and velocities before a correction.
     remembering : (m,) array of int
         Clearance joints whose contact law remembers.
@@ -173,7 +149,7 @@ def idle_lanes(n: int, contacts: int, remembering: Integers, slots: int) -> Lane
     cursor = np.zeros(5, dtype=np.int64)
     cursor[FREE], cursor[STALE] = slots, 1
     return Lanes(
-        lanes, np.zeros((3, max(1, contacts), LANES)), np.zeros(2 * n * LANES), remembering,
+        lanes, np.zeros((3, max(1, contacts), LANES)), np.zeros((2 * n, LANES)), remembering,
         np.arange(slots)[::-1].copy(),
         np.zeros((slots, 2), dtype=np.int64), cursor,
     )  # fmt: skip

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import Prepared, model_of
 from jointplay.solver.cases.rates import error_scales
-from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.model import MODELS_KEPT, Model
 from jointplay.solver.integrators import adaptive, control
-from jointplay.solver.integrators.dopri import StepRows
 from jointplay.solver.integrators.kernel import Kernel, compile_adaptive
 from jointplay.solver.integrators.lanes import (
     BUSY,
@@ -25,7 +23,6 @@ from jointplay.solver.integrators.lanes import (
     SLOTS,
     Queue,
     Records,
-    Rows,
     empty_records,
     idle_lanes,
 )
@@ -63,20 +60,6 @@ def _adaptive_kernel(
     return compile_adaptive(model, error_scales(machine, model), recorded)
 
 
-def _rows(kernel: Kernel, model: Model, recorded: tuple[int, ...]) -> Rows:
-    """Rows of the kernel's work array."""
-    rows = StepRows(kernel.layout, len(model.contacts), recorded)
-    layout = kernel.layout
-    return Rows(
-        kept=layout.scratch // LANES, touching=rows.touching // LANES, switch=rows.switch // LANES,
-        penetration=rows.penetration // LANES, approach=rows.approach // LANES, error=rows.error // LANES,
-        growth=rows.growth // LANES, root=rows.root // LANES, size=rows.size // LANES, pace=rows.pace // LANES,
-        strictness=rows.strictness // LANES,
-        slopes=rows.slopes // LANES, last_slopes=rows.last_slopes // LANES, dense=rows.dense // LANES,
-        parameters=layout.p // LANES, memory=layout.memory // LANES, jam=kernel.jam,
-    )  # fmt: skip
-
-
 def adaptive_runs(
     machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
     settings: Settings,
@@ -98,10 +81,10 @@ def adaptive_runs(
     head, most = sampling.head(OVERSAMPLING), int(queue.cases["samples"].max())
     motion = settings.motion or settings.links
     records = empty_records(channels, interval, head, slots, most, len(model.remembering), motion)
-    work, rows = kernel.work_array(), _rows(kernel, model, tuple(recorded))
+    work, rows = kernel.work_array(), kernel.first
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
-        adaptive.integrate(kernel.functions, work, model.size, len(model.contacts), rows, queue, records, lanes)
+        adaptive.integrate(kernel.functions, work, rows, queue, records, lanes)
         ended = lanes.ended[: lanes.cursor[ENDED]].copy()
         lanes.cursor[ENDED] = 0
         took = (time.process_time() - began) / max(1, len(ended))

@@ -68,27 +68,24 @@ def _gill_group(
 ) -> Iterator[Run]:
     """Up to eight cases side by side; lanes left over repeat the last one."""
     began = time.process_time()
-    layout = kernel.layout
-    work = kernel.work_array()
+    rows, work = kernel.rows, kernel.work_array()
     for lane in range(LANES):
         case = lanes[min(lane, len(lanes) - 1)]
-        rows_of = ((layout.z, case.z), (layout.v, case.v), (layout.p, case.vector), (layout.memory, case.memory))
-        for start, column in rows_of:
-            work[start + lane : start + lane + LANES * len(column) : LANES] = column
+        given = ((rows.z, case.z), (rows.v, case.v), (rows.parameters, case.vector), (rows.memory, case.memory))
+        for place, column in given:
+            work[place, lane] = column
     rate = settings.sample_rate * OVERSAMPLING
     h = 1 / (rate * substeps)
     counts = [samples_of(case, settings) for case in lanes]
-    rows = [start + LANES * i for start in (layout.z, layout.v, layout.a) for i in recorded]
-    rows += layout.rows(layout.memory, layout.memories)
-    out = np.zeros((LANES, len(rows), max(counts)))
+    places = [*(place[i] for place in (rows.z, rows.v, rows.a) for i in recorded), *rows.memory]
+    record = np.array(places, dtype=np.int64)
+    out = np.zeros((LANES, len(record), max(counts)))
     broken = np.zeros(LANES, dtype=np.int64)
-    record = np.array(rows, dtype=np.int64)
     finals = np.zeros((LANES, 2 + 2 * model.size))
     wanted = np.array([counts[min(lane, len(lanes) - 1)] for lane in range(LANES)], dtype=np.int64)
     begins = np.array([lanes[min(lane, len(lanes) - 1)].begin for lane in range(LANES)])
     gill.integrate(
-        kernel.functions, work, model.size, begins, h, substeps, record, out, broken, kernel.jam, wanted, finals,
-        layout.memory, layout.memories,
+        kernel.functions, work, kernel.first, begins, h, substeps, record, out, broken, wanted, finals
     )  # fmt: skip
     spent = (time.process_time() - began) / len(lanes)
     for lane, case in enumerate(lanes):

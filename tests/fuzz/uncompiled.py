@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import error_scales
-from jointplay.solver.compiler import layout as layouts
-from jointplay.solver.compiler.layout import Layout
+from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators import adaptive, dense, dopri, lane_work, lanes
-from jointplay.solver.integrators.dopri import StepRows, dopri_step
+from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.kernel import Kernel
 from jointplay.solver.integrators.lanes import GROUP, Lanes, Queue
 from jointplay.solver.machines.machine import Machine
@@ -36,21 +35,18 @@ class _Kernel(Kernel):
     """Functions of Python."""
 
     def work_array(self) -> Work:
-        return np.zeros(self.layout.total)
+        return np.zeros((self.rows[-1].stop, 1))
 
 
 def _kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]) -> _Kernel:
     model = model_of(machine, joints, varying)
-    n, contacts, memories = model.size, len(model.contacts), len(model.remembering)
-    extra = StepRows.count(n, contacts, len(recorded)) + (model.rubbing is not None)
-    layout = Layout(n, len(model.parameters), extra=extra, memories=memories)
-    rows = StepRows(layout, contacts, recorded)
-    held = _held(model, layout, rows)
+    rows = adaptive_rows(model, len(recorded))
+    held = _held(model, rows)
     space: dict[str, Any] = {"held": held}
-    exec(HEAD + dopri_step(rows, error_scales(machine, model)), space)
-    project: Any = _in_place(_project(model, layout)) if model.kinematics.closures else 0
+    exec(HEAD + dopri_step(rows, recorded, error_scales(machine, model)), space)
+    project: Any = _in_place(_project(model, rows)) if model.kinematics.closures else 0
     functions: Any = (_nothing, _in_place(held), _in_place(space["dopri"]), project)
-    return _Kernel(layout, functions, 0, "", -1 if model.rubbing is None else rows.jam)
+    return _Kernel(rows, functions, 0, "")
 
 
 def _nothing(w: Work) -> None:
@@ -61,18 +57,17 @@ def _in_place(function: Callable[[Values], None]) -> Callable[[Work], None]:
     """A function of a list, many times faster than one of an array's elements."""
 
     def call(w: Work) -> None:
-        values = w.tolist()
+        values = w[:, 0].tolist()
         try:
             function(values)
-            w[:] = values
+            w[:, 0] = values
         except ArithmeticError:  # Python refuses to overflow; the processor goes on with what is no number
             w[2:] = math.nan
 
     return call
 
 
-def _held(model: Model, layout: Layout, rows: StepRows) -> Callable[[Values], None]:
-    n, contacts, memories = model.size, len(model.contacts), len(model.remembering)
+def _held(model: Model, rows: Rows[range]) -> Callable[[Values], None]:
     outputs = [model.held_acceleration]
     outputs += [
         ca.vertcat(*(getattr(c, name) for c in model.contacts)) for name in ("switch", "penetration", "approach")
@@ -82,26 +77,21 @@ def _held(model: Model, layout: Layout, rows: StepRows) -> Callable[[Values], No
     evaluate = ca.Function("held", [state], [ca.vertcat(*ca.cse(outputs))])
 
     def held(w: Values) -> None:
-        at = [w[0], *w[layout.z : layout.z + 2 * n], *w[layout.p : layout.p + len(model.parameters)]]
-        at += w[rows.touching : rows.touching + contacts] + w[layout.memory : layout.memory + memories]
-        found = evaluate(at).full()[:, 0].tolist()
-        w[layout.a : layout.a + n] = found[:n]
-        w[rows.switch : rows.switch + 3 * contacts] = found[n:-1]
-        if model.rubbing is not None:
-            w[rows.jam] = max(w[rows.jam], found[-1])
+        given = (*rows.time, *rows.z, *rows.v, *rows.parameters, *rows.touching, *rows.memory)
+        *found, jam = evaluate([w[i] for i in given]).full()[:, 0].tolist()
+        for i, value in zip((*rows.a, *rows.switch, *rows.penetration, *rows.approach), found, strict=True):
+            w[i] = value
+        w[rows.jam[0]] = max(w[rows.jam[0]], jam)
 
     return held
 
 
-def _project(model: Model, layout: Layout) -> Callable[[Values], None]:
-    n = model.size
-
+def _project(model: Model, rows: Rows[range]) -> Callable[[Values], None]:
     def project(w: Values) -> None:
-        z, v = np.array(w[layout.z : layout.z + n]), np.array(w[layout.v : layout.v + n])
-        p = w[layout.p : layout.p + len(model.parameters)]
+        z, v, p = (np.array([w[i] for i in place]) for place in (rows.z, rows.v, rows.parameters))
         z = z + model.projection(w[0], z, v, p)[0].full()[:, 0]
         v = v + model.projection(w[0], z, v, p)[1].full()[:, 0]
-        w[layout.z : layout.z + 2 * n] = [*z.tolist(), *v.tolist()]
+        w[rows.z.start : rows.a.start] = [*z.tolist(), *v.tolist()]
 
     return project
 
@@ -112,7 +102,7 @@ def _call(function: Callable[[Work], None], w: Work) -> None:
 
 def _write_values(w: Work, at: int, out: Work, where: int, start: float, scale: float, x0: float, dx: float) -> None:
     """A group of samples of the dense output."""
-    c2, c3, c4, c5 = w[at : at + 4]
+    c2, c3, c4, c5 = w[at : at + 4, 0]
     x = x0 + dx * np.arange(GROUP)
     y = 1 - x
     out.reshape(-1)[where : where + GROUP] = scale * (start + x * (c2 + y * (c3 + x * (c4 + y * c5))))
@@ -128,7 +118,7 @@ def _write_in_turn(w: Work, at: int, out: Work, even: int, odd: int, start: floa
 
 def _write_slopes(w: Work, at: int, out: Work, where: int, start: float, scale: float, x0: float, dx: float) -> None:
     """A group of samples of its derivative."""
-    c2, c3, c4, c5 = w[at : at + 4]
+    c2, c3, c4, c5 = w[at : at + 4, 0]
     x = x0 + dx * np.arange(GROUP)
     y = 1 - x
     inner = c4 + y * c5
@@ -162,7 +152,7 @@ def uncompiled(trials: int) -> Iterator[None]:
             for name, value in list(vars(module).items()):
                 if hasattr(value, "py_func"):
                     put(module, name, value.py_func)
-        for module in (adaptive, lane_work, runs, lanes, dense, dopri, layouts):
+        for module in (adaptive, lane_work, lanes, dense):
             put(module, "LANES", 1)
         put(dopri, "Block", ScalarBlock)
         put(adaptive, "call", _call)

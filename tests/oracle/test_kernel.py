@@ -14,7 +14,6 @@ from oracle.sketch import random_state
 
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.model import Model, build_model
-from jointplay.solver.integrators.dopri import StepRows
 from jointplay.solver.integrators.gill import integrate, repeat
 from jointplay.solver.integrators.kernel import compile_adaptive, compile_model
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
@@ -135,23 +134,21 @@ def changed(machine: Machine, values: dict[str, float]) -> tuple[Machine, dict[s
 
 
 def filled(kernel: Any, model: Model, drawn: list[Any], *, t: float | None = None) -> np.ndarray:
-    work, layout = kernel.work_array(), kernel.layout
+    work, rows = kernel.work_array(), kernel.rows
     for lane, (values, time, z, v) in enumerate(drawn):
-        work[layout.time + lane] = time if t is None else t
-        for start, column in ((layout.z, z), (layout.v, v), (layout.p, model.vector(values))):
-            work[start + lane : start + lane + LANES * len(column) : LANES] = column
+        work[rows.time, lane] = time if t is None else t
+        for place, column in ((rows.z, z), (rows.v, v), (rows.parameters, model.vector(values))):
+            work[place, lane] = column
     return work
 
 
-def gill(kernel: Any, work: np.ndarray, size: int, start: float, h: float, substeps: int, *rows: np.ndarray) -> None:
-    broken, counts = np.zeros(LANES, dtype=np.int64), np.full(LANES, rows[1].shape[2])
-    finals, begins = np.zeros((LANES, 2 + 2 * size)), np.full(LANES, start)
-    integrate(kernel.functions, work, size, begins, h, substeps, *rows, broken, kernel.jam, counts, finals)
-
-
-def rows(work: np.ndarray, start: int, count: int) -> np.ndarray:
-    """(LANES, count)."""
-    return work[start : start + LANES * count].reshape(count, LANES).T
+def gill(kernel: Any, work: np.ndarray, start: float, h: float, substeps: int, samples: int) -> np.ndarray:
+    """Coordinates and velocities, (LANES, 2 n, samples)."""
+    record = np.array([*kernel.rows.z, *kernel.rows.v])
+    out, finals = np.zeros((LANES, record.size, samples)), np.zeros((LANES, 2 + record.size))
+    broken, counts, begins = np.zeros(LANES, dtype=np.int64), np.full(LANES, samples), np.full(LANES, start)
+    integrate(kernel.functions, work, kernel.first, begins, h, substeps, record, out, broken, counts, finals)
+    return out
 
 
 def test_lanes(scene: tuple[Machine, Model]) -> None:
@@ -161,7 +158,7 @@ def test_lanes(scene: tuple[Machine, Model]) -> None:
     work = filled(kernel, model, drawn)
     repeat(kernel.functions, work, 1)
     motion = LinkMotion(model)
-    for (values, t, z, v), compiled in zip(drawn, rows(work, kernel.layout.a, model.size), strict=True):
+    for (values, t, z, v), compiled in zip(drawn, work[kernel.rows.a].T, strict=True):
         p = model.vector(values)
         symbols = np.asarray(model.right_hand_side(t, z, v, p)).ravel()
         assert np.abs(compiled - symbols).max() < ROUNDING * np.abs(symbols).max()
@@ -182,14 +179,10 @@ def test_memories() -> None:
     began = np.exp(np.random.default_rng(9).uniform(-5, 1, (LANES, len(LAWS))))
     began[::2, ::2], began[1::2, 1::2] = 0.0, 0.0
     work = filled(kernel, model, drawn)
-    memory = kernel.layout.memory
-    for row in range(len(LAWS)):
-        work[memory + LANES * row : memory + LANES * (row + 1)] = began[:, row]
+    work[kernel.rows.memory] = began.T
     repeat(kernel.functions, work, 1)
     motion, pressed = LinkMotion(model), 0
-    for (values, t, z, v), compiled, velocities_then in zip(
-        drawn, rows(work, kernel.layout.a, model.size), began, strict=True
-    ):
+    for (values, t, z, v), compiled, velocities_then in zip(drawn, work[kernel.rows.a].T, began, strict=True):
         positions, velocities, accelerations = motion(t, z, v, compiled, model.vector(values))
         other, clearances = changed(machine, values)
         then = dict(zip(LAWS, velocities_then, strict=True))
@@ -205,27 +198,23 @@ def test_error_controlled_steps(scene: tuple[Machine, Model]) -> None:
     """Their right-hand side, told which contacts push, and restored closures."""
     machine, model = scene
     kernel, gills = compile_adaptive(model, [1.0] * model.size, ()), compile_model(model)
-    layout, step = kernel.layout, StepRows(kernel.layout, len(model.contacts), ())
+    rows = kernel.rows
     drawn = lanes(model)
     expected = filled(gills, model, drawn)
     repeat(gills.functions, expected, 1)
     work = filled(kernel, model, drawn)
     repeat(kernel.functions, work, 1)
-    pushing = rows(work, step.switch, len(model.contacts)).T > 0
-    work[step.touching : step.switch] = pushing.ravel()
+    work[rows.touching] = work[rows.switch] > 0
     repeat(kernel.functions, work, 1)
-    found = rows(work, layout.a, model.size).copy()
-    z_at = slice(layout.z, layout.v)
-    work[z_at] += 1e-6
-    moved = rows(work, layout.z, model.size).copy()
+    found = work[rows.a].T
+    work[rows.z] += 1e-6
+    moved = work[rows.z].T
     prepare, _, _, project = kernel.functions
     if project:
         repeat((prepare, project, 0, 0), work, 1)
-    corrected = rows(work, layout.z, model.size)
+    corrected = work[rows.z].T
     motion = LinkMotion(model)
-    for lane, ((values, t, z, v), compiled) in enumerate(
-        zip(drawn, rows(expected, gills.layout.a, model.size), strict=True)
-    ):
+    for lane, ((values, t, z, v), compiled) in enumerate(zip(drawn, expected[gills.rows.a].T, strict=True)):
         p, a = model.vector(values), found[lane]
         assert np.abs(a - compiled).max() < ROUNDING * np.abs(compiled).max()
         positions, velocities, accelerations = motion(t, z, v, a, p)
@@ -247,9 +236,7 @@ def test_restoring_the_closures() -> None:
     rng = np.random.default_rng(3)
     moved = [(p, t, z + rng.uniform(-1e-5, 1e-5, z.size), v + rng.uniform(-1e-5, 1e-5, v.size)) for p, t, z, v in drawn]
     work = filled(kernel, model, moved, t=0.01)
-    record = np.arange(kernel.layout.z, kernel.layout.a, LANES)
-    out = np.zeros((LANES, record.size, 3))
-    gill(kernel, work, model.size, 0.01, 1e-12, 1, record, out)
+    out = gill(kernel, work, 0.01, 1e-12, 1, 3)
     closures = model.function("closures", model.phi, model.phi_rate)
     gaps = np.array(  # lane, sample, (places, rates)
         [
@@ -292,9 +279,7 @@ def test_steps_are_gills() -> None:
     drawn = lanes(model)
     h, steps, start = 1e-5, 10, 0.004
     work = filled(kernel, model, drawn)
-    record = np.arange(kernel.layout.z, kernel.layout.a, LANES)
-    out = np.zeros((LANES, record.size, 2))
-    gill(kernel, work, model.size, start, h, steps, record, out)
+    out = gill(kernel, work, start, h, steps, 2)
     for lane, (values, _, z, v) in enumerate(drawn):
         p = model.vector(values)
 

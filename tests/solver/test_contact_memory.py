@@ -51,12 +51,12 @@ def started(machine: Machine, *starts: tuple[float, float], samples: int = 2) ->
 
 
 def test_it_is_set_once_and_forgotten_when_the_surfaces_part() -> None:
-    w = np.array([0.0, -1e-6, 0.3])  # memory, penetration, approach
+    w = np.array([[0.0], [-1e-6], [0.3]])  # memory, penetration, approach
 
     def after(penetration: float, approach: float) -> float:
-        w[1:] = penetration, approach
-        remember(w, 0, 1, 2)
-        return float(w[0])
+        w[1:, 0] = penetration, approach
+        remember(w, 0, 1, 2, 0)
+        return float(w[0, 0])
 
     assert after(-1e-6, 0.3) == 0
     assert after(1e-9, 0.3) == 0.3

@@ -23,7 +23,7 @@ def evaluate() -> Evaluate:
     x = block.load(0)
     sine, cosine = sine_cosine(block, x)
     for i, value in enumerate((sine, cosine, *(f(block, x) for f in (hyperbolic_tangent, exponential, logarithm)))):
-        block.store(LANES * (i + 1), value)
+        block.store(i + 1, value)
     address = native.load("\n".join([DECLARATIONS, block.function("elementary")]))("elementary")
     function = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address)
 
