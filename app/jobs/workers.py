@@ -8,22 +8,18 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import multiprocessing
 import os
-import signal
-import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing.connection import wait
 from typing import Any, Protocol
 
 from jointplay.app import logs
 from jointplay.app.errors import BusyError, TimeLimitError, WorkerDiedError
 from jointplay.app.logs import DEFAULT_LOG, LogSettings
 from jointplay.app.problems import Problem, problem_of
+from jointplay.catalogue.processes import OneProcess, become_worker
 
 log = logging.getLogger(__name__)
 
@@ -64,20 +60,9 @@ class Outcome:
 
 
 def prepare(log_settings: LogSettings) -> None:
-    """Set a fresh worker up: its log, one thread of linear algebra, deaf to Ctrl-C, gone when the service is gone."""
+    """Set a fresh worker up, and its log."""
     logs.configure(log_settings)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=leave_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def leave_with(sentinel: int) -> None:
-    """End this process when its parent ends, whatever way the parent went."""
-    wait([sentinel])
-    os._exit(1)
+    become_worker()
 
 
 def attempt(task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
@@ -98,30 +83,6 @@ def attempt_for(request: str | None, task: Callable[..., Any], args: tuple[Any, 
     """Run a task for the request of an id."""
     with logs.of_request(request):
         return attempt(task, args)
-
-
-class Worker:
-    """One process that runs one task at a time."""
-
-    def __init__(self, log_settings: LogSettings) -> None:
-        self._executor = ProcessPoolExecutor(
-            1, multiprocessing.get_context("spawn"), initializer=prepare, initargs=(log_settings,)
-        )
-        self.pid: int | None = None
-
-    async def run(self, task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
-        """Run one task; the process is started when it is first needed."""
-        loop = asyncio.get_running_loop()
-        if self.pid is None:
-            self.pid = await loop.run_in_executor(self._executor, os.getpid)
-        outcome: Outcome = await loop.run_in_executor(self._executor, attempt_for, logs.request_id(), task, args)
-        return outcome
-
-    def end(self) -> None:
-        """Stop the process now, even in the middle of a task, or of its start."""
-        for process in list((self._executor._processes or {}).values()):  # kill_workers() from Python 3.14 on
-            process.kill()
-        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
 class Watch(Protocol):
@@ -159,12 +120,11 @@ class WorkerPool:
         watch: Watch | None = None,
     ) -> None:
         self._watch = watch
-        self._log_settings = log_settings
         self._queue_limit = queue_limit
         self._time_limit = time_limit
         self._waiting = 0
-        self._workers = [Worker(log_settings) for _ in range(workers)]
-        self._free: asyncio.Queue[Worker] = asyncio.Queue()
+        self._workers = [OneProcess(prepare, log_settings) for _ in range(workers)]
+        self._free: asyncio.Queue[OneProcess] = asyncio.Queue()
         for worker in self._workers:
             self._free.put_nowait(worker)
 
@@ -201,19 +161,19 @@ class WorkerPool:
         came_to = "failed"
         try:
             async with asyncio.timeout(self._time_limit):
-                outcome = await worker.run(task, args)
+                outcome = await run_in(worker, task, args)
             came_to = outcome.kind
         except TimeoutError:
             came_to = "time-limit"
-            worker = self._replace(worker)
+            end(worker)
             raise TimeLimitError(f"stopped after {self._time_limit:g} s, the time limit of this service") from None
         except (BrokenProcessPool, OSError):
             came_to = "worker-died"
-            worker = self._replace(worker)
+            end(worker)
             raise WorkerDiedError("the process that computed this ended early, perhaps for want of memory") from None
         except asyncio.CancelledError:
             came_to = "cancelled"
-            worker = self._replace(worker)
+            end(worker)
             raise
         finally:
             self._free.put_nowait(worker)
@@ -234,8 +194,8 @@ class WorkerPool:
 
     def processes(self) -> list[tuple[str, int]]:
         """Return names and ids of the processes that were started."""
-        numbered = enumerate(list(self._workers))
-        return [(f"worker-{number}", worker.pid) for number, worker in numbered if worker.pid is not None]
+        started = ((number, worker.pid) for number, worker in enumerate(self._workers))
+        return [(f"worker-{number}", pid) for number, pid in started if pid is not None]
 
     async def check(self, seconds: float) -> bool:
         """Return whether there is a worker that works; one that died meanwhile is replaced.
@@ -252,26 +212,29 @@ class WorkerPool:
                 return True  # all of them are at work, and each under its time limit
             try:
                 async with asyncio.timeout(seconds):
-                    await worker.run(os.getpid, ())
+                    await run_in(worker, os.getpid, ())
                 return True
             except (TimeoutError, BrokenProcessPool, OSError) as error:
                 log.warning("a worker does not answer: %s", error or type(error).__name__)
-                worker = self._replace(worker)
+                end(worker)
             except asyncio.CancelledError:
-                worker = self._replace(worker)
+                end(worker)
                 raise
             finally:
                 self._free.put_nowait(worker)
         return False
 
-    def _replace(self, worker: Worker) -> Worker:
-        """End a worker and return the one that takes its place."""
-        worker.end()
-        fresh = Worker(self._log_settings)
-        self._workers[self._workers.index(worker)] = fresh
-        return fresh
-
     def close(self) -> None:
         """End all processes."""
         for worker in self._workers:
-            worker.end()
+            end(worker)
+
+
+async def run_in(worker: OneProcess, task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+    """Run one task in a process, for the request that this is about."""
+    return await asyncio.wrap_future(worker.submit(attempt_for, logs.request_id(), task, args))
+
+
+def end(worker: OneProcess) -> None:
+    """Stop a process now; the next task gets a new one."""
+    worker.close(at_once=True, wait=False)

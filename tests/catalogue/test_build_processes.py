@@ -16,7 +16,8 @@ import pytest
 from building import KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN
 
-from jointplay.catalogue.building import executors, scheduling
+from jointplay.catalogue import processes
+from jointplay.catalogue.building import scheduling
 from jointplay.catalogue.building.build import BuildReport
 from jointplay.catalogue.plans.cases import entries_of
 
@@ -131,7 +132,7 @@ def test_interrupt_while_workers_start_waits_until_they_have_their_orders() -> N
     reached: list[bool] = []
 
     def interrupted() -> None:
-        with executors._interrupts_held():
+        with processes._interrupts_held():
             assert other.ident is not None
             signal.pthread_kill(other.ident, signal.SIGINT)
             time.sleep(0.1)

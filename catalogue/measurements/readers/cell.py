@@ -17,11 +17,10 @@ from typing import Any
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.readers.kinds import Kind
 from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording, decode
+from jointplay.catalogue.processes import ONE_THREAD
 
 #: Waited longer than a file may take before the whole process is given up [s].
 _GRACE = 10.0
-#: It computes little: threads of linear algebra would only take memory.
-_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class Cell:
@@ -93,7 +92,7 @@ class Cell:
                 [sys.executable, "-m", "jointplay.catalogue.measurements.readers.zygote"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env={**os.environ, **_ENVIRONMENT, "PYTHONPATH": path},
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
                 start_new_session=True,
             )
             self._owner = os.getpid()
