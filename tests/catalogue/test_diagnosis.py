@@ -16,8 +16,8 @@ from second_simulator.machine_file import read
 from second_simulator.recording import write
 
 from jointplay.catalogue.building.build import build
-from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis
-from jointplay.catalogue.diagnosing.baseline import Baseline, Estimate
+from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, FittedNumber
+from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.evidence import number_warnings
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
@@ -266,7 +266,10 @@ def test_warns_of_fitted_numbers_that_no_entry_has(small_catalogue: Catalogue) -
     path = "joints.A.contact.friction"
     low, high = small_catalogue.matrix.ranges.parameters[path]
     for factor, warned in ((0.9 * low, True), (low, False), (high, False), (1.1 * high, True)):
-        numbers = {path: Estimate(factor, 0.01), "frame.mass": Estimate(9.0, 0.01)}
+        numbers = {
+            path: FittedNumber(factor=factor, scatter=0.01),
+            "frame.mass": FittedNumber(factor=9.0, scatter=0.01),
+        }
         paths = {path: {path: 1.0}, "frame.mass": {"links.base.mass": 10.0}}
         warnings = number_warnings(Baseline("b", numbers, {}, 1.0, 1.0, {}, paths=paths), small_catalogue)
         assert len(warnings) == warned
