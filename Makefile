@@ -9,7 +9,7 @@ WORKERS ?= 2
 BENCH ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format unit fuzz fuzz-readers schemathesis serve bench pins clean
+.PHONY: help install demo test quick lint format unit docs fuzz fuzz-readers schemathesis serve bench pins clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -24,6 +24,9 @@ serve: $(STAMP) ## the web form and the HTTP API on http://127.0.0.1:8000
 
 test: lint unit ## all checks: style, types, layers, tests
 
+quick: lint ## what fails most often, within a minute: style, types, layers, the fastest tests
+	$(BIN)/pytest -q -n $(WORKERS) $(QUICK)
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -37,6 +40,9 @@ format: $(STAMP) ## put the code into the form that the checks want
 unit: $(STAMP)
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
+docs: $(STAMP) ## the pages of docs/ as a site in build/docs; a link that leads nowhere is an error
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --nitpicky --quiet -b html docs build/docs
+
 fuzz: $(STAMP) ## 2000 random machines against the oracle; endings are kept in build/fuzz.jsonl, the same command goes on
 	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign 2000 $(WORKERS)
 
@@ -47,7 +53,7 @@ schemathesis: $(STAMP) ## what the OpenAPI document allows and forbids, sent to 
 fuzz-readers: $(STAMP) ## 10 000 damaged recordings of all kinds: read as what they are, or refused in one line
 	PYTHONPATH=tests $(BIN)/python -m fuzz.readers --count 10000
 
-bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/benchmarks.md (BENCH="--quick": a smoke test)
+bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/measured/benchmarks.md (BENCH="--quick": a smoke test)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \
 	  || echo 'the other programs could not all be installed: those missing are named in the table' >&2
 	$(BIN)/python -m benchmarks $(BENCH)

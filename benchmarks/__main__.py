@@ -21,7 +21,7 @@ from benchmarks.scenes import p1, quick_return
 
 Say = Callable[[str], None]
 
-_DOCS = Path(__file__).parents[1] / "docs"
+_DOCS = Path(__file__).parents[1] / "docs" / "measured"
 
 
 def rounds(quick: bool) -> int:
@@ -63,7 +63,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measures cost and accuracy.")
     parser.add_argument("--quick", action="store_true", help="a smoke test: few cases, cheap peers, nothing kept")
     parser.add_argument("--only", nargs="+", choices=SECTIONS, metavar="SECTION", help=", ".join(SECTIONS))
-    parser.add_argument("--out", type=Path, default=_DOCS, help="folder of the page (default: docs)")
+    parser.add_argument("--out", type=Path, default=_DOCS, help="folder of the page (default: docs/measured)")
     parser.add_argument("--page", action="store_true", help="measure nothing, write the page from the kept results")
     options = parser.parse_args()
     kept = options.out / "benchmarks" / "results.json"

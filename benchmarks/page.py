@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -190,5 +191,12 @@ def lines(results: dict[str, Any]) -> list[str]:
 
 def write(results: dict[str, Any], folder: Path) -> None:
     """Page and plots into a folder."""
-    (folder / "benchmarks.md").write_text("\n".join(lines(results)).rstrip() + "\n")
+    (folder / "benchmarks.md").write_text("\n".join(map(_wrapped, lines(results))).rstrip() + "\n")
     draw({name: section["found"] for name, section in results.items()}, folder / "benchmarks")
+
+
+def _wrapped(line: str) -> str:
+    """A line of prose in lines of 120 columns; what is a table, or wrapped already, stays as it is."""
+    if "\n" in line or len(line) <= 120 or line.startswith("|"):
+        return line
+    return textwrap.fill(line, 120, break_long_words=False, break_on_hyphens=False)

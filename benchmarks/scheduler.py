@@ -27,7 +27,7 @@ from jointplay.catalogue.storage.index import Index
 
 @dataclass(frozen=True)
 class Costs:
-    """What the parts of a build cost: those of chunks are measured, the others assumed (docs/scale.md).
+    """What the parts of a build cost: those of chunks are measured, the others assumed (docs/measured/scale.md).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What other installed packages add to this one, by entry points; see ``docs/extending.md``."""
+"""What other installed packages add to this one, by entry points; see ``docs/guide/extending.md``."""
 
 from __future__ import annotations
 

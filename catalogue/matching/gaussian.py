@@ -2,7 +2,7 @@
 
 Feature vectors are whitened by a linear discriminant analysis. In the few directions that are left, every hypothesis is
 a curve over the logarithm of its clearance (a surface for two joints) with a covariance that changes along it; a
-measurement is judged by its distance from each curve. The method and its derivation are in ``docs/diagnosis.md``.
+measurement is judged by its distance from each curve. The method and its derivation: ``docs/explanation/method.md``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ while foreign forces at low orders are far out where they show at all."""
 
 STRATA_SHARE = 0.2
 """Part of the false alarms left to the network of strata: where it sees something it is sure of it, and half of them
-would hide from the distances what it was not shown, as wear in more joints than the catalogue has (docs/diagnosis.md).
+would hide from the distances what it was not shown, as wear in more joints than the catalogue has: docs/decisions/0100.
 """
 
 

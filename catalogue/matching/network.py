@@ -2,7 +2,7 @@
 
 Curves take what scatters around them for a Gaussian. Where much is uncertain at once - loads that hold a joint shut,
 modes of the frame, machines that differ from their file - it is not, and a network that has seen many simulated
-recordings of it tells more (docs/diagnosis.md, "The second opinion").
+recordings of it tells more (docs/explanation/method.md, "The second opinion").
 """
 
 from __future__ import annotations

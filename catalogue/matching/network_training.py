@@ -50,7 +50,7 @@ class NetworkTraining:
     penalty : float
         On the squares of the weights of networks that tell hypotheses apart, for a single case: what is held of weights
         beforehand counts the less, the more cases say otherwise. One number is best for catalogues of 4000 cases and of
-        20 000, trusted and not (docs/decisions.md).
+        20 000, trusted and not (docs/decisions/0120).
     epochs, rates : tuple
         Passes over all recordings, and step size of the Adam optimiser, of each stage.
     strata_penalty, strata_epochs

@@ -28,7 +28,7 @@ class Prior:
         How much likelier it is that one joint more is worn, whichever they are: sets of as many joints share that
         equally, so that two worn joints are not likelier on a machine that has more pairs. Joints of one machine have
         run the same hours in the same dirt, so that wear in one is no reason to expect none in another
-        (docs/decisions.md).
+        (docs/decisions/0117, 0123).
     joints : mapping of str to float
         What a joint multiplies by where it is worn; 1 for those that are not named.
 

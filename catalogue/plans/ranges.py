@@ -12,7 +12,7 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Damper, Mount, RotationDrive, Spring
 
 #: Standard deviation of the logarithm of contact stiffness and damping. The contact law is drawn, so they need not
-#: stand for it; see "What is uncertain" in docs/catalogue.md for what was compared.
+#: stand for it; docs/measured/catalogues.md says what was compared.
 STIFFNESS_SCATTER = 0.4
 DAMPING_SCATTER = 0.4
 

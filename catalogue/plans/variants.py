@@ -16,7 +16,7 @@ LawChoice = Literal["own", "linear", "hertz"]
 """Contact law of the turning joints: as the machine file has it, or another one fitted to it."""
 
 EQUAL_PENETRATION = 40e-6
-"""Penetration [m] at which a fitted law is as stiff as the one it stands for (docs/catalogue.md)."""
+"""Penetration [m] at which a fitted law is as stiff as the one it stands for (docs/reference/plan.md)."""
 
 HYSTERESIS = 3.0
 """Hysteresis [s/m] of a Hertzian contact that stands for a linear one."""

@@ -46,7 +46,7 @@ def encode_shard(shard: Shard) -> bytes:
     Returns
     -------
     bytes
-        Its groups are ``bands``, ``entries`` and ``spectra``; see ``docs/catalogue.md``.
+        Its groups are ``bands``, ``entries`` and ``spectra``; see ``docs/reference/catalogue-folder.md``.
     """
     header = shard.header
     with _LOCK, h5py.File.in_memory(track_order=False) as file:

@@ -46,7 +46,7 @@ class StepRule:
     per_revolution: float
 
 
-#: Chosen from measured harmonic errors, see ``docs/solver.md``.
+#: Chosen from measured harmonic errors, see ``docs/measured/solver.md``.
 STEP_RULES: dict[Accuracy, StepRule] = {
     "draft": StepRule(0.8, 1.2, 0.5, 2.0, 360),
     "standard": StepRule(0.16, 0.4, 0.2, 1.0, 1440),

@@ -23,7 +23,7 @@ from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
 
 #: Least velocity of approach (m/s) that counts as v0: hysteresis c/v0 would grow without bound where a contact begins
 #: at a creep, and be stiff for nothing. Impacts slower than this lose less than the law says; measured in
-#: ``docs/solver.md``.
+#: ``docs/measured/solver.md``.
 SLOWEST_APPROACH = 1e-3
 #: Penetration (m) in place of none, so that powers have derivatives; the force there is nothing.
 _LEAST = 1e-30

@@ -1,6 +1,6 @@
 """A machine: links, joints, drive, supports, loads and sensors, read from one file and checked.
 
-Everything is in SI and in the global coordinates of one drawing; see ``docs/machine-file.md``.
+Everything is in SI and in the global coordinates of one drawing; see ``docs/reference/machine-file.md``.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
 
-#: Scaled error of a step that each level of accuracy allows; chosen from measured harmonic errors, ``docs/solver.md``.
+#: Scaled error of a step that each level of accuracy allows, from measured harmonic errors: docs/measured/solver.md.
 TOLERANCES = {"draft": 1e-5, "standard": 1e-6, "reference": 1e-9}
 #: Longest step where nothing else bounds it, s.
 _LONGEST_STEP = 0.1

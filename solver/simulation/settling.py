@@ -30,7 +30,7 @@ from jointplay.solver.spectra import sampling
 Array = NDArray[np.float64]
 
 #: Part of the transient as drawn that is still dropped, in whole revolutions: what the wear itself adds to the motion
-#: of the frame decays as slowly as the suspension. Chosen from measured spectra, ``docs/solver.md``.
+#: of the frame decays as slowly as the suspension. Chosen from measured spectra, ``docs/measured/solver.md``.
 SETTLED_PART = 0.25
 
 

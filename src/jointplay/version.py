@@ -1,4 +1,4 @@
-"""The version of the product; of what it computes and answers there are others, see ``docs/catalogue.md``."""
+"""The version of the product; what it computes and answers has others: ``docs/reference/catalogue-folder.md``."""
 
 from __future__ import annotations
 

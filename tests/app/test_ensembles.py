@@ -14,7 +14,7 @@ from jointplay.app.cli import main
 from jointplay.catalogue.storage.hdf5 import read_arrays
 from jointplay.solver.simulation import averages
 
-PAGE = Path(__file__).parents[2] / "docs" / "solver.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulation.md"
 WORN = ("slider-crank", "--fault", "B=0.2mm", "--sample-rate", "5 kHz")
 
 

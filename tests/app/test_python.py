@@ -17,7 +17,7 @@ import jointplay as jp
 from jointplay.catalogue.errors import MeasurementError
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "python.md"
+PAGE = ROOT / "docs" / "guide" / "python.md"
 SOURCE = ROOT / "src" / "jointplay" / "__init__.py"
 
 

@@ -12,7 +12,7 @@ from pydantic_core import PydanticUndefined
 
 from jointplay.app.settings import Settings
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "service.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "settings.md"
 
 
 def documented() -> dict[str, str]:

@@ -17,7 +17,7 @@ from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation.tradeoff import TradeOff, measure
 
-PAGE = Path(__file__).parents[2] / "docs" / "solver.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulation.md"
 
 
 def invoke(*arguments: str | Path) -> Result:

@@ -2,7 +2,7 @@
 
 Each row is one extreme. `measure` runs it and returns how far it is from what must hold (relative, unless it says
 otherwise); `limit` is about three times what was measured when the row was written, and mostly the tolerance's doing:
-runs have rtol 1e-8. The table with the figures is in docs/solver.md.
+runs have rtol 1e-8. The table with the figures is in docs/measured/extremes.md.
 """
 
 from __future__ import annotations
