@@ -10,5 +10,5 @@ from other features are not used. Frozen cases in ``tests/catalogue/test_version
 
 MATCHER_VERSION = 8
 """Of what is answered. It changes when, and only when, the same features may have another answer by
-:class:`jointplay.catalogue.matching.gaussian.GaussianAlongClearance` or its networks; frozen as the features are.
+the curves of :mod:`jointplay.catalogue.matching.gaussian` or their networks; frozen as the features are.
 """

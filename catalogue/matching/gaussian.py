@@ -7,21 +7,21 @@ measurement is judged by its distance from each curve. The method and its deriva
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 
-from jointplay.catalogue import MATCHER_VERSION
 from jointplay.catalogue.errors import MatchingError
-from jointplay.catalogue.matching.calibration import combined, folds, kept_apart, probabilities
+from jointplay.catalogue.matching.calibration import combined, folds, kept_apart, probabilities, row_weights
 from jointplay.catalogue.matching.curve_calibration import Calibration, calibrated
 from jointplay.catalogue.matching.curves import Curve, CurveModel, averaged
-from jointplay.catalogue.matching.discriminant import discriminant
 from jointplay.catalogue.matching.log_sums import log_sum_exp
 from jointplay.catalogue.matching.matcher import (
     ClearanceEstimate,
     FloatArray,
     HypothesisMatch,
+    IntArray,
     MatchResult,
     TrainingSet,
     ranked,
@@ -40,133 +40,170 @@ would hide from the distances what it was not shown, as wear in more joints than
 
 
 @dataclass(frozen=True)
-class GaussianAlongClearance:
-    """Settings of the method; :meth:`fit` learns a training set.
+class Smoothing:
+    """How finely hypotheses are told apart, for as many draws as there are.
 
     Parameters
     ----------
     directions : int
-        Discriminant directions kept with many draws.
-    within_shrinkage : float
+        Of the discriminant analysis, kept at most.
+    shrinkage : float
         Share of the within-class scatter replaced by its mean variance in all directions.
     kernel : tuple of float
         Width of the Gaussian kernel in ln(clearance), for hypotheses of one, two and three joints.
-    points : tuple of int
-        Points of the clearance grid along each joint, for one, two and three joints.
-    stride, full_stride : tuple of int
-        Every so many points along a joint carry a covariance of their own, for one, two and three joints: in the
-        whitened space, and in the full one that only judges how well a hypothesis fits.
-    refinement : tuple of int
-        Steps between two points, at which means are interpolated.
     bins : tuple of int
-        Bins of each clearance that are classes of the discriminant analysis.
-    few_cases : int
-        With fewer simulated cases a hypothesis the settings marked `sparse_` are used.
-    many_cases : int
-        From so many cases a hypothesis on, a fifth of them is held out once and calibrates what the others taught;
-        with fewer ones every case is held out in turn, and all of them teach.
-    degrees_of_freedom : float
-        Of the Student-t likelihood; small ones forgive outliers.
-    ridge : float
-        Share of the mean variance added to every local variance.
-    fold_count : int
-        Parts the draws are split into for calibration.
+        Bins of each clearance that are classes of the discriminant analysis, likewise.
     """
 
-    directions: int = 40
-    within_shrinkage: float = 0.005
-    kernel: tuple[float, ...] = (0.3, 0.5, 0.8)
-    sparse_directions: int = 15
-    sparse_within_shrinkage: float = 0.02
-    sparse_kernel: tuple[float, ...] = (0.5, 0.8, 1.0)
-    sparse_bins: tuple[int, ...] = (6, 3, 2)
-    few_cases: int = 100
-    many_cases: int = 180
-    points: tuple[int, ...] = (24, 10, 6)
-    stride: tuple[int, ...] = (2, 2, 2)
-    full_stride: tuple[int, ...] = (4, 4, 5)
-    refinement: tuple[int, ...] = (4, 2, 1)
-    bins: tuple[int, ...] = (10, 4, 2)
-    degrees_of_freedom: float = 8.0
-    ridge: float = 0.05
-    fold_count: int = 4
-    name: str = field(default="gaussian-along-clearance", init=False)
-    version: str = field(default=str(MATCHER_VERSION), init=False)
+    directions: int
+    shrinkage: float
+    kernel: tuple[float, ...]
+    bins: tuple[int, ...]
 
-    def fit(
-        self,
-        training: TrainingSet,
-        projection: FloatArray | None = None,
-        opinion: Opinion | None = None,
-        witness: Opinion | None = None,
-    ) -> FittedGaussian:
-        """Learn a training set and calibrate on draws held out of it.
 
-        Parameters
-        ----------
-        training : TrainingSet
-        projection : ndarray, shape (d, r), optional
-            Whitening found before; found anew unless given.
-        opinion : Opinion, optional
-            Of a network that was trained without :func:`~jointplay.catalogue.matching.calibration.held_out` entries. It
-            counts where there are many cases.
-        witness : Opinion, optional
-            Of a network of strata, trained so, too: a recording that it takes for one of a machine that differs from
-            its file is not explained. It counts where there are many cases.
+#: Other directions, kernels and shrinkage, and other degrees of freedom (below), move the figures of an evaluation by
+#: less than their own uncertainty (docs/diagnosis.md).
+MANY, FEW = Smoothing(40, 0.005, (0.3, 0.5, 0.8), (10, 4, 2)), Smoothing(15, 0.02, (0.5, 0.8, 1.0), (6, 3, 2))
+FEW_CASES = 100
+"""Simulated cases a hypothesis below which there are few: 2.5 a direction."""
 
-        Raises
-        ------
-        MatchingError
-            A hypothesis has fewer than three draws, or more clearances than there are settings for.
-        """
-        for draws in training.hypotheses:
-            if len(draws.features) < 3:
-                raise MatchingError(f"hypothesis {draws.label}: {len(draws.features)} draws: must be at least 3")
-            if draws.log_clearance.shape[1] > len(self.points):
-                most = len(self.points)
-                raise MatchingError(f"hypothesis {draws.label}: clearances of {draws.joints}: must be at most {most}")
-        sparse = training.cases < self.few_cases
-        if training.cases >= self.many_cases:
-            learned, held = kept_apart(training)
-            model = self._learned(learned, sparse, projection)
-            return FittedGaussian(model, calibrated([(model, held)], opinion, witness), opinion, witness)
-        splits = folds(training, self.fold_count)
-        pairs = ((self._learned(learned, sparse, projection), held) for learned, held in splits)
-        calibration = calibrated(pairs)
-        return FittedGaussian(self._learned(training, sparse, projection), calibration)
+SPLIT_CASES = 180
+"""Simulated cases a hypothesis from which on a fifth of them is held out once and calibrates what the others taught;
+with fewer every case is held out in turn, and all of them teach. From as many on there are networks."""
 
-    def _learned(self, training: TrainingSet, sparse: bool, projection: FloatArray | None) -> CurveModel:
-        directions = self.sparse_directions if sparse else self.directions
-        shrinkage = self.sparse_within_shrinkage if sparse else self.within_shrinkage
-        kernel = self.sparse_kernel if sparse else self.kernel
-        if projection is None:
-            bins = self.sparse_bins if sparse else self.bins
-            projection = discriminant(training, bins, directions, shrinkage)
-        curves = []
-        for draws in training.hypotheses:
-            k = max(draws.log_clearance.shape[1], 1) - 1
-            # Both grids have the same points and differ only in how many of them carry a covariance.
-            grid, full_grid = (
-                ClearanceGrid.over(draws.log_clearance, self.points[k], self.refinement[k], stride[k])
-                for stride in (self.stride, self.full_stride)
+FOLDS = 4
+"""Parts that draws are split into where every case is held out in turn: each model learns from three quarters."""
+
+POINTS, REFINEMENT = (24, 10, 6), (4, 2, 1)
+"""Points of the clearance grid along each joint, for one, two and three joints, and steps between two of them at which
+means are interpolated: 24, 100 and 216 points, closer than a kernel is wide."""
+
+STRIDE, FULL_STRIDE = (2, 2, 2), (4, 4, 5)
+"""Every so many points along a joint carry a covariance of their own: in the whitened space, and in the full one, which
+only judges how well a hypothesis fits."""
+
+DEGREES_OF_FREEDOM = 8.0
+"""Of the Student-t likelihood, so that one odd band does not decide."""
+
+RIDGE = 0.05
+"""Share of the mean variance added to every local variance."""
+
+NAME = "gaussian-along-clearance"
+"""Of the method, as answers have it."""
+
+
+def fit_gaussian(
+    training: TrainingSet,
+    projection: FloatArray | None = None,
+    opinion: Opinion | None = None,
+    witness: Opinion | None = None,
+) -> FittedGaussian:
+    """Learn a training set and calibrate on draws held out of it.
+
+    Parameters
+    ----------
+    training : TrainingSet
+    projection : ndarray, shape (d, r), optional
+        Whitening found before; found anew unless given.
+    opinion : Opinion, optional
+        Of a network that was trained without :func:`~jointplay.catalogue.matching.calibration.held_out` entries. It
+        counts where there are many cases.
+    witness : Opinion, optional
+        Of a network of strata, trained so, too: a recording that it takes for one of a machine that differs from
+        its file is not explained. It counts where there are many cases.
+
+    Raises
+    ------
+    MatchingError
+        A hypothesis has fewer than three draws, or clearances of more than three joints.
+    """
+    for draws in training.hypotheses:
+        if len(draws.features) < 3:
+            raise MatchingError(f"hypothesis {draws.label}: {len(draws.features)} draws: must be at least 3")
+        if draws.log_clearance.shape[1] > len(POINTS):
+            raise MatchingError(
+                f"hypothesis {draws.label}: clearances of {draws.joints}: must be at most {len(POINTS)}"
             )
-            whitened, full = (
-                fit_tube(
-                    features,
-                    draws.log_clearance,
-                    each,
-                    cases=draws.cases,
-                    width=kernel[k],
-                    ridge=self.ridge,
-                    weights=draws.weights,
-                )
-                for features, each in (
-                    (draws.features @ projection, grid),
-                    (draws.features[:, : len(training.watched)], full_grid),
-                )
+    smoothing = FEW if training.cases < FEW_CASES else MANY
+    if training.cases >= SPLIT_CASES:
+        learned, held = kept_apart(training)
+        model = _learned(learned, smoothing, projection)
+        return FittedGaussian(model, calibrated([(model, held)], opinion, witness), opinion, witness)
+    pairs = ((_learned(learned, smoothing, projection), held) for learned, held in folds(training, FOLDS))
+    calibration = calibrated(pairs)
+    return FittedGaussian(_learned(training, smoothing, projection), calibration)
+
+
+def _learned(training: TrainingSet, smoothing: Smoothing, projection: FloatArray | None) -> CurveModel:
+    if projection is None:
+        projection = _discriminant(training, smoothing)
+    curves = []
+    for draws in training.hypotheses:
+        k = max(draws.log_clearance.shape[1], 1) - 1
+        # Both grids have the same points and differ only in how many of them carry a covariance.
+        grid, full_grid = (
+            ClearanceGrid.over(draws.log_clearance, POINTS[k], REFINEMENT[k], stride[k])
+            for stride in (STRIDE, FULL_STRIDE)
+        )
+        whitened, full = (
+            fit_tube(
+                features,
+                draws.log_clearance,
+                each,
+                cases=draws.cases,
+                width=smoothing.kernel[k],
+                ridge=RIDGE,
+                weights=draws.weights,
             )
-            curves.append(Curve(draws.label, draws.joints, draws.prior, grid, whitened, full))
-        return CurveModel(projection, tuple(curves), training.watched, self.degrees_of_freedom)
+            for features, each in (
+                (draws.features @ projection, grid),
+                (draws.features[:, : len(training.watched)], full_grid),
+            )
+        )
+        curves.append(Curve(draws.label, draws.joints, draws.prior, grid, whitened, full))
+    return CurveModel(projection, tuple(curves), training.watched, DEGREES_OF_FREEDOM)
+
+
+def _discriminant(training: TrainingSet, smoothing: Smoothing) -> FloatArray:
+    """Return the projection (d, r) of a linear discriminant analysis, classes = hypothesis x clearance bin.
+
+    Whitening: the directions in which hypotheses and clearances differ most, in units of their scatter.
+    """
+    features, hypothesis = training.stacked()
+    features = features[:, : training.plain]
+    share = row_weights(hypothesis)
+    overall = share @ features
+    d = features.shape[1]
+    within = np.zeros((d, d))
+    between = np.zeros((d, d))
+    classes = 0
+    for h, draws in enumerate(training.hypotheses):
+        weight = share[hypothesis == h][0]
+        label = _bins(draws.log_clearance, smoothing.bins)
+        for value in np.unique(label):
+            rows = draws.features[label == value, : training.plain]
+            centre = rows.mean(axis=0)
+            residual = rows - centre
+            within += weight * residual.T @ residual
+            between += weight * len(rows) * np.outer(centre - overall, centre - overall)
+            classes += 1
+    mean_variance = float(np.trace(within)) / d
+    within *= 1.0 - smoothing.shrinkage
+    within[np.diag_indices(d)] += smoothing.shrinkage * mean_variance + 1e-9
+    kept = max(1, min(smoothing.directions, d, classes - 1))
+    _, vectors = eigh(between, within, subset_by_index=[d - kept, d - 1])
+    projection = np.zeros((training.length, kept))
+    projection[:d] = vectors[:, ::-1]
+    return projection
+
+
+def _bins(log_clearance: FloatArray, bins: tuple[int, ...]) -> IntArray:
+    label = np.zeros(len(log_clearance), np.int64)
+    for column in log_clearance.T:
+        count = bins[min(log_clearance.shape[1], len(bins)) - 1]
+        place = count * (column - column.min()) / (float(np.ptp(column)) or 1.0)
+        label = label * count + np.minimum(place.astype(np.int64), count - 1)
+    return label
 
 
 def _estimate(joint: str, axis: FloatArray, density: FloatArray) -> ClearanceEstimate:

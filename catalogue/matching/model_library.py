@@ -18,7 +18,7 @@ from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.blending import blended
 from jointplay.catalogue.matching.coherence import with_more_noise
-from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, MatchResult, TrainingSet
 from jointplay.catalogue.matching.modelfile import as_read, read_model, write_model, written
@@ -63,7 +63,7 @@ class ModelLibrary:
         Models kept in memory (some 10 MB each with 17 hypotheses).
     """
 
-    name = GaussianAlongClearance().name
+    name = NAME
     version = str(MATCHER_VERSION)
 
     def __init__(
@@ -161,7 +161,7 @@ class ModelLibrary:
         found = None if folder is None else read_model(folder, key)
         if found is None:
             training = self.training(observed, learning)
-            found = as_read(GaussianAlongClearance().fit(training, opinion=opinion, witness=witness))
+            found = as_read(fit_gaussian(training, opinion=opinion, witness=witness))
             if folder is not None:
                 write_model(folder, key, found)
         with self._lock:

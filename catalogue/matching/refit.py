@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
 from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
 from jointplay.catalogue.matching.network import Network
@@ -41,7 +41,6 @@ class Refit:
         Whose opinion counts, too.
     strata : Network, optional
         That says whether the machine differs from its file.
-    settings : GaussianAlongClearance
     """
 
     matrix: Spectra
@@ -51,7 +50,6 @@ class Refit:
     weights: FloatArray | None = None
     network: Network | None = None
     strata: Network | None = None
-    settings: GaussianAlongClearance = field(default_factory=GaussianAlongClearance)
 
     def match(self, sensing: Sensing, feature: FloatArray, watched: BoolArray, first: MatchResult) -> MatchResult:
         """Return the answer among the hypotheses that `first` leaves open."""
@@ -62,7 +60,7 @@ class Refit:
         opinion, witness = (
             None if network is None else network.opinion(sensing, widths) for network in (self.network, self.strata)
         )
-        return self.settings.fit(training, self.model.model.projection, opinion, witness).match(feature)
+        return fit_gaussian(training, self.model.model.projection, opinion, witness).match(feature)
 
     def _rows(self, match: HypothesisMatch) -> IntArray:
         if not match.clearances:

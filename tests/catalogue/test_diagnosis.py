@@ -23,7 +23,7 @@ from jointplay.catalogue.diagnosing.evidence import number_warnings
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
 from jointplay.catalogue.diagnosing.verdict import judged
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
-from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
+from jointplay.catalogue.matching.gaussian import NAME
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.measurements.import_profile import ImportProfile
@@ -142,7 +142,7 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
     assert probabilities == sorted(probabilities, reverse=True)
     assert content["provenance"]["measurement_sha256"] == recording(2).sha256
     assert content["provenance"]["catalogue_sha256"] == small_catalogue.id
-    assert content["provenance"]["matcher"]["name"] == GaussianAlongClearance().name
+    assert content["provenance"]["matcher"]["name"] == NAME
     assert Diagnosis.model_validate_json(worn.to_json()) == worn
 
 

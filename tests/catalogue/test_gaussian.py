@@ -10,8 +10,9 @@ import pytest
 from feature_model import HIGH, LOW, FeatureModel
 
 from jointplay.catalogue.errors import MatchingError
+from jointplay.catalogue.matching import gaussian
 from jointplay.catalogue.matching.calibration import calibration_error, held_out, log_loss
-from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.matcher import Draws, TrainingSet
 
 MODEL = FeatureModel()
@@ -21,7 +22,7 @@ DRAWS = 160
 @cache
 def fitted(noise: float = MODEL.noise, separation: float = 1.0) -> FittedGaussian:
     model = FeatureModel(noise=noise, separation=separation)
-    return GaussianAlongClearance().fit(model.training(DRAWS, np.random.default_rng(1)))
+    return fit_gaussian(model.training(DRAWS, np.random.default_rng(1)))
 
 
 def test_posterior_is_near_the_exact_one_and_calibrated() -> None:
@@ -82,8 +83,7 @@ def test_order_of_hypotheses_and_of_rows_does_not_matter() -> None:
     training = MODEL.training(40, np.random.default_rng(6))
     features, _, _ = MODEL.queries(10, np.random.default_rng(7))
     turned = TrainingSet(training.hypotheses[::-1], training.watched)
-    settings = GaussianAlongClearance()
-    one, other = settings.fit(training), settings.fit(turned)
+    one, other = fit_gaussian(training), fit_gaussian(turned)
     assert other.labels == one.labels[::-1]
     # Folds are dealt by a generator running over the hypotheses, so calibration differs in small ways only.
     assert np.abs(one.posterior(features) - other.posterior(features)[:, ::-1]).max() < 0.05
@@ -97,7 +97,7 @@ def test_order_of_hypotheses_and_of_rows_does_not_matter() -> None:
         shuffled.append(
             Draws(draws.label, draws.joints, draws.features[order], draws.log_clearance[order], draws.entry[order])
         )
-    again = settings.fit(TrainingSet(tuple(shuffled), training.watched))
+    again = fit_gaussian(TrainingSet(tuple(shuffled), training.watched))
     assert np.allclose(one.posterior(features), again.posterior(features), atol=1e-9)
 
 
@@ -112,8 +112,7 @@ def test_order_of_features_does_not_matter() -> None:
         ),
         training.watched[order],
     )
-    settings = GaussianAlongClearance()
-    one, other = settings.fit(training), settings.fit(moved)
+    one, other = fit_gaussian(training), fit_gaussian(moved)
     assert np.allclose(one.posterior(features), other.posterior(features[:, order]), atol=1e-6)
 
 
@@ -135,8 +134,8 @@ def test_prior_moves_the_answer() -> None:
     features, _, _ = FeatureModel(noise=6.0).queries(40, np.random.default_rng(14))
     first, *rest = training.hypotheses
     heavy = Draws(first.label, first.joints, first.features, first.log_clearance, first.entry, prior=100.0)
-    plain = GaussianAlongClearance().fit(training).posterior(features)
-    moved = GaussianAlongClearance().fit(TrainingSet((heavy, *rest), training.watched)).posterior(features)
+    plain = fit_gaussian(training).posterior(features)
+    moved = fit_gaussian(TrainingSet((heavy, *rest), training.watched)).posterior(features)
     assert moved[:, 0].mean() > plain[:, 0].mean()
 
 
@@ -152,7 +151,7 @@ def test_two_joints_are_estimated_together() -> None:
     clearances = generator.uniform(LOW, HIGH, (300, 2))
     draws = Draws("A+B", ("A", "B"), pair(clearances), clearances, np.arange(300), prior=0.15)
     singles = MODEL.training(DRAWS, generator)
-    matcher = GaussianAlongClearance().fit(TrainingSet((*singles.hypotheses, draws), singles.watched))
+    matcher = fit_gaussian(TrainingSet((*singles.hypotheses, draws), singles.watched))
     truth = generator.uniform(LOW + 0.5, HIGH - 0.5, (30, 2))
     right, errors = 0, []
     for feature, value in zip(pair(truth), truth, strict=True):
@@ -176,7 +175,7 @@ def test_three_joints_are_a_hypothesis() -> None:
     clearances = generator.uniform(LOW, HIGH, (400, 3))
     draws = Draws("A+B+C", ("A", "B", "C"), triple(clearances), clearances, np.arange(400), prior=0.15**2)
     singles = MODEL.training(DRAWS, generator)
-    matcher = GaussianAlongClearance().fit(TrainingSet((*singles.hypotheses, draws), singles.watched))
+    matcher = fit_gaussian(TrainingSet((*singles.hypotheses, draws), singles.watched))
     truth = generator.uniform(LOW + 0.5, HIGH - 0.5, (20, 3))
     found = [matcher.match(feature).best for feature in triple(truth)]
     assert sum(best.label == "A+B+C" for best in found) >= 16
@@ -189,10 +188,11 @@ def test_three_joints_are_a_hypothesis() -> None:
     assert np.median(errors) < 0.5
 
 
-def test_many_draws_are_split_once_and_few_are_held_out_in_turn() -> None:
+def test_many_draws_are_split_once_and_few_are_held_out_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     many = MODEL.training(240, np.random.default_rng(26))
-    split = GaussianAlongClearance().fit(many)
-    in_turn = GaussianAlongClearance(many_cases=1000).fit(many)
+    split = fit_gaussian(many)
+    monkeypatch.setattr(gaussian, "SPLIT_CASES", 1000)
+    in_turn = fit_gaussian(many)
     assert len(split.calibration.distances[0].values) == np.sum(held_out(np.arange(240)))
     assert len(in_turn.calibration.distances[0].values) == 240
     features, truth, _ = MODEL.queries(60, np.random.default_rng(27))
@@ -212,7 +212,7 @@ def test_rows_count_as_much_as_their_weights() -> None:
         shifted.append(
             Draws(draws.label, draws.joints, features, draws.log_clearance, draws.entry, draws.prior, weight)
         )
-    fitted = GaussianAlongClearance().fit(TrainingSet(tuple(shifted), training.watched))
+    fitted = fit_gaussian(TrainingSet(tuple(shifted), training.watched))
     feature = MODEL.draw("B", np.array([np.log(3e-4)]), generator)[0]
     best = fitted.match(feature).best
     assert best.label == "B"
@@ -227,7 +227,7 @@ def test_refuses_what_it_cannot_learn_or_match() -> None:
         fitted().match(np.full(MODEL.length, np.nan))
     short = training.hypotheses[0].rows(np.arange(40) < 2)
     with pytest.raises(MatchingError, match="2 draws: must be at least 3"):
-        GaussianAlongClearance().fit(TrainingSet((short, *training.hypotheses[1:]), training.watched))
+        fit_gaussian(TrainingSet((short, *training.hypotheses[1:]), training.watched))
     with pytest.raises(MatchingError, match="its own label"):
         TrainingSet((training.hypotheses[0], training.hypotheses[0]), training.watched)
     with pytest.raises(MatchingError, match="finite numbers"):
@@ -245,7 +245,7 @@ def test_curves_are_drawn_through_the_first_features_only() -> None:
     more = TrainingSet(longer, training.watched, plain=training.length)
     feature = training.hypotheses[1].features[0]
     short, long = (
-        GaussianAlongClearance().fit(each).match(asked)
+        fit_gaussian(each).match(asked)
         for each, asked in ((training, feature), (more, np.r_[feature, np.full(7, 99.0)]))
     )
     assert [each.label for each in long.hypotheses] == [each.label for each in short.hypotheses]

@@ -25,7 +25,7 @@ from jointplay.catalogue.evaluation.nearest_entry import (
     cosine_entry,
 )
 from jointplay.catalogue.matching.calibration import Tail, calibration_error, combined, folds
-from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
+from jointplay.catalogue.matching.gaussian import fit_gaussian
 from jointplay.catalogue.matching.matcher import TrainingSet
 
 MODEL = FeatureModel()
@@ -74,10 +74,12 @@ def test_an_unknown_pattern_gets_a_small_p_value() -> None:
 
 
 @pytest.mark.parametrize(
-    "matcher", [NearestEntry(), GaussianAlongClearance(), cosine_entry(), extra_trees(60)], ids=lambda m: m.name
+    "fit",
+    [NearestEntry().fit, fit_gaussian, cosine_entry().fit, extra_trees(60).fit],
+    ids=["nearest", "own", "cosine", "trees"],
 )
-def test_all_stand_behind_the_same_interface(matcher: Any) -> None:
-    known = matcher.fit(MODEL.training(40, np.random.default_rng(5)))
+def test_all_stand_behind_the_same_interface(fit: Any) -> None:
+    known = fit(MODEL.training(40, np.random.default_rng(5)))
     feature = MODEL.draw("C", np.array([np.log(3e-4)]), np.random.default_rng(6))[0]
     result = known.match(feature)
     assert result.best.label == "C"

@@ -11,7 +11,7 @@ import pytest
 from feature_model import FeatureModel
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.gaussian import GaussianAlongClearance
+from jointplay.catalogue.matching.gaussian import fit_gaussian
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, TrainingSet, ranked
 from jointplay.catalogue.matching.prior import Prior
 
@@ -63,7 +63,7 @@ def test_weighing_an_answer_again_is_what_learning_with_that_prior_gives() -> No
 
     def answer(prior: Prior) -> MatchResult:
         sets = (replace(draws, prior=prior.weight(draws.joints, 3, 1)) for draws in drawn.hypotheses)
-        return GaussianAlongClearance().fit(TrainingSet(tuple(sets), drawn.watched)).match(feature)
+        return fit_gaussian(TrainingSet(tuple(sets), drawn.watched)).match(feature)
 
     usual, direct = answer(Prior()), answer(asked)
     assert usual.probability("B") < 0.5 * direct.probability("B")

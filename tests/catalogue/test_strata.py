@@ -9,7 +9,7 @@ import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
 from jointplay.catalogue.matching.calibration import held_out
-from jointplay.catalogue.matching.gaussian import FittedGaussian, GaussianAlongClearance
+from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import FloatArray
 from jointplay.catalogue.matching.model_library import ModelLibrary
@@ -92,8 +92,8 @@ def p_values(model: FittedGaussian, label: str, stratum: str) -> FloatArray:
 
 def test_what_it_doubts_is_not_explained(strata: Network) -> None:
     training = training_set(MODEL, sensing(), WATCHED, TRUSTED)
-    plain = GaussianAlongClearance().fit(training)
-    both = as_read(GaussianAlongClearance().fit(training, witness=opinion_of(strata)))
+    plain = fit_gaussian(training)
+    both = as_read(fit_gaussian(training, witness=opinion_of(strata)))
     assert len(both.calibration.doubts) == len(training.hypotheses)
     for label in ("A", "B"):
         # Of machines as filed no more are rejected than were agreed upon (measured: 0.02, 0.06; standard error 0.02).
