@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jointplay.solver.cases.history import Case, History, Settings
     from jointplay.solver.cases.steps import Accuracy
     from jointplay.solver.machines.machine import Machine
-    from jointplay.solver.simulation.ensemble_result import Ensemble, Kind
+    from jointplay.solver.simulation.ensemble_result import Ensemble, EnsembleKind
 
 
 @click.command("simulate")
@@ -73,7 +73,7 @@ def command(
     method: Literal["adaptive", "gill"] | None,
     step: float | None,
     starts: int | None,
-    starts_by: Kind,
+    starts_by: EnsembleKind,
     seed: int,
     converged: float | None,
     most_revolutions: float,

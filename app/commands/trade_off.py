@@ -15,7 +15,7 @@ from jointplay.app.tables import indented, table
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine
     from jointplay.solver.simulation.tradeoff import Recommendation, TradeOff
-    from jointplay.solver.simulation.workbench import Point
+    from jointplay.solver.simulation.workbench import TradeOffPoint
 
 
 @click.command("trade-off")
@@ -58,7 +58,7 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
         click.echo(f"\ndrawn: {plot}")
 
 
-def option_of(point: Point) -> str:
+def option_of(point: TradeOffPoint) -> str:
     """Return the options of `jointplay simulate` that ask for a setting."""
     if point.settings.integrator == "gill":
         # A step to all its digits: a shorter one would make for more steps a sample.
@@ -100,7 +100,7 @@ def document(
     }
 
 
-def described(found: TradeOff, point: Point) -> dict[str, object]:
+def described(found: TradeOff, point: TradeOffPoint) -> dict[str, object]:
     """Return one setting as JSON values."""
 
     def number(value: float) -> float | None:
@@ -149,7 +149,7 @@ def report(machine: Machine, found: TradeOff, advice: Recommendation, error: flo
     ])  # fmt: skip
 
 
-def row(found: TradeOff, point: Point) -> list[str]:
+def row(found: TradeOff, point: TradeOffPoint) -> list[str]:
     """Return one setting as cells."""
     name = point.settings.integrator
     if point.settings.rtol is not None:

@@ -36,11 +36,11 @@ Text = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x08
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class _Part(BaseModel):
+class _ProfilePart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class SpectrumSaid(_Part):
+class SpectrumSaid(_ProfilePart):
     """What the numbers of a spectrum are, in a profile."""
 
     scaling: Literal["psd", "power", "amplitude"] | None = None
@@ -50,7 +50,7 @@ class SpectrumSaid(_Part):
     window: Literal["rectangular", "hann", "hamming", "blackman", "flattop"] | None = None
 
 
-class Tacho(_Part):
+class Tacho(_ProfilePart):
     """A column with pulses of the drive's shaft.
 
     Parameters
@@ -69,7 +69,7 @@ class Tacho(_Part):
     edge: Literal["rising", "falling"] = "rising"
 
 
-class ImportProfile(_Part):
+class ImportProfile(_ProfilePart):
     """How to read files of one origin.
 
     Parameters

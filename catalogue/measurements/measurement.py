@@ -20,7 +20,7 @@ from jointplay.catalogue.measurements.channel_units import ChannelUnit
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
 from jointplay.catalogue.measurements.measured_columns import understood_columns
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, known_ending, read_raw
-from jointplay.catalogue.measurements.waveform import Flaw, TimeBase, even_time_base, inspect_waveform
+from jointplay.catalogue.measurements.waveform import ChannelFlaw, TimeBase, even_time_base, inspect_waveform
 from jointplay.solver.spectra.spectrum import Quantity
 
 
@@ -115,7 +115,7 @@ class Recording:
     warnings: tuple[str, ...]
     import_report: tuple[str, ...]
     sha256: str
-    flaws: tuple[Flaw, ...] = ()
+    flaws: tuple[ChannelFlaw, ...] = ()
     turns: npt.NDArray[np.float64] | None = None
 
     @classmethod
@@ -272,7 +272,7 @@ def measurement_of(
     facts += base.facts
     warnings = [*raw.warnings, *base.warnings]
     channels, signals = [], []
-    flaws: list[Flaw] = []
+    flaws: list[ChannelFlaw] = []
     for index, (column, unit) in enumerate(zip(raw.columns, understood, strict=True)):
         label = f"{column.position} {column.label!r}"
         if unit is None:

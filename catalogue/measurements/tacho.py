@@ -13,7 +13,7 @@ from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrac
 FloatArray = npt.NDArray[np.float64]
 
 #: Part of the channel's range that it must come back by before another pulse counts.
-HYSTERESIS = 0.1
+PULSE_HYSTERESIS = 0.1
 #: Longest and shortest revolution, relative to the usual one: beyond, a pulse is missing or one too many.
 UNEVEN = 0.3
 #: Revolutions a speed is taken from at least.
@@ -38,7 +38,7 @@ def pulses(signal: FloatArray, threshold: float | None, falling: bool) -> FloatA
     """
     level = 0.5 * (float(signal.min()) + float(signal.max())) if threshold is None else threshold
     above = (level - signal) if falling else (signal - level)
-    ready = -HYSTERESIS * float(np.ptp(signal))
+    ready = -PULSE_HYSTERESIS * float(np.ptp(signal))
     crossed = np.flatnonzero((above[1:] >= 0.0) & (above[:-1] < 0.0))
     found: list[float] = []
     since = 0

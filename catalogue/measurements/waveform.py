@@ -118,7 +118,7 @@ UNUSUAL_STANDSTILL = 20.0
 
 
 @dataclass(frozen=True)
-class Flaw:
+class ChannelFlaw:
     """Something wrong with a channel.
 
     Parameters
@@ -141,7 +141,7 @@ class Inspection:
 
     fact: str
     warnings: tuple[str, ...]
-    flaws: tuple[Flaw, ...] = ()
+    flaws: tuple[ChannelFlaw, ...] = ()
 
 
 def inspect_waveform(
@@ -179,17 +179,17 @@ def inspect_waveform(
         warnings.append(
             f"channel {channel!r} looks clipped: {len(at_end)} samples at its {side} end, {extreme:.4g} {unit}"
         )
-        flaws.append(Flaw(channel, "clipped", int(at_end[0]), int(at_end[-1]) + 1))
+        flaws.append(ChannelFlaw(channel, "clipped", int(at_end[0]), int(at_end[-1]) + 1))
     for start, length in standstills:
         warnings.append(
             f"channel {channel!r} stands still for {length} samples from {start / sample_rate:.4g} s on: a dropout?"
         )
-        flaws.append(Flaw(channel, "dropout", start, start + length))
+        flaws.append(ChannelFlaw(channel, "dropout", start, start + length))
     if abs(mean) > 3.0 * rms:
         warnings.append(
             f"channel {channel!r} has an offset of {mean:.4g} {unit}, {abs(mean) / rms:.0f} times its rms; taken off"
         )
-        flaws.append(Flaw(channel, "offset", 0, len(signal)))
+        flaws.append(ChannelFlaw(channel, "offset", 0, len(signal)))
     fact = f"rms {rms:.4g}, offset {mean:.4g}, from {low:.4g} to {high:.4g} {unit}"
     return Inspection(fact, tuple(warnings), tuple(flaws))
 

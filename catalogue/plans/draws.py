@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 from scipy.special import ndtri
 
-from jointplay.solver.machines.fields import Quantity, RuleError, Vector
+from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.units import RATIO
 
 #: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
 _CELL = 2.0**-30
 
-_PositiveBounds = Annotated[tuple[float, float], Vector((Quantity(RATIO, above=0.0),) * 2)]
+_PositiveBounds = Annotated[tuple[float, float], VectorField((QuantityField(RATIO, above=0.0),) * 2)]
 
 
 class Distribution(Part):
@@ -35,12 +35,12 @@ class Distribution(Part):
         Standard deviation, > 0, of the natural logarithm of the factor on the machine's own number; its median is 1.
     """
 
-    uniform: Annotated[tuple[float, float], Vector((Quantity(RATIO),) * 2)] | None = None
+    uniform: Annotated[tuple[float, float], VectorField((QuantityField(RATIO),) * 2)] | None = None
     loguniform: _PositiveBounds | None = None
     either_loguniform: _PositiveBounds | None = None
     factor_uniform: _PositiveBounds | None = None
     factor_loguniform: _PositiveBounds | None = None
-    lognormal: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
+    lognormal: Annotated[float, QuantityField(RATIO, above=0.0)] | None = None
 
     @model_validator(mode="after")
     def _one_in_order(self) -> Self:

@@ -19,7 +19,7 @@ from jointplay.catalogue.plans.plan_parts import Auto, Bands, ClearanceRange, Dr
 from jointplay.catalogue.plans.ranges import default_laws, default_uncertain, default_wide
 from jointplay.catalogue.plans.variants import LawChoice
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.fields import Name, Quantity, RuleError, Title, nearest
+from jointplay.solver.machines.fields import Name, QuantityField, RuleError, Title, nearest
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.refusals import first_error
@@ -81,15 +81,15 @@ class Plan(Part):
     clearance: ClearanceRange = ClearanceRange()
     fits: Fits = Fits()
     uncertain: Annotated[Mapping[str, Distribution] | None, Auto] = None
-    laws: Annotated[Mapping[LawChoice, Annotated[float, Quantity(RATIO, above=0.0)]] | None, Auto] = None
+    laws: Annotated[Mapping[LawChoice, Annotated[float, QuantityField(RATIO, above=0.0)]] | None, Auto] = None
     wide: Wide = Wide()
-    speeds: tuple[Annotated[float, Quantity(RATIO, above=0.0)], ...] = (1.0,)
+    speeds: tuple[Annotated[float, QuantityField(RATIO, above=0.0)], ...] = (1.0,)
     guard: Annotated[int, Field(ge=0, le=1_000_000, strict=True)] = 50
     seed: Annotated[int, Field(ge=0, le=2**63 - 1, strict=True)] = 1
     accuracy: Literal["draft", "standard", "reference"] = "draft"
-    sample_rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 10_000.0
+    sample_rate: Annotated[float, QuantityField(FREQUENCY, above=0.0)] = 10_000.0
     revolutions: Annotated[float, Field(ge=3.0, le=1e5)] = 5.0
-    seconds: Annotated[float, Quantity(TIME, at_least=0.0)] = 2.5
+    seconds: Annotated[float, QuantityField(TIME, at_least=0.0)] = 2.5
     bands: Bands = Bands()
 
     @model_validator(mode="after")

@@ -9,14 +9,14 @@ from typing import Annotated, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from jointplay.catalogue.plans.draws import Distribution, log_uniform
-from jointplay.solver.machines.fields import Quantity, RuleError
+from jointplay.solver.machines.fields import QuantityField, RuleError
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.units import FREQUENCY, LENGTH
 
 Auto = BeforeValidator(lambda value: None if isinstance(value, str) and value == "auto" else value)
 """Lets a file say ``auto`` for what follows from the machine: None."""
-Clearance = Annotated[float, Quantity(LENGTH, above=0.0)]
+Clearance = Annotated[float, QuantityField(LENGTH, above=0.0)]
 Count = Annotated[int, Field(ge=1, le=100_000, strict=True)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 NEXT_TO_NONE = 30.0
@@ -110,4 +110,4 @@ class Bands(Part):
 
     orders: Annotated[int, Field(ge=1, le=1000, strict=True)] = 100
     per_octave: Annotated[int, Field(ge=1, le=96, strict=True)] = 12
-    f_max: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 4000.0
+    f_max: Annotated[float, QuantityField(FREQUENCY, above=0.0)] = 4000.0

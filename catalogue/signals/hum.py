@@ -150,7 +150,7 @@ def remove_hum(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) -> 
     borders = np.linspace(0, samples, count + 1).round().astype(int)
     found: dict[tuple[float, float | None], list[FloatArray]] = {}
     for first, last in itertools.pairwise(borders):
-        stretch = _Stretch(values[:, first:last], sample_rate, first / sample_rate, track)
+        stretch = _CleanedStretch(values[:, first:last], sample_rate, first / sample_rate, track)
         for line in stretch.clean():
             # Stretches find slightly different frequencies of one line.
             known = [key for key in found if abs(key[0] - line.frequency) < 2 * MAINS_STRAY and key[1] == line.mains]
@@ -163,13 +163,13 @@ def remove_hum(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _LineFit:
     line: SteadyLine
     half_amplitude: ComplexArray
     gain: float
 
 
-class _Stretch:
+class _CleanedStretch:
     """A stretch of the signal (c, n), cleaned in place."""
 
     def __init__(self, values: FloatArray, sample_rate: float, start: float, track: SpeedTrack) -> None:
@@ -205,7 +205,7 @@ class _Stretch:
             self._take_out(removed[-1])
         return [fit.line for fit in removed if fit is not None]
 
-    def _take_out(self, fit: _Fit | None) -> None:
+    def _take_out(self, fit: _LineFit | None) -> None:
         if fit is not None:
             self._frames = None
             wave = self._phases(fit.line.frequency)
@@ -219,7 +219,7 @@ class _Stretch:
         between = np.exp(turning * PHASES_TOGETHER * np.arange(math.ceil(self.samples / PHASES_TOGETHER)))
         return np.outer(between, within).ravel()[: self.samples]
 
-    def _fit(self, frequency: float, stray: float, mains: float | None, factor: float) -> _Fit | None:
+    def _fit(self, frequency: float, stray: float, mains: float | None, factor: float) -> _LineFit | None:
         """Fit a line and the orders around it; None when the line is not there or cannot be told from an order."""
         if frequency + 2.0 * self.turn > 0.5 * self.rate:
             return None
@@ -248,7 +248,7 @@ class _Stretch:
             unresolved = abs(orders[nearest] * self.turn - frequency - offset) * self.duration < 1.0
             if unresolved and power.sum() < LEAST_SHARE**2 * float((np.abs(weights[1 + nearest]) ** 2).sum()):
                 return None
-        return _Fit(SteadyLine(frequency + offset, 2.0 * np.abs(weights[0]), mains), weights[0], gain)
+        return _LineFit(SteadyLine(frequency + offset, 2.0 * np.abs(weights[0]), mains), weights[0], gain)
 
     @cached_property
     def _window(self) -> tuple[FloatArray, FloatArray]:

@@ -35,7 +35,7 @@ _INDEX = ir.IntType(32)
 _VECTOR = ir.VectorType(ir.DoubleType(), GROUP)
 
 
-def _picked(builder: Any, vector: Any, places: list[int]) -> Any:
+def _pick(builder: Any, vector: Any, places: list[int]) -> Any:
     """Elements of a vector."""
     return builder.shuffle_vector(
         vector, ir.Constant(_VECTOR, ir.Undefined), ir.Constant(ir.VectorType(_INDEX, len(places)), places)
@@ -47,7 +47,7 @@ def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     return context.make_array(kind)(context, builder, array).data
 
 
-def _stored(builder: Any, vector: Any, target: Any, where: Any) -> None:
+def _store(builder: Any, vector: Any, target: Any, where: Any) -> None:
     place = builder.bitcast(builder.gep(target, [where]), vector.type.as_pointer())
     builder.store(vector, place, align=8)
 
@@ -59,7 +59,7 @@ def _samples(
 
     def all_of(scalar: Any) -> Any:
         one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(_INDEX, 0))
-        return _picked(builder, one, [0] * GROUP)
+        return _pick(builder, one, [0] * GROUP)
 
     rows = [builder.add(at, at.type(LANES * k)) for k in range(4)]
     numbers = [all_of(builder.load(builder.gep(source, [row]))) for row in rows]
@@ -81,12 +81,12 @@ def _group(formula: Callable[[Any, Any, Any, list[Any]], Any]) -> Any:
         work, at, out, where, start, scale, x0, dx = arguments
         source, target = (_data(context, builder, signature.args[i], each) for i, each in ((0, work), (2, out)))
         value = _samples(builder, formula, source, at, start, x0, dx)
-        factor = _picked(
+        factor = _pick(
             builder,
             builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scale, ir.Constant(_INDEX, 0)),
             [0] * GROUP,
         )
-        _stored(builder, builder.fmul(value, factor, ("contract",)), target, where)
+        _store(builder, builder.fmul(value, factor, ("contract",)), target, where)
         return context.get_dummy_value()
 
     def typed(
@@ -127,7 +127,7 @@ def _in_turn(typing_context: Any, w: Any, at: Any, out: Any, even: Any, odd: Any
         source, target = (_data(context, builder, signature.args[i], each) for i, each in ((0, work), (2, out)))
         value = _samples(builder, _value, source, at, start, x0, dx)
         for place, where in enumerate((even, odd)):
-            _stored(builder, _picked(builder, value, list(range(place, GROUP, PHASES))), target, where)
+            _store(builder, _pick(builder, value, list(range(place, GROUP, PHASES))), target, where)
         return context.get_dummy_value()
 
     whole, real = types.int64, types.float64

@@ -143,7 +143,7 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
     return _code(model, rows, "held", reads, writes, jam, dopri_step(rows, recorded, scales))
 
 
-def _compiled(code: KernelCode, names: tuple[str, str]) -> Kernel:
+def _compile(code: KernelCode, names: tuple[str, str]) -> Kernel:
     address = native.load(code.text)
     project = address("project") if code.constrained else 0
     functions = (address("prepare"), address(names[0]), address(names[1]), project)
@@ -158,7 +158,7 @@ def compile_model(model: Model) -> Kernel:
     SettingsError
         The cache directory cannot be used.
     """
-    return _compiled(kernel_code(model), ("rhs", "gill"))
+    return _compile(kernel_code(model), ("rhs", "gill"))
 
 
 def compile_adaptive(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> Kernel:
@@ -169,4 +169,4 @@ def compile_adaptive(model: Model, scales: Sequence[float], recorded: tuple[int,
     SettingsError
         The cache directory cannot be used.
     """
-    return _compiled(adaptive_code(model, scales, recorded), ("held", "dopri"))
+    return _compile(adaptive_code(model, scales, recorded), ("held", "dopri"))

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from jointplay.solver.machines import units
-from jointplay.solver.machines.fields import Name, Quantity, Title, no_default
+from jointplay.solver.machines.fields import Name, QuantityField, Title, no_default
 from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
 from jointplay.solver.machines.parts import Drive, Initial, Link, Load, Part, Sensor, Support
 
@@ -17,7 +17,7 @@ class MachineContent(Part):
     """The members of a machine; what they have to do with each other is for :mod:`jointplay.solver.machines.rules`."""
 
     name: Title
-    gravity: Annotated[float, Quantity(units.ACCELERATION)] = 9.81
+    gravity: Annotated[float, QuantityField(units.ACCELERATION)] = 9.81
     frame: Name = Field(default="", json_schema_extra=no_default)
     links: Mapping[Name, Link]
     defaults: Defaults = Defaults()

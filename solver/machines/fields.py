@@ -62,7 +62,7 @@ class Marker:
 
 
 @dataclass(frozen=True)
-class Quantity(Marker):
+class QuantityField(Marker):
     """A number of one dimension, with bounds in SI.
 
     Parameters
@@ -109,10 +109,10 @@ class Quantity(Marker):
 
 
 @dataclass(frozen=True)
-class Vector(Marker):
+class VectorField(Marker):
     """A fixed number of components, each with its own kind."""
 
-    columns: tuple[Quantity, ...]
+    columns: tuple[QuantityField, ...]
 
     def validate(self, value: Any) -> tuple[float, ...]:
         """Return the components in SI or raise :class:`RuleError`."""
@@ -129,7 +129,7 @@ class UnitVector(Marker):
 
     def validate(self, value: Any) -> tuple[float, float]:
         """Return the unit vector or raise :class:`RuleError`."""
-        x, y = _row(value, (Quantity(units.RATIO),) * 2, ())
+        x, y = _row(value, (QuantityField(units.RATIO),) * 2, ())
         largest = max(abs(x), abs(y))
         if largest == 0:
             raise RuleError("must not be the zero vector")
@@ -142,7 +142,7 @@ class UnitVector(Marker):
 
     def json_schema(self) -> dict[str, Any]:
         """Describe it as an array of two numbers."""
-        return _row_schema((Quantity(units.RATIO),) * 2)
+        return _row_schema((QuantityField(units.RATIO),) * 2)
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Table(Marker):
         """Return the rows in SI or raise :class:`RuleError` that points at the row."""
         if not isinstance(value, (list, tuple)) or not value:
             raise RuleError(f"must be a list of rows [{', '.join(d.unit for d in self.columns)}]")
-        kinds = tuple(Quantity(dimension) for dimension in self.columns)
+        kinds = tuple(QuantityField(dimension) for dimension in self.columns)
         rows = tuple(_row(row, kinds, (index,)) for index, row in enumerate(value))
         for index in range(1, len(rows)):
             if not rows[index][0] > rows[index - 1][0]:
@@ -177,7 +177,7 @@ class Table(Marker):
 
     def json_schema(self) -> dict[str, Any]:
         """Describe it as an array of rows."""
-        rows = _row_schema(tuple(Quantity(dimension) for dimension in self.columns))
+        rows = _row_schema(tuple(QuantityField(dimension) for dimension in self.columns))
         return {"type": "array", "minItems": 1, "items": rows}
 
 
@@ -185,7 +185,7 @@ class Table(Marker):
 class NumberOrTable(Marker):
     """One number for all time, or a table of it."""
 
-    number: Quantity
+    number: QuantityField
     table: Table
 
     def validate(self, value: Any) -> float | tuple[tuple[float, ...], ...]:
@@ -217,7 +217,7 @@ class Text(Marker):
         return {"type": ["string", "integer"], "pattern": f"^{self.pattern}$"}
 
 
-def _row(value: Any, columns: tuple[Quantity, ...], at: tuple[int | str, ...]) -> tuple[float, ...]:
+def _row(value: Any, columns: tuple[QuantityField, ...], at: tuple[int | str, ...]) -> tuple[float, ...]:
     if not isinstance(value, (list, tuple)) or len(value) != len(columns):
         shown = value if at else MISSING
         raise RuleError(f"must be a list of {len(columns)} numbers", at, shown)
@@ -230,7 +230,7 @@ def _row(value: Any, columns: tuple[Quantity, ...], at: tuple[int | str, ...]) -
     return tuple(numbers)
 
 
-def _row_schema(columns: tuple[Quantity, ...]) -> dict[str, Any]:
+def _row_schema(columns: tuple[QuantityField, ...]) -> dict[str, Any]:
     items = [column.json_schema() for column in columns]
     return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
 
@@ -245,5 +245,5 @@ Name = Annotated[str, Text(r"\w(?:[\w +-]{0,62}[\w+-])?", "a name must be letter
 
 Title = Annotated[str, Text(r"[^\x00-\x1f\x7f]{1,200}", "must be one line of text")]
 
-Point = Annotated[tuple[float, float], Vector((Quantity(units.LENGTH),) * 2)]
+Point = Annotated[tuple[float, float], VectorField((QuantityField(units.LENGTH),) * 2)]
 Direction = Annotated[tuple[float, float], UnitVector()]

@@ -15,7 +15,7 @@ from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from jointplay.solver.machines import units
-from jointplay.solver.machines.fields import MISSING, Marker, Quantity, RuleError, Vector, nearest
+from jointplay.solver.machines.fields import MISSING, Marker, QuantityField, RuleError, VectorField, nearest
 
 _STEPS = (3, 6, 10, 18, 30, 50, 80, 120, 180, 250, 315, 400, 500)
 """Nominal sizes, mm: over the one before, up to and including this one."""
@@ -164,8 +164,8 @@ half of the draws of a coarse fit smaller than what that fit gives but for two j
 """
 
 _LARGEST_PLAY = 0.01  # m, radial: a bare number in micrometres or millimetres is beyond it
-_BOTH_ENDS = Vector((Quantity(units.LENGTH, at_least=0),) * 2)
-_DIAMETER = Quantity(units.LENGTH, above=0)
+_BOTH_ENDS = VectorField((QuantityField(units.LENGTH, at_least=0),) * 2)
+_DIAMETER = QuantityField(units.LENGTH, above=0)
 _KEYS = ("class", "diameter")
 
 

@@ -14,7 +14,7 @@ from pydantic import (
 )
 
 from jointplay.solver.machines import units
-from jointplay.solver.machines.fields import Direction, Name, Point, Quantity, RuleError, no_default
+from jointplay.solver.machines.fields import Direction, Name, Point, QuantityField, RuleError, no_default
 from jointplay.solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
 from jointplay.solver.machines.parts import Damping, Part
 from jointplay.solver.machines.restitution import CONTACT_LAWS, HYSTERESIS
@@ -29,8 +29,8 @@ def _check_law(law: object) -> object:
 
 #: A law of :data:`jointplay.solver.machines.restitution.CONTACT_LAWS`; other packages may add some.
 ContactLaw = Annotated[str, BeforeValidator(_check_law), WithJsonSchema({"enum": list(CONTACT_LAWS), "type": "string"})]
-FrictionCoefficient = Annotated[float, Quantity(units.RATIO, at_least=0)]
-FrictionVelocity = Annotated[float, Quantity(units.SPEED, above=0)]
+FrictionCoefficient = Annotated[float, QuantityField(units.RATIO, at_least=0)]
+FrictionVelocity = Annotated[float, QuantityField(units.SPEED, above=0)]
 
 #: Exponent of a Hertzian contact of curved surfaces.
 HERTZ_EXPONENT = 1.5
@@ -58,11 +58,11 @@ class Contact(Part):
     """
 
     law: ContactLaw = "linear"
-    stiffness: Annotated[float, Quantity(units.STIFFNESS, above=0)] = 1.0e7
+    stiffness: Annotated[float, QuantityField(units.STIFFNESS, above=0)] = 1.0e7
     damping: Damping = 300.0
-    exponent: Annotated[float, Quantity(units.RATIO, at_least=1, at_most=3)] | None = None
-    restitution: Annotated[float, Quantity(units.RATIO, at_least=LEAST_RESTITUTION, at_most=1)] | None = None
-    hysteresis: Annotated[float, Quantity(units.HYSTERESIS, at_least=0)] | None = None
+    exponent: Annotated[float, QuantityField(units.RATIO, at_least=1, at_most=3)] | None = None
+    restitution: Annotated[float, QuantityField(units.RATIO, at_least=LEAST_RESTITUTION, at_most=1)] | None = None
+    hysteresis: Annotated[float, QuantityField(units.HYSTERESIS, at_least=0)] | None = None
     friction: FrictionCoefficient = 0.05
     viscous: Damping = 0.0
     friction_velocity: FrictionVelocity = 0.01
@@ -109,11 +109,11 @@ class TurningJoint(Part):
     links: tuple[Name, Name]
     at: Point
     pin: Name = Field(default="", json_schema_extra=no_default)
-    pin_radius: Annotated[float, Quantity(units.LENGTH, at_least=0)] = 0.0
-    viscous: Annotated[float, Quantity(units.ROTARY_DAMPING, at_least=0)] = 0.0
+    pin_radius: Annotated[float, QuantityField(units.LENGTH, at_least=0)] = 0.0
+    viscous: Annotated[float, QuantityField(units.ROTARY_DAMPING, at_least=0)] = 0.0
     contact: Contact = Contact()
     fit: Annotated[FitSaid, FitMarker()] | None = None
-    limit: Annotated[float, Quantity(units.LENGTH, above=0, at_most=LARGEST_LIMIT)] | None = None
+    limit: Annotated[float, QuantityField(units.LENGTH, above=0, at_most=LARGEST_LIMIT)] | None = None
 
     @model_validator(mode="after")
     def _resolve_fit(self) -> TurningJoint:

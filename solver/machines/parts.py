@@ -14,21 +14,21 @@ from jointplay.solver.machines.fields import (
     Name,
     NumberOrTable,
     Point,
-    Quantity,
+    QuantityField,
     RuleError,
     Table,
-    Vector,
+    VectorField,
     nearest,
 )
 
-Stiffness = Annotated[float, Quantity(units.STIFFNESS, at_least=0)]
-Damping = Annotated[float, Quantity(units.DAMPING, at_least=0)]
-Angle = Annotated[float, Quantity(units.ANGLE)]
-Length = Annotated[float, Quantity(units.LENGTH)]
-Velocity = Annotated[tuple[float, float], Vector((Quantity(units.SPEED),) * 2)]
-AngularSpeed = Annotated[float, Quantity(units.ANGULAR_SPEED)]
-Force = Annotated[tuple[float, float], Vector((Quantity(units.FORCE),) * 2)]
-Torque = Annotated[float, Quantity(units.TORQUE)]
+Stiffness = Annotated[float, QuantityField(units.STIFFNESS, at_least=0)]
+Damping = Annotated[float, QuantityField(units.DAMPING, at_least=0)]
+Angle = Annotated[float, QuantityField(units.ANGLE)]
+Length = Annotated[float, QuantityField(units.LENGTH)]
+Velocity = Annotated[tuple[float, float], VectorField((QuantityField(units.SPEED),) * 2)]
+AngularSpeed = Annotated[float, QuantityField(units.ANGULAR_SPEED)]
+Force = Annotated[tuple[float, float], VectorField((QuantityField(units.FORCE),) * 2)]
+Torque = Annotated[float, QuantityField(units.TORQUE)]
 Motion: TypeAlias = Literal["x", "y", "theta"]
 LoadTable: TypeAlias = tuple[tuple[float, float, float, float], ...]
 
@@ -57,8 +57,8 @@ class Link(Part):
     ``cg`` [m]: centre of gravity in the drawing. ``locked``: motions of this link that are blocked.
     """
 
-    mass: Annotated[float, Quantity(units.MASS, above=0)] | None = None
-    inertia: Annotated[float, Quantity(units.INERTIA, above=0)] | None = None
+    mass: Annotated[float, QuantityField(units.MASS, above=0)] | None = None
+    inertia: Annotated[float, QuantityField(units.INERTIA, above=0)] | None = None
     cg: Point = (0.0, 0.0)
     fixed: StrictBool = False
     locked: tuple[Motion, ...] = ()
@@ -90,7 +90,7 @@ class Spring(Part):
     at: Point
     anchor: Point
     stiffness: Stiffness
-    free_length: Annotated[float, Quantity(units.LENGTH, at_least=0)] | None = None
+    free_length: Annotated[float, QuantityField(units.LENGTH, at_least=0)] | None = None
     static_deflection: Length | None = None
     to_link: Name | None = None
 
@@ -112,8 +112,8 @@ class Mount(Part):
     kind: Literal["mount"] = "mount"
     link: Name
     at: Point
-    stiffness: Annotated[tuple[float, float], Vector((Quantity(units.STIFFNESS, at_least=0),) * 2)]
-    damping: Annotated[tuple[float, float], Vector((Quantity(units.DAMPING, at_least=0),) * 2)] = (0.0, 0.0)
+    stiffness: Annotated[tuple[float, float], VectorField((QuantityField(units.STIFFNESS, at_least=0),) * 2)]
+    damping: Annotated[tuple[float, float], VectorField((QuantityField(units.DAMPING, at_least=0),) * 2)] = (0.0, 0.0)
     to_link: Name | None = None
 
 
@@ -150,7 +150,7 @@ Curve: TypeAlias = tuple[tuple[float, float], ...]
 class Ripple(Part):
     """One term of a drive's angular ripple: ``amplitude`` [rad] at ``order`` times the speed, ``phase`` [rad]."""
 
-    order: Annotated[float, Quantity(units.RATIO, above=0)]
+    order: Annotated[float, QuantityField(units.RATIO, above=0)]
     amplitude: Angle
     phase: Angle = 0.0
 
@@ -158,7 +158,7 @@ class Ripple(Part):
 class Harmonic(Part):
     """One term of a sliding drive: ``amplitude`` [m] at ``frequency`` [Hz], ``phase`` [rad]."""
 
-    frequency: Annotated[float, Quantity(units.FREQUENCY, above=0)]
+    frequency: Annotated[float, QuantityField(units.FREQUENCY, above=0)]
     amplitude: Length
     phase: Angle = 0.0
 
@@ -169,7 +169,7 @@ class RotationDrive(Part):
     kind: Literal["rotation"] = "rotation"
     joint: Name
     speed: Annotated[
-        float | Curve, NumberOrTable(Quantity(units.ANGULAR_SPEED), Table((units.TIME, units.ANGULAR_SPEED)))
+        float | Curve, NumberOrTable(QuantityField(units.ANGULAR_SPEED), Table((units.TIME, units.ANGULAR_SPEED)))
     ]
     ripple: tuple[Ripple, ...] = ()
 
@@ -179,7 +179,7 @@ class TranslationDrive(Part):
 
     kind: Literal["translation"] = "translation"
     joint: Name
-    speed: Annotated[float | Curve, NumberOrTable(Quantity(units.SPEED), Table((units.TIME, units.SPEED)))] = 0.0
+    speed: Annotated[float | Curve, NumberOrTable(QuantityField(units.SPEED), Table((units.TIME, units.SPEED)))] = 0.0
     harmonics: tuple[Harmonic, ...] = ()
 
 
@@ -197,7 +197,7 @@ class ForceDrive(Part):
 
     kind: Literal["force"] = "force"
     joint: Name
-    force: Annotated[float, Quantity(units.FORCE)] | None = None
+    force: Annotated[float, QuantityField(units.FORCE)] | None = None
     curve: Annotated[Curve, Table((units.SPEED, units.FORCE))] | None = None
 
 

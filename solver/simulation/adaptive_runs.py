@@ -29,7 +29,7 @@ from jointplay.solver.integrators.lanes import (
 from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
-from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
+from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, describe_failure, samples_of
 from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
@@ -153,6 +153,6 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reach
     if status is Status.JAMMED:
         return status, jam_message(*end)
     what = "left all bounds" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
-    return status, failed(
+    return status, describe_failure(
         f"{what} at {reached:.6g} s", failure_remark(*end), "another tolerance, or `gill` with a small step"
     )

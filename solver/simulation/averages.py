@@ -62,7 +62,7 @@ def overall(values_db: FloatArray, power: FloatArray) -> float:
     return largest
 
 
-def settled(before: FloatArray, after: FloatArray, allowed_db: float) -> bool:
+def has_settled(before: FloatArray, after: FloatArray, allowed_db: float) -> bool:
     """Whether the earlier of two successive blocks shows nothing more of a transient.
 
     Parameters
@@ -142,7 +142,7 @@ class Average:
             self._add(block)
         elif self._waiting is None:
             self._waiting = block
-        elif settled(self._waiting.bands[..., : len(MOTIONS)], block.bands[..., : len(MOTIONS)], self._allowed):
+        elif has_settled(self._waiting.bands[..., : len(MOTIONS)], block.bands[..., : len(MOTIONS)], self._allowed):
             self._add(self._waiting)
             self._add(block)
             self._waiting = None

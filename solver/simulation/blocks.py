@@ -89,7 +89,7 @@ class BlockSpectra:
         return BlockSpectra(tuple(members), self.bands[rows], self.psd[rows])
 
 
-class _Spectra(NamedTuple):
+class _BlockSpectra(NamedTuple):
     """Of one member in one block: powers in bands, (k, c), and densities, (n, c)."""
 
     bands: FloatArray
@@ -150,7 +150,7 @@ class Members:
         if group > LANES:
             group -= group % LANES
         everyone = list(self.alive)
-        spectra: list[list[_Spectra]] = [[] for _ in range(count)]
+        spectra: list[list[_BlockSpectra]] = [[] for _ in range(count)]
         for first in range(0, len(everyone), group):
             for history in self._advance(everyone[first : first + group], revolutions):
                 for block, found in enumerate(spectra):
@@ -186,7 +186,7 @@ class Members:
                 self.failures[member] = history
                 self.alive.remove(member)
 
-    def _spectra(self, history: History, first: float) -> _Spectra:
+    def _spectra(self, history: History, first: float) -> _BlockSpectra:
         """Spectra of the block that begins `first` revolutions after the start of a history."""
         rate = self._settings.sample_rate
         samples = rate * 2 * math.pi / self.speed
@@ -196,7 +196,7 @@ class Members:
         windows = revolution_segments(len(signal), rate, self.speed, _WINDOW, _WINDOW / 2)
         self.frequency = windows.frequency[windows.frequency <= PASS * rate]
         lines = windows.coefficients(signal, len(self.frequency))
-        return _Spectra(bands, np.mean(lines.real**2 + lines.imag**2, axis=0).T / windows.resolution)
+        return _BlockSpectra(bands, np.mean(lines.real**2 + lines.imag**2, axis=0).T / windows.resolution)
 
     def _signal(self, history: History, here: slice) -> FloatArray:
         """Alias-free accelerations of the frame and at the sensors, (n, c)."""

@@ -13,7 +13,7 @@ from jointplay.solver.simulation.averages import overall
 from jointplay.solver.simulation.blocks import BLOCK, MOTIONS, SEEN
 from jointplay.solver.spectra.segments import FloatArray
 
-Kind = Literal["perturbation", "phase"]
+EnsembleKind = Literal["perturbation", "phase"]
 #: Blocks that are the least to judge by.
 FEWEST = 2
 
@@ -41,7 +41,7 @@ class Ensemble:
     """
 
     starts: int = 8
-    kind: Kind = "perturbation"
+    kind: EnsembleKind = "perturbation"
     converged_db: float | None = 0.2
     most_revolutions: float = 400.0
     seed: int = 0

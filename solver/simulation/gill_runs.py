@@ -19,7 +19,7 @@ from jointplay.solver.integrators.kernel import Kernel, compile_model
 from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
-from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, failed, samples_of
+from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, describe_failure, samples_of
 from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def _gill_group(
             message = jam_message(*end)
         elif status is Status.DIVERGED:
             where = f"left all bounds at {reached / rate:.6g} s with steps of {h:.3g} s"
-            message = failed(where, failure_remark(*end), "a higher accuracy or a smaller step")
+            message = describe_failure(where, failure_remark(*end), "a higher accuracy or a smaller step")
         else:
             message = hold_remark(*end)
         z, v, a, memory = np.split(out[lane, :, :reached], [len(recorded) * i for i in (1, 2, 3)])

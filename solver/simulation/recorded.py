@@ -64,6 +64,6 @@ def samples_of(case: Prepared, settings: Settings) -> int:
     return round(case.duration * settings.sample_rate) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
 
 
-def failed(where: str, friction: str, advice: str) -> str:
+def describe_failure(where: str, friction: str, advice: str) -> str:
     """Message of a run that failed, beside its status: where, and joints that friction holds or else general advice."""
     return f"{where}; {friction or f'try {advice}'}"

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 SETTLED_PART = 0.25
 
 
-def settled(
+def settle(
     machine: Machine, model: Model, cases: Sequence[Case], ready: Sequence[Prepared], settings: Settings,
     runs: Callable[..., Iterator[Run]],
 ) -> list[Prepared]:  # fmt: skip
@@ -83,7 +83,7 @@ def _gains(machine: Machine, model: Model, case: Case, prepared: Prepared, setti
         repeating_frequency(machine, prepared.speed)
     except SettingsError:
         return False
-    return _comes_round(machine, case) and prepared.transient > 1.5 * _dropped(prepared)
+    return _comes_round(machine, case) and prepared.transient > 1.5 * _drop_time(prepared)
 
 
 def _comes_round(machine: Machine, case: Case) -> bool:
@@ -94,7 +94,7 @@ def _comes_round(machine: Machine, case: Case) -> bool:
     return not rippled or all(ripple.order == round(ripple.order) for ripple in machine.drive.ripple)
 
 
-def _dropped(case: Prepared) -> float:
+def _drop_time(case: Prepared) -> float:
     """Time that is dropped after a settled start, s."""
     revolution = 2 * math.pi / abs(case.speed)
     return revolution * max(1, math.ceil(SETTLED_PART * case.transient / revolution - 1e-9))
@@ -120,7 +120,7 @@ def _started(model: Model, case: Prepared, run: Run, sample_rate: float) -> Prep
         start = start_with_frame(model, case.vector, 0.0, case.z, *_end_of_transient(run, sample_rate))
     except AssemblyError as error:
         return _as_drawn(case, str(error))
-    dropped = _dropped(case)
+    dropped = _drop_time(case)
     return replace(case, z=start.z, v=start.v, transient=dropped, duration=case.duration - case.transient + dropped)
 
 

@@ -23,7 +23,7 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.adaptive_runs import adaptive_runs
 from jointplay.solver.simulation.gill_runs import gill_runs
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run
-from jointplay.solver.simulation.settling import settled
+from jointplay.solver.simulation.settling import settle
 from jointplay.solver.spectra import sampling
 
 Array = NDArray[np.float64]
@@ -107,15 +107,15 @@ def simulate_batch(
     for group in groups(machine, cases, settings, accuracies):
         model = group.model
         for index, error in group.failed:
-            results[index] = _failed(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+            results[index] = _fail(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
         ready, free = [], []
         for case in group.ready:
             start = None if starts is None else starts[case.index]
             if start is None:
                 free.append(case)
             else:
-                ready.append(_started(case, start))
-        ready += settled(machine, model, cases, free, settings, runs) if settings.settled else free
+                ready.append(_start(case, start))
+        ready += settle(machine, model, cases, free, settings, runs) if settings.settled else free
         if not ready:
             continue
         recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
@@ -127,14 +127,14 @@ def simulate_batch(
     return [results[index] for index in range(len(cases))]
 
 
-def _failed(case: Case, status: Status, message: str, settings: Settings) -> History:
+def _fail(case: Case, status: Status, message: str, settings: Settings) -> History:
     empty = np.zeros((0, 3))
     return History(
         case, status, message, np.zeros(0), empty, empty, empty, empty, settings.sample_rate, 0.0, 0.0, 0.0, 0.0
     )
 
 
-def _started(case: Prepared, start: Start) -> Prepared:
+def _start(case: Prepared, start: Start) -> Prepared:
     memory = start.memory if start.memory.size else case.memory
     return replace(case, z=start.z, v=start.v, memory=memory, begin=start.t)
 
@@ -145,7 +145,7 @@ def _end(run: Run) -> Start:
     return Start(z, v, float(run.final[0]), memory)
 
 
-def _held(run: Run, count: int) -> Array:
+def _hold(run: Run, count: int) -> Array:
     """Velocities of a case that failed, its last ones held for as long as the filter needs."""
     flat = run.v[:, :, sampling.head(OVERSAMPLING) :].swapaxes(1, 2).reshape(len(run.v), -1)[:, : run.samples]
     missing = (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1 - run.samples
@@ -177,7 +177,7 @@ def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: 
     if count > first and rows:
         velocity, rate = run.v, settings.sample_rate * OVERSAMPLING
         if run.samples < (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1:
-            velocity = _held(run, count)
+            velocity = _hold(run, count)
         if list(rows.items()) == [(0, 0), (1, 1), (2, 2)] and len(velocity) == 3:
             sampling.band_limited_acceleration(velocity, rate, count, smooth, first=first)
         else:

@@ -17,7 +17,7 @@ from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.native import processor
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation.workbench import MOTIONS, REFERENCES, Point, bench_of, middle
+from jointplay.solver.simulation.workbench import MOTIONS, REFERENCES, TradeOffPoint, bench_of, middle
 from jointplay.solver.spectra.harmonics import find_comparable, mean_difference_db
 
 #: A response is chaotic if runs of the reference differ by more than this, dB a harmonic, from starts a rounding apart.
@@ -32,7 +32,7 @@ _SAME_COST = 0.1
 class Recommendation:
     """The cheapest setting that is shown to meet what was asked (of equal cost the best), or why there is none."""
 
-    point: Point | None
+    point: TradeOffPoint | None
     reason: str
 
 
@@ -81,13 +81,13 @@ class TradeOff:
     reference_rtol: float
     check_rtol: float
     reference_error_db: float
-    points: tuple[Point, ...]
+    points: tuple[TradeOffPoint, ...]
     duration: float
     transient: float
     computer: str
     preparation: float
 
-    def pays(self, point: Point) -> bool:
+    def pays(self, point: TradeOffPoint) -> bool:
         """Whether a finer setting than this could be told from it: not once its error is below the spread."""
         return not (self.chaotic and point.status is Status.OK and point.error_db <= self.spread_db)
 
@@ -100,7 +100,7 @@ class TradeOff:
         margin = 0.0 if self.chaotic else self.reference_error_db
         if margin >= limit:
             return Recommendation(None, f"the reference itself is known to {margin:.2g} dB only")
-        found: list[Point] = []
+        found: list[TradeOffPoint] = []
         for method in ("adaptive", "gill"):
             for point in reversed([p for p in self.points if p.settings.integrator == method]):
                 error = point.error_db if self.chaotic else point.worst_db
@@ -174,7 +174,7 @@ def measure(
     levels, others = (bench.levels(histories, bands=chaotic) for histories in (finest, check))
     reference = middle(levels, chaotic)
     kept = find_comparable(reference)
-    points: list[Point] = []
+    points: list[TradeOffPoint] = []
     for done, settings in enumerate(rungs, start=len(REFERENCES) + 1):
         histories, seconds = bench.run(settings)
         point = bench.point(settings, histories, seconds, reference, chaotic)

@@ -54,7 +54,7 @@ _NO_REFERENCE = 20.0
 
 
 @dataclass(frozen=True)
-class Point:
+class TradeOffPoint:
     """One setting, measured.
 
     Attributes
@@ -158,16 +158,18 @@ class Bench:
 
     def point(
         self, settings: Settings, histories: Sequence[History], seconds: float, reference: FloatArray, chaotic: bool
-    ) -> Point:
+    ) -> TradeOffPoint:
         """Errors of one setting against the reference's levels (k,)."""
         worst = max(histories, key=lambda history: history.status is not Status.OK)
         if worst.status is not Status.OK:
-            return Point(settings, worst.step, worst.status, seconds / self.duration, math.nan, math.nan, math.nan)
+            return TradeOffPoint(
+                settings, worst.step, worst.status, seconds / self.duration, math.nan, math.nan, math.nan
+            )
         levels = self.levels(histories, bands=chaotic)
         each = [mean_difference_db(lane, reference) for lane in levels]
         error = mean_difference_db(middle(levels, True), reference) if chaotic else float(np.mean(each))
         repeat = float(np.std(levels[:, find_comparable(reference)], axis=0, ddof=1).mean())
-        return Point(settings, histories[0].step, Status.OK, seconds / self.duration, error, max(each), repeat)
+        return TradeOffPoint(settings, histories[0].step, Status.OK, seconds / self.duration, error, max(each), repeat)
 
     def levels(self, histories: Sequence[History], *, bands: bool = False) -> FloatArray:
         """Levels of the harmonics, or of the one-order bands, after the transient, (lanes, k), dB."""

@@ -67,7 +67,7 @@ def test_json_is_as_documented_and_the_plot_is_drawn(tmp_path: Path) -> None:
 
 
 def test_an_error_that_is_not_known_is_null(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(averages, "settled", lambda *given: False)
+    monkeypatch.setattr(averages, "has_settled", lambda *given: False)
     asked = (*WORN, "--starts", "2", "-o", tmp_path / "o.npz")
     result = invoke(*asked, "--json")
     assert result.exit_code == 0, result.stderr

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from jointplay.catalogue.measurements.readers.dialect import DIALECTS, Dialect, Layout, find_layout
+from jointplay.catalogue.measurements.readers.dialect import DIALECTS, Dialect, TableLayout, find_layout
 
 LINES = st.text('0123456789.,;|\t eE+-"infa#x', max_size=20)
 
@@ -29,5 +29,5 @@ def test_a_plain_row_of_numbers_is_ruled_out_in_all_other_dialects(dialect: Dial
 
 def test_rows_that_are_ruled_out_end_a_table() -> None:
     rows = ["1;2", "3;4", "1.5,2.5;3", "# 5;6", "", "5;6", "7;8", "9;10"]
-    assert find_layout(rows, [Dialect(";", ",")]) == Layout(Dialect(";", ","), 5, 2)
+    assert find_layout(rows, [Dialect(";", ",")]) == TableLayout(Dialect(";", ","), 5, 2)
     assert find_layout(rows, [Dialect(";", ",")], skipped=6) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointplay.solver.simulation.averages import Average, overall, settled, spread_db, standard_error_db
+from jointplay.solver.simulation.averages import Average, has_settled, overall, spread_db, standard_error_db
 from jointplay.solver.simulation.blocks import BlockSpectra
 
 RANDOM = np.random.default_rng(1)
@@ -47,9 +47,9 @@ def test_overall_takes_the_worst_channel_and_leaves_out_what_is_far_below() -> N
 
 def test_a_transient_is_told_from_scatter() -> None:
     before, after = chi_square(8), chi_square(8)
-    assert settled(before, after, 0.1)
-    assert not settled(before * 1.5, after, 0.1)  # 1.8 dB, where scatter explains 0.7 dB
-    assert settled(before * 1.5, after, 2.0)
+    assert has_settled(before, after, 0.1)
+    assert not has_settled(before * 1.5, after, 0.1)  # 1.8 dB, where scatter explains 0.7 dB
+    assert has_settled(before * 1.5, after, 2.0)
 
 
 def block(members: tuple[int, ...], factor: float = 1.0) -> BlockSpectra:

@@ -153,7 +153,7 @@ def test_a_duration_is_rounded_up_to_whole_blocks(machine: Machine, revolutions:
 
 
 def test_without_two_blocks_alike_the_error_is_not_known(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(averages, "settled", lambda *given: False)
+    monkeypatch.setattr(averages, "has_settled", lambda *given: False)
     found = simulate_ensemble(machine, PERIODIC, Ensemble(2, most_revolutions=20), SETTINGS)
     assert found.status is Status.OK and np.isfinite(found.level).all()
     assert found.error == math.inf and not found.converged

@@ -19,7 +19,7 @@ from jointplay.solver.machines.machine import Machine, parse_machine, shipped_ma
 from jointplay.solver.simulation import settling
 from jointplay.solver.simulation.adaptive_runs import adaptive_runs
 from jointplay.solver.simulation.gill_runs import gill_runs
-from jointplay.solver.simulation.settling import settled
+from jointplay.solver.simulation.settling import settle
 from jointplay.solver.simulation.simulate import simulate, simulate_batch, start_of
 from jointplay.solver.simulation.steady import healthy_revolution
 from jointplay.solver.spectra.harmonics import harmonic_levels, mean_difference_db
@@ -45,7 +45,7 @@ def prepared(machine: Machine, case: Case, settings: Settings = AT_ONCE) -> tupl
     """As drawn and settled."""
     group = next(groups(machine, [case], settings))
     runs = gill_runs if settings.integrator == "gill" else adaptive_runs
-    return group.ready[0], settled(machine, group.model, [case], group.ready, settings, runs)[0]
+    return group.ready[0], settle(machine, group.model, [case], group.ready, settings, runs)[0]
 
 
 def backwards() -> Machine:
@@ -277,7 +277,7 @@ def test_started_as_drawn_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     case = Case(Fault({"A": 1e-4}))
     table = [Case(), case]
     group = list(groups(machine, table, SHORT))[1]
-    (only,) = settled(machine, group.model, table, group.ready, SHORT, adaptive_runs)
+    (only,) = settle(machine, group.model, table, group.ready, SHORT, adaptive_runs)
     assert (only.index, "started as drawn" in only.remark) == (1, True)
     history = simulate_batch(machine, table, SHORT)[1]
     assert "started as drawn: the healthy machine gave no settled start (" in history.message

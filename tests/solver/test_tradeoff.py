@@ -18,7 +18,7 @@ from jointplay.solver.machines.machine import Machine, load_machine
 from jointplay.solver.simulation import workbench
 from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.simulation.tradeoff import TradeOff, measure
-from jointplay.solver.simulation.workbench import Point
+from jointplay.solver.simulation.workbench import TradeOffPoint
 from jointplay.solver.spectra.harmonics import harmonic_error
 
 DATA = Path(__file__).parents[1] / "data" / "reference"
@@ -102,8 +102,8 @@ def test_nothing_is_claimed_below_the_reference(periodic: TradeOff) -> None:
     assert "none of the settings" in advice.reason
 
 
-def point(settings: Settings, seconds: float, error: float, status: Status = Status.OK) -> Point:
-    return Point(settings, 1e-5, status, seconds, error, error, 0.0)
+def point(settings: Settings, seconds: float, error: float, status: Status = Status.OK) -> TradeOffPoint:
+    return TradeOffPoint(settings, 1e-5, status, seconds, error, error, 0.0)
 
 
 def test_luck_is_not_recommended_and_equal_cost_goes_to_the_better(periodic: TradeOff) -> None:

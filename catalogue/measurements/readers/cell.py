@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.readers.kinds import Kind
+from jointplay.catalogue.measurements.readers.kinds import FileKind
 from jointplay.catalogue.measurements.readers.raw import Limits, RawRecording, decode
 from jointplay.catalogue.processes import ONE_THREAD
 
@@ -31,7 +31,7 @@ class Cell:
         self._owner = 0
         self._lock = threading.Lock()
 
-    def read(self, kind: Kind, data: bytes, source: str, limits: Limits) -> RawRecording:
+    def read(self, kind: FileKind, data: bytes, source: str, limits: Limits) -> RawRecording:
         """Read a file.
 
         Parameters
@@ -66,7 +66,7 @@ class Cell:
                 guard.cancel()
         return self._judged(kind, head, body, source, limits)
 
-    def _judged(self, kind: Kind, head: dict[str, Any], body: bytes, source: str, limits: Limits) -> RawRecording:
+    def _judged(self, kind: FileKind, head: dict[str, Any], body: bytes, source: str, limits: Limits) -> RawRecording:
         ended = head["signal"]
         if ended in (signal.SIGPROF, signal.SIGALRM):
             seconds = limits.reader_seconds if ended == signal.SIGPROF else limits.reader_clock_seconds

@@ -19,7 +19,7 @@ from jointplay.catalogue.measurements.channel_units import parse_unit, split_lab
 from jointplay.catalogue.measurements.readers.decimal_table import plain_table
 from jointplay.catalogue.measurements.readers.dialect import (
     Dialect,
-    Layout,
+    TableLayout,
     dialects_of,
     find_layout,
     header_fields,
@@ -134,7 +134,7 @@ def _no_table(head: Sequence[str], source: str) -> MeasurementError:
     return MeasurementError(source, rule=f"holds no table of numbers in its first {len(head)} lines")
 
 
-def _columns(head: Sequence[str], layout: Layout, source: str) -> tuple[tuple[RawColumn, ...], set[int]]:
+def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tuple[RawColumn, ...], set[int]]:
     """Columns from the header, and which lines it is."""
     index = header_line(head, layout)
     if index is None:
@@ -216,7 +216,7 @@ def _read_number(text: str, dialect: Dialect) -> float | None:
 
 
 def _numbers(
-    text: str, head: Sequence[str], layout: Layout, columns: Sequence[RawColumn], source: str
+    text: str, head: Sequence[str], layout: TableLayout, columns: Sequence[RawColumn], source: str
 ) -> npt.NDArray[np.float64]:
     body = text[sum(len(line) for line in head[: layout.first]) :]
     delimiter = None if layout.dialect.delimiter == " " else layout.dialect.delimiter
@@ -234,7 +234,7 @@ def _numbers(
 
 
 def _numbers_line_by_line(
-    text: str, layout: Layout, columns: Sequence[RawColumn], source: str
+    text: str, layout: TableLayout, columns: Sequence[RawColumn], source: str
 ) -> npt.NDArray[np.float64]:
     rows: list[list[float]] = []
     for number, fields in _rows(text, layout):
@@ -254,7 +254,7 @@ def _cell_rule(field: str, dialect: Dialect) -> str:
     return "is not finite" if dialect.is_cell(field) else "is not a number"
 
 
-def _rows(text: str, layout: Layout) -> Iterator[tuple[int, list[str]]]:
+def _rows(text: str, layout: TableLayout) -> Iterator[tuple[int, list[str]]]:
     for number, line in enumerate(io.StringIO(text), start=1):
         if number > layout.first and line.strip() and not line.lstrip().startswith("#"):
             yield number, _fields(line, layout.dialect)
@@ -264,5 +264,5 @@ def _fields(line: str, dialect: Dialect) -> list[str]:
     return dialect.split(line.split("#", 1)[0].strip("\r\n"))
 
 
-def _line_of(text: str, layout: Layout, sample: int) -> int | None:
+def _line_of(text: str, layout: TableLayout, sample: int) -> int | None:
     return next((number for number, _ in itertools.islice(_rows(text, layout), sample, None)), None)

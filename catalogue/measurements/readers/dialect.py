@@ -69,7 +69,7 @@ DIALECTS = tuple(Dialect(delimiter, decimal) for delimiter in ";\t|, " for decim
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Where a table stands in a file.
 
     Parameters
@@ -93,7 +93,7 @@ def dialects_of(delimiter: str | None, decimal: str | None) -> tuple[Dialect, ..
     )
 
 
-def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, skipped: int = 0) -> Layout | None:
+def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, skipped: int = 0) -> TableLayout | None:
     """Dialect and beginning of the table in the first lines of a file.
 
     Parameters
@@ -111,7 +111,7 @@ def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, sk
         The dialect that makes some lines in a row a table of numbers, by preference one whose fields are as many in the
         line above (the header), then the one with most columns. None when no dialect does.
     """
-    best: tuple[tuple[bool, int, int], Layout] | None = None
+    best: tuple[tuple[bool, int, int], TableLayout] | None = None
     candidates = [
         (index, line)
         for index, line in enumerate(lines[skipped:], start=skipped)
@@ -128,7 +128,7 @@ def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, sk
     return None if best is None else best[1]
 
 
-def header_line(lines: Sequence[str], layout: Layout) -> int | None:
+def header_line(lines: Sequence[str], layout: TableLayout) -> int | None:
     """Index of the line right above the table (blank lines aside), if it has as many fields as the table."""
     for index in range(layout.first - 1, -1, -1):
         if lines[index].strip():
@@ -136,7 +136,7 @@ def header_line(lines: Sequence[str], layout: Layout) -> int | None:
     return None
 
 
-def header_fields(line: str, layout: Layout) -> list[str]:
+def header_fields(line: str, layout: TableLayout) -> list[str]:
     """Fields of a header line; a comment sign before them does not count.
 
     Between blanks, "time [s]" is two words: there, labels are told apart by two blanks, a tab or a closing bracket.
@@ -153,7 +153,7 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "%", "//"))
 
 
-def _table_of(lines: Sequence[tuple[int, str]], dialect: Dialect) -> Layout | None:
+def _table_of(lines: Sequence[tuple[int, str]], dialect: Dialect) -> TableLayout | None:
     """Return the first table in numbered lines that are neither blank nor a comment."""
     first, columns, found = 0, 0, 0
     for index, line in lines:
@@ -167,7 +167,7 @@ def _table_of(lines: Sequence[tuple[int, str]], dialect: Dialect) -> Layout | No
             else:
                 first, columns, found = index, len(fields), 1
             if found == _CONVINCING:
-                return Layout(dialect, first, columns)
+                return TableLayout(dialect, first, columns)
         else:
             found = 0
     return None

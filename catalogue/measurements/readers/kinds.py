@@ -13,7 +13,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
-class Kind:
+class FileKind:
     """A kind of file read by somebody else's library, in a process of its own.
 
     Parameters
@@ -40,31 +40,31 @@ TEXT_ENDINGS = (".csv", ".tsv", ".txt")
 FOREIGN = {
     kind.name: kind
     for kind in (
-        Kind(
+        FileKind(
             "UFF",
             (".uff", ".unv", ".uf", ".58b"),
             "jointplay.catalogue.measurements.readers.uff",
             "read_uff",
             ("pyuff",),
         ),
-        Kind("WAV", (".wav", ".wave"), "jointplay.catalogue.measurements.readers.wav", "read_wav", ("soundfile",)),
-        Kind(
+        FileKind("WAV", (".wav", ".wave"), "jointplay.catalogue.measurements.readers.wav", "read_wav", ("soundfile",)),
+        FileKind(
             "MAT",
             (".mat",),
             "jointplay.catalogue.measurements.readers.arrays",
             "read_mat",
             ("scipy.io", "jointplay.catalogue.storage.hdf5"),
         ),
-        Kind("TDMS", (".tdms",), "jointplay.catalogue.measurements.readers.tdms", "read_tdms", ("nptdms",)),
-        Kind(
+        FileKind("TDMS", (".tdms",), "jointplay.catalogue.measurements.readers.tdms", "read_tdms", ("nptdms",)),
+        FileKind(
             "HDF5",
             (".h5", ".hdf5", ".hdf"),
             "jointplay.catalogue.measurements.readers.arrays",
             "read_hdf5",
             ("jointplay.catalogue.storage.hdf5",),
         ),
-        Kind("NPZ", (".npz",), "jointplay.catalogue.measurements.readers.arrays", "read_npz", ("numpy",)),
-        Kind("JSON", (".json",), "jointplay.catalogue.measurements.readers.json_file", "read_json"),
+        FileKind("NPZ", (".npz",), "jointplay.catalogue.measurements.readers.arrays", "read_npz", ("numpy",)),
+        FileKind("JSON", (".json",), "jointplay.catalogue.measurements.readers.json_file", "read_json"),
     )
 }
 
@@ -72,7 +72,7 @@ FOREIGN = {
 #: Kinds that other packages read, told by the ending of a name alone, which is the name of their entry point.
 _OWN_ENDINGS = {*TEXT_ENDINGS, *(ending for kind in FOREIGN.values() for ending in kind.endings)}
 INSTALLED = {
-    name.upper(): Kind(name.upper(), (f".{name.lower()}",), point.module, point.attr)
+    name.upper(): FileKind(name.upper(), (f".{name.lower()}",), point.module, point.attr)
     for name, point in entry_points_of("readers").items()
     if f".{name.lower()}" not in _OWN_ENDINGS and name.upper() not in FOREIGN
 }
@@ -102,7 +102,7 @@ def known_ending(name: str) -> str:
     return ending
 
 
-def kind_of(data: bytes, name: str) -> Kind | None:
+def kind_of(data: bytes, name: str) -> FileKind | None:
     """Kind of a file from its content, or from its name where the content says nothing; None for a table as text.
 
     Raises

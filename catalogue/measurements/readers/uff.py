@@ -31,7 +31,7 @@ _UNKNOWN = frozenset({"", "none", "unknown"})
 
 
 @dataclass(frozen=True)
-class Block:
+class DataSet:
     """A data set of a file: its number as written, and the line it begins in."""
 
     kind: str
@@ -129,7 +129,7 @@ def missing_records(records: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     return (f"{len(records)} records, but by their function numbers {shown} of {max(numbers)} are not in the file",)
 
 
-def blocks_of(data: bytes, source: str) -> list[Block]:
+def blocks_of(data: bytes, source: str) -> list[DataSet]:
     """Data sets of a universal file; a last one without its closing -1 makes the file a truncated one.
 
     Raises
@@ -137,7 +137,7 @@ def blocks_of(data: bytes, source: str) -> list[Block]:
     MeasurementError
         The file ends in the middle of a data set, or is no universal file.
     """
-    found: list[Block] = []
+    found: list[DataSet] = []
     place, line = 0, 0
 
     def next_line() -> bytes | None:
@@ -163,7 +163,7 @@ def blocks_of(data: bytes, source: str) -> list[Block]:
         words = (head or b"").decode("latin-1").split()
         if not words:
             raise MeasurementError(source, line, rule="is truncated: it ends where a data set begins")
-        found.append(Block(words[0].lower(), line))
+        found.append(DataSet(words[0].lower(), line))
         if words[0].lower() == "58b":
             if len(words) < 5 or not (words[3].isdigit() and words[4].isdigit()):
                 raise MeasurementError(
