@@ -14,11 +14,13 @@ from jointplay.app.commands.parameters import (
     Quantity,
     each_once,
     existing_catalogue,
+    file_options,
     json_option,
     print_json,
     refuse_given,
 )
 from jointplay.app.rows import hypothesis_rows, joint_rows, percent
+from jointplay.app.storage.told import FILE_FIELDS, PROFILE, with_said
 from jointplay.app.tables import indented, table
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
@@ -83,29 +85,16 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains.",
 )
-@click.option("--sample-rate", type=Quantity("FREQUENCY"), help='Of a recording without times, such as "10 kHz".')
+@file_options
 @click.option(
     "--map", "mapping", type=Pairs("COLUMN=SENSOR"), multiple=True, help="Column of a sensor; may be repeated."
-)
-@click.option(
-    "--unit", "units", type=Pairs("COLUMN=UNIT"), multiple=True, help='Unit of a column; "*" for all that name none.'
 )
 @click.option(
     "--profile",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="How to read the recording: names, units, full scale, decimal comma and more, in YAML or JSON.",
+    help=PROFILE,
 )
-@click.option("--full-scale", metavar="VALUE UNIT", help='What the full scale of a WAV file stands for, such as "5 g".')
-@click.option(
-    "--sensitivity",
-    "sensitivities",
-    type=Pairs("COLUMN=VOLTAGE/UNIT"),
-    multiple=True,
-    help='What a sensor gives whose column is in volts: "s1-x=100 mV/g"; "*" for all of them.',
-)
-@click.option("--tacho", metavar="COLUMN", help="Column with pulses of the drive's shaft.")
-@click.option("--pulses", type=click.IntRange(1, 10_000), help="Pulses of the tacho a revolution; 1 unless given.")
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Draw measured and matched."
 )
@@ -121,16 +110,11 @@ def command(
     worn: float,
     another: float,
     baseline: Path | None,
-    sample_rate: float | None,
     mapping: Sequence[tuple[str, str]],
-    units: Sequence[tuple[str, str]],
     profile: Path | None,
-    full_scale: str | None,
-    sensitivities: Sequence[tuple[str, str]],
-    tacho: str | None,
-    pulses: int | None,
     plot: Path | None,
     as_json: bool,
+    **told: Any,
 ) -> None:
     """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame."""
     if plot is not None:
@@ -139,22 +123,19 @@ def command(
         check_ending(plot)
     if effort != "thorough":
         refuse_given(("cases",), "means something with --effort thorough only")
-    if tacho is None:
-        refuse_given(("pulses",), "means something with --tacho only")
     from jointplay.catalogue.diagnosing.diagnosis import diagnose
     from jointplay.catalogue.measurements.measured_spectrum import read_recording
     from jointplay.catalogue.measurements.measurement import read_measurement
     from jointplay.catalogue.storage.store import Catalogue
 
-    sensors, given_units = each_once(mapping, "--map"), each_once(units, "--unit")
-    opened = Catalogue.open(existing_catalogue(catalogue))
-    said = said_of(full_scale, each_once(sensitivities, "--sensitivity"))
-    told = told_of(measurement, profile, said, tacho, pulses)
-    recording = read_recording(measurement, sample_rate=sample_rate, units=given_units or None, profile=told)
+    sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
+    said = said_of(told)
+    told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
+    recording = read_recording(measurement, **told_too, profile=with_said(profile_of(measurement, profile), said))
     in_order = None
     if baseline is not None:
-        told = told_of(baseline, profile, said)
-        in_order = read_measurement(baseline, sample_rate=sample_rate, units=given_units or None, profile=told)
+        shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
+        in_order = read_measurement(baseline, **told_too, profile=with_said(profile_of(baseline, profile), shared))
     diagnosis = diagnose(
         recording,
         opened,
@@ -164,7 +145,7 @@ def command(
         mapping=sensors or None,
         cases=cases,
         prior=Prior(
-            worn, another, {joint: weight_of(joint, said) for joint, said in each_once(priors, "--prior").items()}
+            worn, another, {joint: weight_of(joint, weight) for joint, weight in each_once(priors, "--prior").items()}
         ),
         baseline=in_order,
     )
@@ -188,29 +169,20 @@ def weight_of(joint: str, said: str) -> float:
         raise click.BadParameter(f'"{joint}={said}": the weight must be a number', param_hint="--prior") from None
 
 
-def said_of(full_scale: str | None, sensitivities: Mapping[str, str]) -> dict[str, Any]:
-    """Return the members of a profile that options stand for, and that all files have in common."""
-    said: dict[str, Any] = {}
-    if full_scale is not None:
-        said |= {"full_scale": full_scale, "full_scale_m_s2": None}
-    if sensitivities:
-        said["sensitivity"] = dict(sensitivities)
-    return said
+def said_of(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the options of `file_options` say, as far as they were given."""
+    return {
+        each.name: each_once(told[each.name], f"--{each.option}") if each.by_column else told[each.name]
+        for each in FILE_FIELDS
+        if told[each.name] not in (None, ())
+    }
 
 
-def told_of(
-    file: Path, profile: Path | None, said: Mapping[str, Any], tacho: str | None = None, pulses: int | None = None
-) -> ImportProfile:
-    """Return what is told of a file: its profile, the given one or that beside it, and what options say."""
-    from jointplay.catalogue.measurements.import_profile import Tacho, load_profile, profile_beside
+def profile_of(file: Path, given: Path | None) -> ImportProfile:
+    """Return how to read a file: by the profile that is given, or by the one beside it."""
+    from jointplay.catalogue.measurements.import_profile import load_profile, profile_beside
 
-    told = profile_beside(file) if profile is None else load_profile(profile)
-    members = dict(said)
-    if tacho is not None:
-        before = {} if told.tacho is None else told.tacho.model_dump()
-        given = {"column": tacho} if pulses is None else {"column": tacho, "pulses_per_revolution": pulses}
-        members["tacho"] = Tacho.model_validate({**before, **given})
-    return told.model_copy(update=members)
+    return profile_beside(file) if given is None else load_profile(given)
 
 
 def report(result: Diagnosis) -> str:

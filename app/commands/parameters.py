@@ -6,12 +6,14 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
+
+from jointplay.app.storage.told import FILE_FIELDS
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine
@@ -189,6 +191,24 @@ def existing_catalogue(path: Path) -> Path:
     if not layout.manifest.exists() and not layout.shards.is_dir():
         raise UnknownCatalogueError(f"{path}: is not a catalogue; `jointplay build` makes one")
     return path
+
+
+def file_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command an option for each thing that can be said of a file, called as the field."""
+    for each in reversed(FILE_FIELDS):
+        kind: click.ParamType[Any] = click.STRING
+        if each.by_column:
+            kind = Pairs(f"COLUMN={each.by_column}")
+        elif each.choices:
+            kind = click.Choice(list(each.choices))
+        elif each.name == "sample_rate":
+            kind = Quantity("FREQUENCY")
+        more = ' "*" for all columns; may be repeated.' if each.by_column else ""
+        option = click.option(
+            f"--{each.option}", each.name, type=kind, multiple=bool(each.by_column), help=f"{each.says}{more}"
+        )
+        command = option(command)
+    return command
 
 
 catalogue_option = click.option(

@@ -29,7 +29,7 @@ from jointplay.app.problems import Problem
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.store import DiagnosisRow
-from jointplay.app.storage.told import told_of
+from jointplay.app.storage.told import FILE_FIELDS, PROFILE, told_of
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 
@@ -199,6 +199,8 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
         "chosen": {},
         "messages": {},
         "told_open": False,
+        "file_fields": FILE_FIELDS,
+        "profile_says": PROFILE,
         "result": None,
         "summary": None,
         "max_bytes": settings.max_upload_bytes,

@@ -13,19 +13,70 @@ from jointplay.app.errors import BadFieldError
 if TYPE_CHECKING:
     from jointplay.catalogue.measurements.import_profile import ImportProfile
 
-#: Where in a profile a field of a form goes.
-PLACES: dict[str, tuple[str, ...]] = {
-    "full_scale": ("full_scale",),
-    "sensitivity": ("sensitivity",),
-    "tacho": ("tacho", "column"),
-    "pulses_per_revolution": ("tacho", "pulses_per_revolution"),
-    "scaling": ("spectrum", "scaling"),
-    "detector": ("spectrum", "detector"),
-    "decibel": ("spectrum", "decibel"),
-    "reference": ("spectrum", "reference"),
-    "window": ("spectrum", "window"),
-}
-TOLD = frozenset({"sample_rate", "units", "profile", *PLACES})
+
+@dataclass(frozen=True)
+class FileField:
+    """One thing that can be said of a file: a field over HTTP and on the page, an option of commands.
+
+    Parameters
+    ----------
+    name, option : str
+        Of the field, and of the option.
+    place : str
+        In an :class:`~jointplay.catalogue.measurements.import_profile.ImportProfile`; empty for what :class:`Told`
+        holds beside it.
+    label, says : str
+        On the page; and what it is, there, in documents and in the help of commands.
+    choices : tuple of str
+        Values there are; empty where any text will do.
+    by_column : str
+        What each column is given; empty where it is said of the whole file.
+    """
+
+    name: str
+    option: str
+    place: str
+    label: str
+    says: str
+    choices: tuple[str, ...] = ()
+    by_column: str = ""
+
+    @property
+    def of_spectrum(self) -> bool:
+        """Whether it is said of spectra alone."""
+        return self.place.startswith("spectrum.")
+
+
+# fmt: off
+FILE_FIELDS = (
+    FileField("sample_rate", "sample-rate", "", "Sample rate",
+              'Of a recording without times: "10 kHz", or a number in Hz.'),
+    FileField("units", "unit", "", "Unit",
+              'Of columns that name none: "g", "mm/s", "um". It says whether they are acceleration, velocity or'
+              " displacement.", by_column="UNIT"),
+    FileField("full_scale", "full-scale", "full_scale", "Full scale",
+              'What the full scale of a WAV file stands for: "5 g", or "1 V" with a sensitivity.'),
+    FileField("sensitivity", "sensitivity", "sensitivity", "Sensitivity",
+              'What a sensor gives whose column is in volts: "100 mV/g".', by_column="VOLTAGE/UNIT"),
+    FileField("tacho", "tacho", "tacho.column", "Tacho column",
+              "Column with pulses of the drive's shaft: they give the speed."),
+    FileField("pulses_per_revolution", "pulses", "tacho.pulses_per_revolution", "Pulses per revolution",
+              "Of the tacho; 1 unless given."),
+    FileField("scaling", "scaling", "spectrum.scaling", "Scaling",
+              "What the numbers of a spectrum are.", ("psd", "power", "amplitude")),
+    FileField("detector", "detector", "spectrum.detector", "Detector",
+              "Whether amplitudes of a spectrum are rms or peak.", ("rms", "peak", "peak-to-peak")),
+    FileField("window", "window", "spectrum.window", "Window", "Of a spectrum of amplitudes or powers.",
+              ("rectangular", "hann", "hamming", "blackman", "flattop")),
+    FileField("decibel", "decibel", "spectrum.decibel", "In dB", "Whether a spectrum is in dB.", ("false", "true")),
+    FileField("reference", "reference", "spectrum.reference", "Reference of dB",
+              "Of levels in dB, in the unit of the column."),
+)
+# fmt: on
+"""All that can be said of a file, besides a whole profile."""
+
+PROFILE = "YAML or JSON that says all this, and names, delimiter and decimal comma, for files of one origin."
+TOLD = frozenset({"profile", *(each.name for each in FILE_FIELDS)})
 """Fields of a form that say something of its file."""
 
 ALL_OTHERS = "*"
@@ -83,11 +134,22 @@ def told_of(fields: Mapping[str, str]) -> Told:
     BadFieldError
         Naming the field, its value and the rule it breaks.
     """
-    said = {name: fields[name] for name in PLACES if name in fields}
+    from jointplay.catalogue.errors import MeasurementError
+    from jointplay.catalogue.measurements.import_profile import ImportProfile, parse_profile
+
+    said: dict[str, Any] = {
+        each.name: pairs_of(each.name, fields[each.name]) if each.by_column else fields[each.name]
+        for each in FILE_FIELDS
+        if each.name in fields
+    }
+    try:
+        profile = parse_profile(fields["profile"], "profile") if "profile" in fields else ImportProfile()
+    except MeasurementError as error:
+        raise BadFieldError(str(error), field="profile") from None
     return Told(
         rate_of(fields.get("sample_rate")),
-        pairs_of("units", fields["units"]) if "units" in fields else {},
-        profile_of(fields.get("profile"), said),
+        said.get("units", {}),
+        with_said(profile, said).model_dump(mode="json", exclude_defaults=True),
     )
 
 
@@ -144,15 +206,14 @@ def pairs_of(name: str, text: str) -> dict[str, str]:
     return dict(held)
 
 
-def profile_of(text: str | None, said: Mapping[str, str]) -> dict[str, Any]:
-    """Return the members of a profile that are set; single fields win over the profile's text.
+def with_said(profile: ImportProfile, said: Mapping[str, Any]) -> ImportProfile:
+    """Return a profile with what single fields say, which win over it.
 
     Parameters
     ----------
-    text : str, optional
-        YAML or JSON.
+    profile : ImportProfile
     said : Mapping
-        Values by the names of :data:`PLACES`.
+        Values by the names of :data:`FILE_FIELDS`.
 
     Raises
     ------
@@ -161,19 +222,16 @@ def profile_of(text: str | None, said: Mapping[str, str]) -> dict[str, Any]:
     from pydantic import ValidationError
 
     from jointplay.catalogue.errors import MeasurementError
-    from jointplay.catalogue.measurements.import_profile import ImportProfile, full_scale_of, parse_profile
+    from jointplay.catalogue.measurements.import_profile import ImportProfile, full_scale_of
 
-    try:
-        profile = parse_profile(text, "profile") if text is not None else ImportProfile()
-    except MeasurementError as error:
-        raise BadFieldError(str(error), field="profile") from None
+    places = {each.name: tuple(each.place.split(".")) for each in FILE_FIELDS if each.place}
     members = profile.model_dump(mode="json", exclude_defaults=True)
-    for name, value in said.items():
-        *parents, last = PLACES[name]
+    for name in places.keys() & said.keys():
+        *parents, last = places[name]
         inside = members
         for parent in parents:
             inside = inside.setdefault(parent, {})
-        inside[last] = pairs_of(name, value) if name == "sensitivity" else value
+        inside[last] = said[name]
     if "full_scale" in said:
         members.pop("full_scale_m_s2", None)
         try:
@@ -184,10 +242,8 @@ def profile_of(text: str | None, said: Mapping[str, str]) -> dict[str, Any]:
         rule = "says something of a tacho only: name its column by tacho"
         raise BadFieldError(f"pulses_per_revolution: {rule}", field="pulses_per_revolution")
     try:
-        checked = ImportProfile.model_validate(members)
+        return ImportProfile.model_validate(members)
     except ValidationError as error:
         first = error.errors()[0]
-        name = next((each for each, place in PLACES.items() if first["loc"][: len(place)] == place), "profile")
+        name = next((each for each, place in places.items() if first["loc"][: len(place)] == place), "profile")
         raise BadFieldError(f"{name}: {str(first['input'])[:80]}: {first['msg'].lower()}", field=name) from None
-    plain: dict[str, Any] = checked.model_dump(mode="json", exclude_defaults=True)
-    return plain

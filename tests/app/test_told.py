@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 import soundfile
 
+from jointplay.app.commands.diagnose import command
 from jointplay.app.errors import BadFieldError
-from jointplay.app.storage.told import TOLD, Told, told_of
+from jointplay.app.storage.told import FILE_FIELDS, TOLD, FileField, Told, told_of
+from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 
 API = "/api/v1"
@@ -248,6 +250,23 @@ def test_single_fields_are_refused_in_one_short_line(field: str, text: str) -> N
         told_of({field: text, "tacho": "key"} if field == "pulses_per_revolution" else {field: text})
     assert caught.value.field == field
     assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("field", FILE_FIELDS, ids=lambda field: field.name)
+def test_every_field_is_one_of_a_profile_and_an_option(field: FileField) -> None:
+    (option,) = (each for each in command.params if each.name == field.name)
+    assert option.opts == [f"--{field.option}"]
+    if not field.place:
+        assert field.name in ("sample_rate", "units")
+        return
+    members, defined = ImportProfile.model_json_schema(), ImportProfile.model_json_schema()["$defs"]
+    for name in field.place.split("."):
+        found = members["properties"][name]
+        found = found.get("anyOf", [found])[0]
+        members = defined[found["$ref"].rpartition("/")[2]] if "$ref" in found else found
+    values = ["false", "true"] if members["type"] == "boolean" else members.get("enum", [])
+    assert sorted(field.choices) == sorted(values)
+    assert bool(field.by_column) == (members["type"] == "object")
 
 
 def test_single_fields_win_over_the_profile() -> None:
