@@ -37,7 +37,7 @@ class Rows(NamedTuple, Generic[Each]):
     strictness
         Given: 1 / the scaled error that is allowed.
     root
-        16th root of the error, which holds back the step after the next (see ``docs/solver.md``).
+        16th root of the error, which holds back the step after the next (see ``docs/explanation/solver.md``).
     slopes, last_slopes
         Accelerations of the stages, n rows each; the first are those at the start of the step, the last those at its
         end.
