@@ -61,7 +61,7 @@ class CatalogueFileError(CatalogueError):
 
 
 class CatalogueMismatchError(CatalogueFileError):
-    """A catalogue that is in order, but of another machine, plan, solver or schema version than the one asked for."""
+    """A catalogue that is in order, but of another machine, plan, layout or version of numbers than is asked for."""
 
 
 class CatalogueBusyError(CatalogueFileError):

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from jointplay.app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
-from jointplay.app.storage.database import Database
+from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.store import Base, DiagnosisRow, newest, now
 from jointplay.app.storage.webhooks import announce
 
@@ -71,11 +71,11 @@ class Assets:
 
     Parameters
     ----------
-    database : Database
+    database : ServiceDatabase
         Of the service's store.
     """
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: ServiceDatabase) -> None:
         self._database = database
 
     def put(self, external_id: str, wanted: AssetIn, *, only_new: bool = False) -> tuple[AssetRow, bool]:

@@ -21,7 +21,7 @@ from sqlalchemy import Integer, func, insert, select
 from sqlalchemy.engine import URL, make_url
 
 from jointplay.app.errors import BackupError
-from jointplay.app.storage.database import REVISION, Database, database_url
+from jointplay.app.storage.database import REVISION, ServiceDatabase, database_url
 from jointplay.app.storage.store import MeasurementRow, now, recording_path
 from jointplay.app.storage.tables import TABLES
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, sync_folder
@@ -175,22 +175,22 @@ def sqlite(path: Path) -> URL:
 
 
 @contextmanager
-def opened(url: URL) -> Iterator[Database]:
+def opened(url: URL) -> Iterator[ServiceDatabase]:
     """A database, which is made or brought up to date."""
-    database = Database(make_url(url), TABLES)
+    database = ServiceDatabase(make_url(url), TABLES)
     try:
         yield database
     finally:
         database.close()
 
 
-def rows_in(database: Database) -> int:
+def rows_in(database: ServiceDatabase) -> int:
     """Return the number of rows in all tables."""
     with database.reading() as session:
         return sum(session.scalar(select(func.count()).select_from(table)) or 0 for table in TABLES.sorted_tables)
 
 
-def copy_rows(source: Database, target: Database) -> dict[str, int]:
+def copy_rows(source: ServiceDatabase, target: ServiceDatabase) -> dict[str, int]:
     """Copy all rows as they are at one moment, in one transaction; returns how many each table has."""
     counts: dict[str, int] = {}
     with source.engine.connect() as plain, target.writing() as session:

@@ -19,7 +19,7 @@ from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 from jointplay.app.errors import BuildEndedError, UnknownBuildError
 from jointplay.app.logs import request_id
 from jointplay.app.schemas.builds import BuildOut, State
-from jointplay.app.storage.database import Database
+from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.store import Base, newest, now
 
 ATTEMPTS = 5
@@ -79,10 +79,10 @@ class BuildQueue:
 
     Parameters
     ----------
-    database : Database
+    database : ServiceDatabase
     """
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: ServiceDatabase) -> None:
         self._database = database
 
     def add(

@@ -22,7 +22,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from jointplay.app.errors import KeyInUseError, KeyReusedError
-from jointplay.app.storage.database import Database
+from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.store import Base, now
 
 HEADER = "idempotency-key"
@@ -59,7 +59,11 @@ class IdempotencyRow(Base):
 
 
 async def once(
-    request: Request, key: str | None, database: Database, content: object, act: Callable[[], Awaitable[Response]]
+    request: Request,
+    key: str | None,
+    database: ServiceDatabase,
+    content: object,
+    act: Callable[[], Awaitable[Response]],
 ) -> Response:
     """Do what a request asks, unless it was done before with the same key; then give that answer again.
 
@@ -69,7 +73,7 @@ async def once(
         Keys of different clients, methods and paths are different keys.
     key : str, optional
         As the route got it, declared as :data:`IdempotencyKey`; without one the request is simply done.
-    database : Database
+    database : ServiceDatabase
     content : object
         All that was asked, as JSON values: two requests with the same content are the same.
     act : callable
@@ -105,7 +109,7 @@ def digest(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def reserve(database: Database, place: str, fingerprint: str, moment: datetime) -> Response | None:
+def reserve(database: ServiceDatabase, place: str, fingerprint: str, moment: datetime) -> Response | None:
     """Take a key at a moment, or return the answer that was given with it.
 
     Raises
@@ -146,7 +150,7 @@ def forget(session: Session, place: str) -> None:
     session.execute(delete(IdempotencyRow).where(IdempotencyRow.headers["location"].as_string() == place))
 
 
-def settle(database: Database, place: str, moment: datetime, answer: Response | None) -> None:
+def settle(database: ServiceDatabase, place: str, moment: datetime, answer: Response | None) -> None:
     """Keep the answer of a key; without one, or with one that says something failed, the key is free again.
 
     A key that was taken at a later moment is another request's: this one took longer than its lease.

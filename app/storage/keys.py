@@ -13,7 +13,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from jointplay.app.errors import UnauthorizedError, UnknownKeyError
 from jointplay.app.scopes import Scope
-from jointplay.app.storage.database import Database, is_id
+from jointplay.app.storage.database import ServiceDatabase, is_id
 from jointplay.app.storage.store import Base, now
 
 PREFIX = "jp"
@@ -84,11 +84,11 @@ class Keys:
 
     Parameters
     ----------
-    database : Database
+    database : ServiceDatabase
         The service's.
     """
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: ServiceDatabase) -> None:
         self._database = database
 
     def create(self, name: str, scopes: frozenset[Scope], lifetime: timedelta) -> tuple[Key, str]:

@@ -17,12 +17,10 @@ from typing import Any, BinaryIO, ClassVar, TypeVar
 
 from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select, text
 from sqlalchemy.engine import URL
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, reconstructor
-from sqlalchemy.orm.attributes import set_committed_value
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
-from jointplay.app.storage.database import Database, UtcDateTime, database_url
-from jointplay.app.storage.older_results import in_present_form
+from jointplay.app.storage.database import ServiceDatabase, UtcDateTime, database_url
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
@@ -56,22 +54,20 @@ class MeasurementRow(Base):
     sha256: Mapped[str] = mapped_column(String(64))
     name: Mapped[str] = mapped_column(String(255))
     size_bytes: Mapped[int] = mapped_column(BigInteger)
-    given_sample_rate_hz: Mapped[float | None]
-    beside_rate: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    said: Mapped[dict[str, Any]]
     created_at: Mapped[datetime]
     summary: Mapped[dict[str, Any]]
 
     @property
     def told(self) -> Told:
         """What its sender said of it."""
-        return Told(self.given_sample_rate_hz, **(self.beside_rate or {}))
+        return Told(**self.said)
 
 
 class DiagnosisRow(Base):
     """A finished diagnosis: what was asked, of which machine, and what was answered.
 
-    The machine is kept with it, because a catalogue that has grown has another id than when it was asked. An answer of
-    an older version stays as it was stored, and has the present form wherever it is read.
+    The machine is kept with it, because a catalogue that has grown has another id than when it was asked.
     """
 
     __tablename__ = "diagnoses"
@@ -84,10 +80,6 @@ class DiagnosisRow(Base):
     created_at: Mapped[datetime]
     request: Mapped[dict[str, Any]]
     result: Mapped[dict[str, Any]]
-
-    @reconstructor
-    def _read(self) -> None:
-        set_committed_value(self, "result", in_present_form(self.result, self.machine))
 
     @cached_property
     def answer(self) -> Diagnosis:
@@ -164,13 +156,13 @@ class Store:
 
     Attributes
     ----------
-    database : Database
+    database : ServiceDatabase
         Other modules keep their tables in it, too.
 
     Raises
     ------
     AppError
-        When the database was made by a newer version of the program.
+        When the tables in the database are those of another version of the program.
     """
 
     def __init__(self, directory: Path, url: str = "") -> None:
@@ -179,7 +171,7 @@ class Store:
         self._files.mkdir(parents=True, exist_ok=True)
         self._tidy()
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
-        self.database = Database(database_url(url) if url else file, Base.metadata)
+        self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
         self._session = self.database.session
         self._opened = self._identity()
 
@@ -318,8 +310,7 @@ class Store:
             "sha256": upload.sha256,
             "name": name,
             "size_bytes": upload.size,
-            "given_sample_rate_hz": told.sample_rate_hz,
-            "beside_rate": told.beside_rate or None,
+            "said": told.shown,
             "created_at": now(),
             "summary": dict(summary),
         }
@@ -410,7 +401,7 @@ def recording_path(directory: Path, sha256: str) -> Path:
 
 def measurement_key(sha256: str, name: str, told: Told) -> str:
     """Return the id of a measurement: its bytes, and what its sender said of them."""
-    said = {"sha256": sha256, "name": name, "sample_rate_hz": told.sample_rate_hz, **told.beside_rate}
+    said = {"sha256": sha256, "name": name, **told.shown}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
 
 

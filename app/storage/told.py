@@ -102,16 +102,10 @@ class Told:
     profile: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def beside_rate(self) -> dict[str, Any]:
-        """What is told besides the sample rate, as JSON values; empty where nothing is."""
-        told = {"units": dict(self.units), "profile": dict(self.profile)}
-        return {name: value for name, value in told.items() if value}
-
-    @property
     def shown(self) -> dict[str, Any]:
-        """All that is told, as JSON values."""
-        rate = {} if self.sample_rate_hz is None else {"sample_rate_hz": self.sample_rate_hz}
-        return {**rate, **self.beside_rate}
+        """What is told, as JSON values."""
+        told = {"sample_rate_hz": self.sample_rate_hz, "units": dict(self.units), "profile": dict(self.profile)}
+        return {name: value for name, value in told.items() if value}
 
     @property
     def import_profile(self) -> ImportProfile:

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Mapped, Session, mapped_column
 from jointplay.app.errors import UnknownWebhookError
 from jointplay.app.schemas.webhooks import Event
 from jointplay.app.storage import idempotency
-from jointplay.app.storage.database import Database, is_id
+from jointplay.app.storage.database import ServiceDatabase, is_id
 from jointplay.app.storage.store import Base, newest, now
 
 SIGNATURE = "Jointplay-Signature"
@@ -88,11 +88,11 @@ class Webhooks:
 
     Parameters
     ----------
-    database : Database
+    database : ServiceDatabase
         Of the service's store.
     """
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: ServiceDatabase) -> None:
         self._database = database
 
     def add(self, url: str, events: Sequence[str]) -> WebhookRow:

@@ -14,7 +14,7 @@ from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.plans.plan import Plan
-from jointplay.catalogue.storage.database import Database
+from jointplay.catalogue.storage.database import IndexDatabase
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.index import Index
 from jointplay.catalogue.storage.leases import ChunkRow
@@ -152,7 +152,7 @@ def build(
     PlanError
         The plan does not fit the machine.
     CatalogueMismatchError
-        The folder holds a catalogue of another machine, schema, version of numbers or other settings.
+        The folder holds a catalogue of another machine, layout, version of numbers or other settings.
     CatalogueBusyError
         Another process verifies there.
     CatalogueFileError
@@ -168,7 +168,7 @@ def build(
     check_assembly(machine)
     layout = CatalogueDirectory(Path(directory))
     if index is not None:
-        Database(index).close()  # refused before there is a folder
+        IndexDatabase(index).close()  # refused before there is a folder
     layout.create()
     with BuilderLock(layout) as lock:
         if lock.alone:

@@ -93,7 +93,7 @@ class Recordings:
                 "parameters": dict(truth.parameters),
                 "settings": [settings.accuracy, settings.sample_rate, settings.revolutions],
                 "seconds": truth.seconds,
-                "numbers": solver.NUMBERS_VERSION,
+                "numbers_version": solver.NUMBERS_VERSION,
             }
         )
 

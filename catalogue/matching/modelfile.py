@@ -22,7 +22,7 @@ from jointplay.catalogue.matching.sightings import Sightings
 from jointplay.catalogue.matching.tube import ClearanceGrid, Tube
 from jointplay.catalogue.storage.directory import publish
 
-FORMAT = 5
+FORMAT = 1
 """Of the files; others are fitted anew."""
 
 KEPT = 16

@@ -1,33 +1,34 @@
-"""The database behind an index: SQLite in write-ahead mode, or PostgreSQL; made and brought up to date on opening."""
+"""Databases, SQLite in write-ahead mode or PostgreSQL: how they are opened; that of an index, and its layout."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sqlite3
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, create_engine, event, inspect, text
+from sqlalchemy import Connection, create_engine, event, insert, inspect, select, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, InterfaceError, NoSuchModuleError
 
 from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.storage.tables import LAYOUTS, METADATA
 
-REVISION = "0001"
-"""The newest revision in :mod:`jointplay.catalogue.migrations`."""
+INDEX_LAYOUT = 1
+"""Of the tables of an index; any change of them raises it, and makes indexes anew from the shards."""
 
-VERSION_TABLE = "index_revision"
-"""Where Alembic notes the revision; a name of its own, because the database may be shared with other programs."""
+_WAIT = 30.0
+_PASSING = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_PROTOCOL)
+"""What SQLite says while others open the same new file."""
 
-WAIT = 30.0
-"""Longest wait for another process's write transaction [s]; they take milliseconds."""
-
-_MIGRATION_LOCK = 7_264_917_003_118
+_TABLES_LOCK = 7_264_917_003_118
 """Key of PostgreSQL's advisory lock that one opening process holds while it makes the tables."""
 
 
 def database_url(source: Path | str) -> URL:
-    """Where an index is, as a URL.
+    """Where a database is, as a URL.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def database_url(source: Path | str) -> URL:
     Raises
     ------
     CatalogueFileError
-        It is no URL, or one of another kind of database.
+        It is no URL, or one of another kind of database; a password in it is not shown.
     """
     if isinstance(source, Path):
         return URL.create("sqlite", database=str(source))
@@ -49,43 +50,99 @@ def database_url(source: Path | str) -> URL:
         return url.set(drivername="postgresql+psycopg")
     if url.get_backend_name() == "sqlite" and url.database:
         return url.set(drivername="sqlite")
-    shown = url.render_as_string(hide_password=True)
-    raise CatalogueFileError(shown, "is no database an index can be in: SQLite or PostgreSQL")
+    rule = f"{url.get_backend_name()}: must be postgresql:// or sqlite:///FILE"
+    raise CatalogueFileError(url.render_as_string(hide_password=True), rule)
 
 
 class Database:
-    """Connections to one database, whose tables are those of :mod:`jointplay.catalogue.storage.tables`.
+    """Connections to one database.
+
+    Parameters
+    ----------
+    url : URL
+        As of :func:`database_url`.
+    wait : float
+        Longest wait for another process's write transaction in SQLite [s].
+    durable : bool
+        Whether a transaction is on the disk when it ends, or may be lost with the power.
+    connect : mapping
+        Options of connections to PostgreSQL.
+
+    Attributes
+    ----------
+    name : str
+        Its file, or its URL without password.
+
+    Raises
+    ------
+    CatalogueFileError
+        Its driver is not installed.
+    """
+
+    def __init__(self, url: URL, *, wait: float, durable: bool, connect: Mapping[str, Any]) -> None:
+        self.is_sqlite = url.get_backend_name() == "sqlite"
+        self.name = str(url.database) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
+        options: dict[str, Any] = {} if self.is_sqlite else {"pool_pre_ping": True, "connect_args": dict(connect)}
+        try:
+            # Errors are logged, values of a statement are not: some are secrets.
+            self.engine = create_engine(url, hide_parameters=True, **options)
+        except (ImportError, NoSuchModuleError):
+            rule = "needs the package psycopg: pip install 'jointplay[cluster]'"
+            raise CatalogueFileError(self.name, rule) from None
+        if self.is_sqlite:
+
+            def configure(connection: Any, _record: object) -> None:
+                _configure(connection, wait, durable)
+
+            event.listen(self.engine, "connect", configure)
+            event.listen(self.engine, "begin", _begin)
+
+    @contextmanager
+    def transaction(self, lock: int | None = None) -> Iterator[Connection]:
+        """A transaction that writes, all or nothing; SQLite lets one in at a time, from its beginning on.
+
+        Parameters
+        ----------
+        lock : int, optional
+            Key of an advisory lock, by which PostgreSQL, too, lets one in at a time.
+        """
+        with self.engine.connect() as plain:
+            connection = plain.execution_options(writes=True)
+            with connection.begin():
+                if lock is not None and not self.is_sqlite:
+                    connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": lock})
+                yield connection
+
+    def close(self) -> None:
+        """Give the database back; SQLite then folds its side files into it."""
+        self.engine.dispose()
+
+
+class IndexDatabase(Database):
+    """The database of an index; its tables are those of :mod:`jointplay.catalogue.storage.tables`.
 
     Parameters
     ----------
     source : Path or str
         As for :func:`database_url`; the tables are made where there are none.
+    anew : bool
+        Whether tables of another layout are made anew, and empty, in place of being refused. Other catalogues with
+        their index there enter their shards when they are built the next time.
 
     Raises
     ------
     CatalogueFileError
-        It cannot be reached, is damaged, belongs to a newer program, or cannot be written.
+        It cannot be reached or written, is damaged, or its tables are not those of this program.
     """
 
-    def __init__(self, source: Path | str) -> None:
-        url = database_url(source)
-        self.is_sqlite = url.get_backend_name() == "sqlite"
-        self.name = str(source) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
-        # Statements prepared while the tables are empty would keep plans that read all rows.
-        postgres = {"pool_pre_ping": True, "connect_args": {"prepare_threshold": None}}
-        options: dict[str, Any] = {} if self.is_sqlite else postgres
+    def __init__(self, source: Path | str, *, anew: bool = False) -> None:
+        # A lost last transaction is found again in the shards. Statements prepared while the tables are empty would
+        # keep plans that read all rows.
+        super().__init__(database_url(source), wait=_WAIT, durable=False, connect={"prepare_threshold": None})
         try:
-            self._engine = create_engine(url, **options)
-        except (ImportError, NoSuchModuleError):
-            rule = "needs the package psycopg: pip install 'jointplay[cluster]'"
-            raise CatalogueFileError(self.name, rule) from None
-        if self.is_sqlite:
-            event.listen(self._engine, "connect", _configure)
-            event.listen(self._engine, "begin", _begin)
-        try:
-            self._migrate()
+            self._make_tables(anew)
         except BaseException:
-            self._engine.dispose()
+            self.close()
             raise
 
     @contextmanager
@@ -97,12 +154,12 @@ class Database:
         CatalogueFileError
             The database cannot be read.
         """
-        with self._named(), self._engine.connect() as connection:
+        with self._named(), self.engine.connect() as connection:
             yield connection
 
     @contextmanager
-    def writing(self) -> Iterator[Connection]:
-        """A transaction that writes, all or nothing; SQLite lets one in at a time, from its beginning on.
+    def writing(self, lock: int | None = None) -> Iterator[Connection]:
+        """As :meth:`transaction`.
 
         Raises
         ------
@@ -111,14 +168,8 @@ class Database:
         sqlalchemy.exc.IntegrityError
             Another writer has entered the same rows.
         """
-        with self._named(), self._engine.connect() as plain:
-            connection = plain.execution_options(writes=True)
-            with connection.begin():
-                yield connection
-
-    def close(self) -> None:
-        """Give the database back; SQLite then folds its side files into it."""
-        self._engine.dispose()
+        with self._named(), self.transaction(lock) as connection:
+            yield connection
 
     def is_sound(self) -> bool:
         """Whether the database finds itself undamaged; PostgreSQL's is taken for granted."""
@@ -139,55 +190,55 @@ class Database:
         except (DatabaseError, InterfaceError) as error:
             raise CatalogueFileError(self.name, f"cannot be used as an index ({error.orig})") from error
 
-    def _migrate(self) -> None:
+    def _make_tables(self, anew: bool) -> None:
         with self.reading() as connection:
-            if self._revision(connection) == REVISION:
+            if _layout(connection) == INDEX_LAYOUT:
                 return
-        with self.writing() as connection:
-            if not self.is_sqlite:
-                connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _MIGRATION_LOCK})
-            revision = self._revision(connection)
-            if revision is None and self.is_sqlite and inspect(connection).get_table_names():
-                raise CatalogueFileError(self.name, "is an index of an earlier version")
-            if revision != REVISION:
-                self._upgrade(connection, revision)
-
-    def _revision(self, connection: Connection) -> str | None:
-        if not inspect(connection).has_table(VERSION_TABLE):
-            return None
-        found: str | None = connection.scalar(text(f"SELECT version_num FROM {VERSION_TABLE}"))
-        return found
-
-    def _upgrade(self, connection: Connection, revision: str | None) -> None:
-        from alembic import command
-        from alembic.config import Config
-        from alembic.util.exc import CommandError
-
-        config = Config()
-        config.set_main_option("script_location", "jointplay.catalogue:migrations")
-        config.attributes.update(connection=connection, version_table=VERSION_TABLE)
-        try:
-            command.upgrade(config, "head")
-        except CommandError:
-            rule = f"is an index of a newer version ({revision}): use the newer program"
-            raise CatalogueFileError(self.name, rule) from None
+        with self.writing(_TABLES_LOCK) as connection:
+            found = _layout(connection)
+            if found == INDEX_LAYOUT:
+                return
+            present = sorted(set(inspect(connection).get_table_names()) & set(METADATA.tables))
+            if present and found is None:
+                raise CatalogueFileError(self.name, f"holds tables of something else ({', '.join(present)})")
+            if present and not anew:
+                rule = f"is an index of layout {found}, not {INDEX_LAYOUT}: `jointplay reindex` makes it anew"
+                raise CatalogueFileError(self.name, rule)
+            METADATA.drop_all(connection)
+            METADATA.create_all(connection)
+            connection.execute(insert(LAYOUTS).values(number=INDEX_LAYOUT))
 
 
-def _configure(connection: Any, _record: object) -> None:
-    """WAL lets readers read while a build writes; a lost last transaction is found again in the shards."""
+def _layout(connection: Connection) -> int | None:
+    """Layout of the tables; None where they do not say it, or there are none."""
+    if not inspect(connection).has_table(LAYOUTS.name):
+        return None
+    return connection.scalar(select(LAYOUTS.c.number))
+
+
+def _configure(connection: Any, wait: float, durable: bool) -> None:
+    """Set a new connection of SQLite up: readers never wait for a writer, references are checked."""
     connection.isolation_level = None  # transactions begin as `_begin` says, not as the driver guesses
-    cursor = connection.cursor()
-    for pragma in (
-        "journal_mode = WAL",
-        "synchronous = NORMAL",
-        "foreign_keys = ON",
-        f"busy_timeout = {WAIT * 1000:.0f}",
-    ):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()
+    connection.execute(f"PRAGMA busy_timeout = {wait * 1000:.0f}")
+    _write_ahead(connection, wait)
+    for pragma in ("foreign_keys = ON", f"synchronous = {'FULL' if durable else 'NORMAL'}"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _write_ahead(connection: Any, wait: float) -> None:
+    """Let a file be written ahead; that wants a new file alone, and does not wait for it as statements do."""
+    until = time.monotonic() + wait
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF not in _PASSING or time.monotonic() > until:
+                raise
+            time.sleep(0.01)
 
 
 def _begin(connection: Connection) -> None:
-    """Writers take the lock at once: two that read first and write later would refuse each other."""
+    """Writers take SQLite's lock at once: two that read first and write later would refuse each other."""
     writes = connection.get_execution_options().get("writes", False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -109,7 +109,7 @@ class CatalogueDirectory:
 
     @property
     def manifest(self) -> Path:
-        """What the catalogue is: schema, machine, settings, plan, versions."""
+        """What the catalogue is: layout, machine, settings, plan, versions."""
         return self.root / "manifest.json"
 
     @property

@@ -23,10 +23,8 @@ from jointplay.catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED, UN
 from jointplay.catalogue.storage.directory import publish
 from jointplay.catalogue.storage.shard import Shard, ShardHeader
 
-SCHEMA_VERSION = 5
-"""Of shard files and of the catalogue folder; a change that older programs cannot read raises it. From 4 on every case
-has play in every turning joint, and keys hold the version of numbers; from 5 on spectra have cyclic powers.
-"""
+LAYOUT_VERSION = 1
+"""Of shard files and of the catalogue's folder; a change of what they hold raises it. Another one is refused."""
 
 _FORMAT = "jointplay catalogue shard"
 _TEXT = h5py.string_dtype("utf-8")
@@ -51,7 +49,7 @@ def encode_shard(shard: Shard) -> bytes:
     header = shard.header
     with _LOCK, h5py.File.in_memory(track_order=False) as file:
         file.attrs["format"] = _FORMAT
-        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["layout_version"] = LAYOUT_VERSION
         file.attrs["machine"] = header.machine
         file.attrs["recipe"] = canonical_json(header.recipe.content)
         file.attrs["plan"] = canonical_json(header.plan)
@@ -110,15 +108,13 @@ def decode_shard(content: bytes, path: Path) -> Shard:
     CatalogueFileError
         It is no HDF5 file, or something is missing in it.
     CatalogueMismatchError
-        It has another schema version.
+        It has another layout.
     """
     try:
         with _LOCK, h5py.File.in_memory(content) as file:
             if file.attrs.get("format") != _FORMAT:
                 raise CatalogueFileError(path, "is an HDF5 file, but not a shard of a catalogue")
-            if (found := int(file.attrs["schema_version"])) != SCHEMA_VERSION:
-                rule = f"has schema version {found}; this program reads {SCHEMA_VERSION}: build the catalogue anew"
-                raise CatalogueMismatchError(path, rule)
+            check_layout(file.attrs.get("layout_version"), path)
             entries, spectra = file["entries"], file["spectra"]
             columns: dict[str, Any] = {name: tuple(map(str, entries[name].asstr()[()])) for name in _TEXT_COLUMNS}
             columns |= {name: entries[name][()] for name in _NUMBER_COLUMNS}
@@ -146,6 +142,20 @@ def decode_shard(content: bytes, path: Path) -> Shard:
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         # What the library and NumPy raise for a file whose bytes, or whose structure, are not what a shard has.
         raise CatalogueFileError(path, f"cannot be read as a shard ({type(error).__name__}: {error})") from error
+
+
+def check_layout(found: object, path: Path) -> None:
+    """Refuse another layout than that of this program; what was built before layouts had versions names none.
+
+    Raises
+    ------
+    CatalogueMismatchError
+        Says which layout it is, and what to do.
+    """
+    if found != LAYOUT_VERSION:
+        shown = "a layout without a version" if found is None else f"layout {found}"
+        rule = f"has {shown}; this program reads layout {LAYOUT_VERSION}: build the catalogue anew in another folder"
+        raise CatalogueMismatchError(path, rule)
 
 
 def _stratum(text: str) -> Stratum:

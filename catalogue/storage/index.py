@@ -14,7 +14,7 @@ from typing import Self, TypeVarTuple
 from sqlalchemy import Connection, Select, delete, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
-from jointplay.catalogue.storage.database import Database
+from jointplay.catalogue.storage.database import IndexDatabase
 from jointplay.catalogue.storage.leases import ChunkRow, Leases, finish_chunk
 from jointplay.catalogue.storage.shard import Shard
 from jointplay.catalogue.storage.tables import CATALOGUES, ENTRIES, SHARDS
@@ -60,6 +60,8 @@ class Index:
         A file of SQLite, or the URL of a database.
     instance : str, optional
         Which catalogue, in a database of several.
+    anew : bool
+        Whether tables of another layout are made anew, see :class:`jointplay.catalogue.storage.database.IndexDatabase`.
 
     Attributes
     ----------
@@ -69,11 +71,11 @@ class Index:
     Raises
     ------
     CatalogueFileError
-        It is no database, cannot be reached, is damaged, or cannot be written.
+        It is no database, cannot be reached or written, is damaged, or its tables are not those of this program.
     """
 
-    def __init__(self, source: Path | str, instance: str = LOCAL) -> None:
-        self._database = Database(source)
+    def __init__(self, source: Path | str, instance: str = LOCAL, *, anew: bool = False) -> None:
+        self._database = IndexDatabase(source, anew=anew)
         try:
             self._catalogue = self._registered(instance)
         except BaseException:

@@ -15,7 +15,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Double, and_, bindparam, cast, delete, func, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from jointplay.catalogue.storage.database import Database
+from jointplay.catalogue.storage.database import IndexDatabase
 from jointplay.catalogue.storage.tables import CHUNKS
 
 
@@ -74,12 +74,12 @@ class Leases:
 
     Parameters
     ----------
-    database : Database
+    database : IndexDatabase
     catalogue : int
         Its number in that database.
     """
 
-    def __init__(self, database: Database, catalogue: int) -> None:
+    def __init__(self, database: IndexDatabase, catalogue: int) -> None:
         self._database, self._catalogue = database, catalogue
 
     def plan(self, chunks: Sequence[ChunkRow], *, alone: bool) -> None:

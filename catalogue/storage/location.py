@@ -91,8 +91,8 @@ class IndexLocation:
         """Whether it is the file in the catalogue's folder."""
         return isinstance(self.source, Path)
 
-    def open(self) -> Index:
-        """Open it.
+    def open(self, *, anew: bool = False) -> Index:
+        """Open it; tables of another layout are refused, or made `anew`.
 
         Raises
         ------
@@ -100,6 +100,6 @@ class IndexLocation:
             As :class:`~jointplay.catalogue.storage.index.Index`.
         """
         if self.password is None or isinstance(self.source, Path):
-            return Index(self.source, self.instance)
+            return Index(self.source, self.instance, anew=anew)
         url = database_url(self.source).set(password=self.password)
-        return Index(url.render_as_string(hide_password=False), self.instance)
+        return Index(url.render_as_string(hide_password=False), self.instance, anew=anew)

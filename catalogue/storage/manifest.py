@@ -19,7 +19,7 @@ from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import Plan, parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
-from jointplay.catalogue.storage.hdf5 import SCHEMA_VERSION
+from jointplay.catalogue.storage.hdf5 import LAYOUT_VERSION, check_layout
 from jointplay.catalogue.storage.seal import Seal, root_hash
 from jointplay.catalogue.storage.shard import ShardHeader
 from jointplay.solver.errors import MachineError
@@ -111,7 +111,7 @@ class Manifest:
         CatalogueFileError
             There is none, or it cannot be understood.
         CatalogueMismatchError
-            It has another schema version.
+            It has another layout.
         """
         path = directory.manifest
         try:
@@ -123,10 +123,7 @@ class Manifest:
             raise CatalogueFileError(path, f"cannot be read as JSON ({error})") from None
         if not isinstance(content, dict) or content.get("format") != _FORMAT:
             raise CatalogueFileError(path, "is not the manifest of a catalogue")
-        if content.get("schema_version") != SCHEMA_VERSION:
-            found = content.get("schema_version")
-            rule = f"has schema version {found}; this program reads {SCHEMA_VERSION}: build the catalogue anew"
-            raise CatalogueMismatchError(directory.root, rule)
+        check_layout(content.get("layout_version"), directory.root)
         try:
             if content.pop("checksum") != content_digest(content):
                 raise ValueError("it does not match its checksum")
@@ -148,7 +145,7 @@ class Manifest:
         """As it is written, with a checksum over everything else in it."""
         content: dict[str, Any] = {
             "format": _FORMAT,
-            "schema_version": SCHEMA_VERSION,
+            "layout_version": LAYOUT_VERSION,
             "machine_key": self.machine.content_key,
             "recipe": self.recipe.content,
             "plan": self.plan.content,
@@ -170,7 +167,7 @@ class Manifest:
 
     def root_of(self, shards: tuple[str, ...]) -> str:
         """Root hash of the catalogue if it consists of these shards (names, sorted)."""
-        return root_hash(SCHEMA_VERSION, self.machine.content_key, self.recipe.content, shards)
+        return root_hash(LAYOUT_VERSION, self.machine.content_key, self.recipe.content, shards)
 
     @property
     def other_numbers(self) -> str:

@@ -78,12 +78,12 @@ class Seal:
         return cls(**{**content, "shards": shards})
 
 
-def root_hash(schema_version: int, machine_key: str, recipe: Mapping[str, Any], shards: tuple[str, ...]) -> str:
+def root_hash(layout_version: int, machine_key: str, recipe: Mapping[str, Any], shards: tuple[str, ...]) -> str:
     """SHA-256 over everything a catalogue holds: machine, recipe, and the checksums of all shards.
 
     Parameters
     ----------
-    schema_version : int
+    layout_version : int
     machine_key : str
         Content key of the machine.
     recipe : mapping
@@ -92,5 +92,5 @@ def root_hash(schema_version: int, machine_key: str, recipe: Mapping[str, Any], 
         SHA-256 of each, sorted.
     """
     return content_digest(
-        {"schema_version": schema_version, "machine": machine_key, "recipe": recipe, "shards": list(shards)}
+        {"layout_version": layout_version, "machine": machine_key, "recipe": recipe, "shards": list(shards)}
     )

@@ -65,7 +65,7 @@ class Catalogue:
         CatalogueFileError
             There is none, its manifest cannot be read, or a shard is gone.
         CatalogueMismatchError
-            It has another schema version.
+            It has another layout.
         """
         layout = CatalogueDirectory(Path(directory))
         manifest = Manifest.read(layout)

@@ -1,4 +1,4 @@
-"""Tables of the index, as the newest revision in :mod:`jointplay.catalogue.migrations` makes them."""
+"""Tables of the index."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ METADATA = MetaData()
 def _of_catalogue() -> Column[int]:
     return Column("catalogue", Integer, ForeignKey("catalogues.id", ondelete="CASCADE"), primary_key=True)
 
+
+LAYOUTS = Table("index_layout", METADATA, Column("number", Integer, primary_key=True))
 
 CATALOGUES = Table(
     "catalogues",

@@ -95,7 +95,7 @@ def verify(directory: str | Path) -> VerifyReport:
     CatalogueFileError
         There is no catalogue, or its files cannot be read or written.
     CatalogueMismatchError
-        It has another schema version.
+        It has another layout.
     CatalogueBusyError
         A build is running there.
     """
@@ -131,8 +131,6 @@ class _Check:
         if leftovers:
             self._note(self._layout.root, f"{leftovers} unfinished files of an interrupted build", "deleted")
         manifest = self._manifest()
-        if self._again:
-            self._forget()
         sound: dict[str, Shard] = {}
         sizes: dict[str, int] = {}
         for name in self._layout.shard_names():
@@ -144,6 +142,8 @@ class _Check:
                 raise CatalogueFileError(path, f"cannot be read ({error.strerror or error})") from error
         if manifest is None:
             raise CatalogueFileError(self._layout.manifest, "is missing, and no shard tells what it should say")
+        if self._again:
+            self._forget()
         lost = self._repair_index(sound, sizes)
         self._repair_matrix(manifest, tuple(sorted(sound)))
         keys = {key: status for shard in sound.values() for key, status in zip(shard.key, shard.status, strict=True)}
@@ -157,7 +157,7 @@ class _Check:
             for ending in ("", "-wal", "-shm"):
                 Path(f"{self._layout.index}{ending}").unlink(missing_ok=True)
         else:
-            with location.open() as index:
+            with location.open(anew=True) as index:
                 index.remove_shards(list(index.shards()))
         self._layout.remove_folder(self._layout.matrices)
 
@@ -201,6 +201,8 @@ class _Check:
             if (header.machine, header.recipe, header.numbers_version) != own:
                 raise CatalogueFileError(path, "belongs to another machine, other settings or other numbers")
         except CatalogueFileError as error:
+            if manifest is None and isinstance(error, CatalogueMismatchError):
+                raise  # a whole catalogue of another layout, that has lost its manifest
             aside = self._layout.move_to_quarantine(path)
             self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
         else:

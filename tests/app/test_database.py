@@ -1,10 +1,11 @@
-"""The service's database: every kind, made anew, taken over from an earlier version, refused from a later one."""
+"""The service's database: every kind, made anew, brought up to date, refused from another version."""
 
 from __future__ import annotations
 
 import io
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -13,16 +14,17 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from answers import diagnosis
-from sqlalchemy import event, text
+from sqlalchemy import event, inspect, text
 from uploaded import SHA256, SIZE, uploaded
 
 from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
 from jointplay.app.storage.assets import Assets
-from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
 from jointplay.app.storage.keys import Keys
-from jointplay.app.storage.store import Base, NewDiagnosis, Store, measurement_key
+from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
+from jointplay.app.storage.tables import TABLES
 from jointplay.app.storage.told import Told
+from jointplay.catalogue.storage.database import Database
 
 
 def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> None:
@@ -52,11 +54,22 @@ def test_ids_that_are_none(store: Store, key: str) -> None:
         Keys(store.database).find(f"jp_{key}_secret")
 
 
-def test_revisions_make_the_tables_that_the_program_uses(store: Store) -> None:
+def differences(store: Store) -> list[Any]:
+    """What differs between the tables of a database and those that the program uses."""
     with store.database.engine.connect() as connection:
         opts = {"version_table": VERSION_TABLE, "compare_type": not store.database.is_sqlite}  # its types are loose
         context = MigrationContext.configure(connection, opts=opts)
-        assert compare_metadata(context, Base.metadata) == []
+        return list(compare_metadata(context, TABLES))
+
+
+def connected(url: str) -> Database:
+    return Database(database_url(url), wait=10.0, durable=False, connect={})
+
+
+def test_a_new_database_has_the_tables_that_the_program_uses(store: Store) -> None:
+    assert differences(store) == []
+    with store.database.engine.connect() as connection:
+        assert revision_of(connection) == REVISION
 
 
 def test_many_open_a_new_database_at_once(url: str, tmp_path: Path) -> None:
@@ -84,66 +97,43 @@ def test_a_transaction_that_fails_leaves_nothing(store: Store) -> None:
     assert store.measurement(kept.id).id == kept.id
 
 
-def test_a_file_of_an_earlier_version_keeps_what_it_has(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    kept = store.add_measurement(uploaded(store), "a.csv", None, {})
-    store.close()
+def test_tables_of_version_1_become_those_of_now(tmp_path: Path) -> None:
+    """A table that has changed without a revision is found here: new databases do not go through revisions."""
     with sqlite3.connect(tmp_path / "service.sqlite") as connection:
-        connection.execute(f"DROP TABLE {VERSION_TABLE}")
-        connection.execute("PRAGMA user_version = 1")
+        connection.executescript((Path(__file__).parents[1] / "data/service/revision-1.sql").read_text())
     connection.close()
-    store = Store(tmp_path)
-    assert store.measurement(kept.id).created_at == kept.created_at
-    with store.database.engine.connect() as found:
-        assert revision_of(found) == REVISION
-    store.close()
+    with closing(Store(tmp_path)) as store:
+        with store.database.engine.connect() as found:
+            assert revision_of(found) == REVISION
+        assert differences(store) == []
 
 
-def test_builds_of_an_earlier_version_stay(url: str, tmp_path: Path) -> None:
-    store = Store(tmp_path, url)
-    kept = BuildQueue(store.database).add({"name": "m"}, {"name": "p"}, "h" * 64, "c", None)
-    with store.database.writing() as session:
-        session.execute(text("ALTER TABLE builds DROP COLUMN request_id"))
-        session.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '0001'"))
-    store.close()
-    store = Store(tmp_path, url)
-    assert BuildQueue(store.database).find(kept.id).request_id is None
-    store.close()
-
-
-def test_measurements_of_an_earlier_version_are_read_as_they_were(url: str, tmp_path: Path) -> None:
-    store = Store(tmp_path, url)
+def test_what_is_said_of_a_measurement_is_part_of_what_it_is(store: Store) -> None:
     told = Told(10_000.0)
     kept = store.add_measurement(uploaded(store), "a.csv", told, {})
-    with store.database.writing() as session:
-        session.execute(text("ALTER TABLE measurements DROP COLUMN beside_rate"))
-        session.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '0002'"))
-    store.close()
-    store = Store(tmp_path, url)
-    assert store.measurement(kept.id).told == told
     assert store.add_measurement(uploaded(store), "a.csv", told, {}).number == kept.number
-    others = [Told(10_000.0, {"*": "g"}), Told(10_000.0, {}, {"full_scale": "5 g"}), Told(10_000.0, {"a": "g"})]
+    others = [Told(), Told(10_000.0, {"*": "g"}), Told(10_000.0, {}, {"full_scale": "5 g"}), Told(10_000.0, {"a": "g"})]
     rows = [store.add_measurement(uploaded(store), "a.csv", each, {}) for each in others]
-    assert len({row.id for row in (kept, *rows)}) == 4
-    assert [store.measurement(row.id).told for row in rows] == others
-    store.close()
+    assert len({row.id for row in (kept, *rows)}) == 5
+    assert [store.measurement(row.id).told for row in (kept, *rows)] == [told, *others]
 
 
-def test_databases_of_later_versions_are_refused(url: str, tmp_path: Path) -> None:
-    store = Store(tmp_path, url)
-    with store.database.writing() as session:
-        session.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '9999'"))
-    store.close()
-    with pytest.raises(AppError, match="revision 9999, made by a newer version"):
+@pytest.mark.parametrize("revision", ["9999", "0001", "0003"])  # before version 1 there were three
+def test_databases_of_other_versions_are_refused(url: str, tmp_path: Path, revision: str) -> None:
+    Store(tmp_path, url).close()
+    with closing(connected(url)) as database, database.transaction() as connection:
+        connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '{revision}'"))
+    with pytest.raises(AppError, match=f"has revision {revision}, made by another version of the program; use that$"):
         Store(tmp_path, url)
 
 
-def test_a_file_of_another_layout_is_refused(tmp_path: Path) -> None:
-    with sqlite3.connect(tmp_path / "service.sqlite") as connection:
-        connection.execute("PRAGMA user_version = 7")
-    connection.close()
-    with pytest.raises(AppError, match="has layout 7"):
-        Store(tmp_path)
+def test_tables_of_something_else_are_refused_and_left_alone(url: str, tmp_path: Path) -> None:
+    with closing(connected(url)) as database, database.transaction() as connection:
+        connection.execute(text("CREATE TABLE measurements (thesis TEXT)"))
+    with pytest.raises(AppError, match="holds a table measurements that is not of this version of the program: name"):
+        Store(tmp_path, url)
+    with closing(connected(url)) as database, database.transaction() as connection:
+        assert inspect(connection).get_table_names() == ["measurements"]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("2.3.3", "d8f345368c265ee6")
+OF_VERSION = ("1.0.0", "0264b862ab43b084")
 ASSET_MEASUREMENT = "/api/v1/assets/{external_id}/measurements/{measurement}"
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 

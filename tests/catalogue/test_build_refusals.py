@@ -61,13 +61,20 @@ def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     monkeypatch.undo()
     manifest = tmp_path / "manifest.json"
-    for other in (4, 99):
-        manifest.write_text(manifest.read_text().replace('"schema_version": 5', f'"schema_version": {other}'))
+    good = manifest.read_text()
+    assert good.count('"layout_version": 1,') == 1
+    others = {f'"layout_version": {other},': f"layout {other}" for other in (0, 2, 99)}
+    # Before layouts had versions there were schemas, the first of which had the number of the first layout.
+    others |= {f'"schema_version": {other},': "a layout without a version" for other in (1, 2, 3, 4, 5)}
+    for member, shown in others.items():
+        manifest.write_text(good.replace('"layout_version": 1,', member))
+        files = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
         for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
-            rule = f"has schema version {other}; this program reads 5: build the catalogue anew$"
-            with pytest.raises(CatalogueMismatchError, match=rule):
+            rule = f"has {shown}; this program reads layout 1: build the catalogue anew in another folder$"
+            with pytest.raises(CatalogueMismatchError, match=rule) as refused:
                 use()
-        manifest.write_text(manifest.read_text().replace(f'"schema_version": {other}', '"schema_version": 5'))
+            assert "\n" not in str(refused.value)
+        assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == files
 
 
 def test_another_version_of_the_product_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +114,11 @@ def test_machine_that_cannot_be_assembled_touches_nothing(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("url", "rule"),
-    [("nonsense", "is no URL of a database"), ("mysql://x/y", "no database an index"), ("{sqlite}", "no/such/folder")],
+    [
+        ("nonsense", "is no URL of a database"),
+        ("mysql://x/y", r"mysql: must be postgresql:// or sqlite:///FILE"),
+        ("{sqlite}", "no/such/folder"),
+    ],
 )
 def test_refused_index_leaves_no_folder(tmp_path: Path, url: str, rule: str) -> None:
     folder = tmp_path / "c"

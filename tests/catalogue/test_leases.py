@@ -11,19 +11,19 @@ from threading import Barrier
 import pytest
 from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN, compute
-from sqlalchemy import text
+from sqlalchemy import inspect, text
 
 from jointplay.catalogue.building.chunk import chunked
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.plans.cases import entries_of
-from jointplay.catalogue.storage.database import VERSION_TABLE, Database, database_url
+from jointplay.catalogue.storage.database import INDEX_LAYOUT, Database, database_url
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.index import EntriesPresentError, Index
 from jointplay.catalogue.storage.leases import ChunkRow, ChunkStatus, Leases
 from jointplay.catalogue.storage.location import IndexLocation
 from jointplay.catalogue.storage.manifest import Manifest
 from jointplay.catalogue.storage.shard import Shard
-from jointplay.catalogue.storage.verify import verify
+from jointplay.catalogue.storage.verify import reindex, verify
 
 CHUNKS = [ChunkRow(f"chunk-{number:03d}", "A", 4) for number in range(40)]
 IDS = [chunk.id for chunk in CHUNKS]
@@ -164,21 +164,80 @@ def test_tables_are_made_once_by_whoever_comes_first(url: str) -> None:
         assert list(pool.map(opened, range(4))) == [0] * 4
 
 
-def test_index_of_a_newer_program_is_refused(url: str) -> None:
-    Index(url).close()
-    database = Database(url)
-    with database.writing() as connection:
-        connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '9999'"))
+def execute(url: str | Path, *statements: str) -> None:
+    database = Database(database_url(url), wait=10.0, durable=False, connect={})
+    with database.transaction() as connection:
+        for statement in statements:
+            connection.execute(text(statement))
     database.close()
-    with pytest.raises(CatalogueFileError, match=r"is an index of a newer version \(9999\): use the newer program$"):
-        Index(url)
+
+
+OTHER_LAYOUT = "UPDATE index_layout SET number = 99"
+OTHER_RULE = rf"is an index of layout 99, not {INDEX_LAYOUT}: `jointplay reindex` makes it anew$"
+
+
+def test_index_of_another_layout_is_refused_or_made_anew(url: str) -> None:
+    with Index(url) as index:
+        index.leases.plan(CHUNKS, alone=True)
+    execute(url, OTHER_LAYOUT, "ALTER TABLE chunks DROP COLUMN message")
+    for _ in range(2):
+        with pytest.raises(CatalogueFileError, match=OTHER_RULE):
+            Index(url)
+    with Index(url, anew=True) as index:
+        assert index.chunks() == ()
+        index.leases.plan(CHUNKS, alone=True)
+    with Index(url, anew=True) as index:  # nothing is lost where the layout is the same
+        assert [row.id for row in index.chunks()] == IDS
+
+
+@pytest.mark.parametrize("anew", [False, True])
+def test_tables_of_something_else_are_left_alone(url: str, anew: bool) -> None:
+    execute(url, "CREATE TABLE entries (thesis TEXT)", "INSERT INTO entries VALUES ('five years')")
+    with pytest.raises(CatalogueFileError, match=r"holds tables of something else \(entries\)$"):
+        Index(url, anew=anew)
+    database = Database(database_url(url), wait=10.0, durable=False, connect={})
+    with database.transaction() as connection:
+        assert inspect(connection).get_table_names() == ["entries"]
+        assert connection.scalar(text("SELECT thesis FROM entries")) == "five years"
+    database.close()
+
+
+def test_file_of_another_layout_is_made_again_from_the_shards(tmp_path: Path) -> None:
+    directory = tmp_path / "catalogue"
+    quick_build(directory)
+    file = directory / "index.sqlite"
+    execute(file, OTHER_LAYOUT)
+    assert quick_build(directory).adopted == len(KEYS)
+    assert_complete(directory)
+    execute(file, OTHER_LAYOUT)
+    (finding,) = verify(directory).findings
+    assert finding.what.startswith("is an index of layout 99")
+    execute(file, OTHER_LAYOUT)
+    assert reindex(directory).is_sound
+    assert_complete(directory)
+
+
+def test_database_of_another_layout_is_made_again_by_reindex_alone(tmp_path: Path, url: str) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    for directory in (first, second):
+        quick_build(directory, index=url)
+    execute(url, OTHER_LAYOUT)
+    for use in (lambda: quick_build(first), lambda: verify(first)):
+        with pytest.raises(CatalogueFileError, match=OTHER_RULE):
+            use()
+    assert reindex(first).is_sound
+    assert quick_build(first).added == 0
+    assert quick_build(second).adopted == len(KEYS)  # what its tables said was lost with them
+    for directory in (first, second):
+        assert_complete(directory)
+        assert verify(directory).is_sound
 
 
 @pytest.mark.parametrize(
     ("url", "rule"),
     [
         ("nonsense", "is no URL of a database: postgresql://user@host:5432/database"),
-        ("mysql://root@localhost/x", "is no database an index can be in: SQLite or PostgreSQL"),
+        ("mysql://root@localhost/x", "mysql://root@localhost/x: mysql: must be postgresql:// or sqlite:///FILE"),
         ("postgresql://postgres@127.0.0.1:1/test", "cannot be used as an index"),
     ],
 )

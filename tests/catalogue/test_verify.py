@@ -14,7 +14,7 @@ from fake_simulator import MACHINE, PLAN, compute
 
 from jointplay import solver
 from jointplay.catalogue.building.build import build
-from jointplay.catalogue.errors import CatalogueFileError
+from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
@@ -172,7 +172,7 @@ def test_index_that_says_something_else_is_corrected(directory: Path, statement:
     assert verify(directory).is_sound
 
 
-@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "schema_version": 5}'])
+@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "layout_version": 1}'])
 def test_manifest_is_made_again_from_a_shard(directory: Path, built: Path, content: str | None) -> None:
     before = Catalogue.open(directory)
     (directory / "manifest.json").unlink()
@@ -231,6 +231,32 @@ def test_shard_with_other_numbers_is_put_aside(
     assert [finding.what for finding in report.findings] == [
         "belongs to another machine, other settings or other numbers"
     ]
+    assert report.entries == TOTAL
+
+
+def test_catalogue_of_another_layout_that_lost_its_manifest_is_left_alone(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (directory / "manifest.json").unlink()
+    before = sorted(path for path in directory.rglob("*") if path.name != "build.lock")
+    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 2)
+    for check in (verify, reindex):
+        with pytest.raises(CatalogueMismatchError, match=r"\.h5: has layout 1; this program reads layout 2: build the"):
+            check(directory)
+    assert sorted(path for path in directory.rglob("*") if path.name != "build.lock") == before
+
+
+def test_shard_of_another_layout_is_put_aside(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = sorted((directory / "shards").iterdir())[0]
+    shard = decode_shard(path.read_bytes(), path)
+    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 2)
+    content = encode_shard(shard)
+    monkeypatch.undo()
+    stray = directory / "shards" / f"{sha256_of(content)}.h5"
+    stray.write_bytes(content)
+    report = verify(directory)
+    rule = "has layout 2; this program reads layout 1: build the catalogue anew in another folder"
+    assert [(finding.path, finding.what) for finding in report.findings] == [(stray, rule)]
     assert report.entries == TOTAL
 
 

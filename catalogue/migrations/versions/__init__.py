@@ -1,1 +1,0 @@
-"""One module a revision, named by what it does and its number."""
