@@ -93,6 +93,19 @@ def test_files_that_are_named_are_there(page: Path) -> None:
     assert not missing
 
 
+@pytest.mark.parametrize("page", list(of_the_present()), ids=named)
+def test_commands_that_are_named_are_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for module in re.findall(r"python -m (benchmarks[.\w]*|second_simulator|jointplay[.\w]+)", text):
+        places = ROOT / "tests" if module == "second_simulator" else ROOT
+        file = places / module.removeprefix("jointplay.").replace(".", "/")
+        assert file.with_suffix(".py").is_file() or (file / "__main__.py").is_file(), module
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(re.findall(r"(?:^|`)make ([a-z-]+)", text, re.MULTILINE)) <= set(targets)
+    for test in re.findall(r"pytest [^`]*", text):
+        assert all((ROOT / each).exists() for each in re.findall(r"tests/[\w/.]+", test)), test
+
+
 @pytest.mark.parametrize("page", DECISIONS, ids=named)
 def test_a_decision_has_number_date_and_status(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
