@@ -15,7 +15,6 @@ from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.spectrum import order_levels
 
-FloatArray = npt.NDArray[np.float64]
 Attribute = str | float | int | bool | tuple[str, ...]
 
 HIGHEST_ORDER = 100

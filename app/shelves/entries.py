@@ -17,10 +17,9 @@ import numpy as np
 from jointplay.app.errors import BadCursorError, BadFieldError
 from jointplay.app.schemas.entries import EntryFilter, EntryItem
 from jointplay.app.shelves.entry_forms import FORMS, RENDERING, micrometres
+from jointplay.solver.arrays import BoolArray
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from jointplay.app.shelves.catalogues import Offer
     from jointplay.catalogue.storage.store import Catalogue
     from jointplay.catalogue.storage.table import EntryTable
@@ -173,7 +172,7 @@ def following(catalogue: Catalogue, key: str) -> int:
     return found[0] + 1
 
 
-def fits(table: EntryTable, wanted: EntryFilter) -> npt.NDArray[np.bool_]:
+def fits(table: EntryTable, wanted: EntryFilter) -> BoolArray:
     """Return which rows of a table are wanted."""
     keep = np.ones(len(table), dtype=np.bool_)
     for name in ("hypothesis", "stratum", "status", "law"):

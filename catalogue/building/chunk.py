@@ -12,12 +12,12 @@ from functools import cached_property, lru_cache
 from itertools import zip_longest
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.plans.entry import Entry, Recipe
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.solver.arrays import AnyComplexArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.machines.machine import Machine, parse_machine
@@ -28,7 +28,7 @@ LEAST_POWER = 1e-9
 """Bands below this part of the largest band of the same motion are rounding and do not count."""
 
 
-def mean_difference_db(power: NDArray[np.complexfloating], finer: NDArray[np.complexfloating]) -> float:
+def mean_difference_db(power: AnyComplexArray, finer: AnyComplexArray) -> float:
     """Mean magnitude of the difference of two spectra's levels.
 
     Parameters

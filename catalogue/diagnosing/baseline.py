@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.diagnosing.answer import FittedNumber
 from jointplay.catalogue.diagnosing.baseline_fit import MOST_STEPS, Fit, fitted_numbers
@@ -24,10 +23,8 @@ from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 #: P-value below which a healthy machine does not explain the recording, whatever its numbers. The p-value is cautious,
 #: as it allows for errors of a model that simulations do not have: recordings of machines in order had 0.74 and more.

@@ -6,13 +6,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.healthy_machine import STEP, HealthyMachine, Motion
 from jointplay.catalogue.errors import DiagnosisError
-
-FloatArray = npt.NDArray[np.float64]
+from jointplay.solver.arrays import BoolArray, FloatArray
 
 #: Standard deviation of the logarithm of a sensor's gain, before anything was measured.
 GAIN_SCATTER = 0.03
@@ -113,7 +111,7 @@ class _Problem:
     levels: OrderLevels
     model: HealthyMachine
     offset: FloatArray
-    used: npt.NDArray[np.bool_]
+    used: BoolArray
     weight: FloatArray
     believed: FloatArray
 

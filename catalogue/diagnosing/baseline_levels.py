@@ -5,18 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
 from jointplay.catalogue.storage.store import Catalogue
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complexfloating]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
+from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
 
 #: Decibels of a relative change of power by one.
 DECIBELS = 10.0 / np.log(10.0)
@@ -87,7 +82,7 @@ class OrderLevels:
         """Number of sensors."""
         return len(self.prepared.sensing.sensors)
 
-    def of_motion(self, power: ComplexArray, gains: FloatArray | None = None) -> FloatArray:
+    def of_motion(self, power: AnyComplexArray, gains: FloatArray | None = None) -> FloatArray:
         """Levels (..., m) that these sensors would report of a frame's cross-powers (..., B, 3, 3), noise added."""
         sensing = self.prepared.sensing
         transform = sensing.transform if gains is None else gains[:, None] * sensing.transform
@@ -128,7 +123,7 @@ class LevelStatistics:
     levels: OrderLevels
     mean: FloatArray
     deviations: FloatArray
-    power: npt.NDArray[np.complex128]
+    power: AnyComplexArray
     fitted: int = 3
 
     @property

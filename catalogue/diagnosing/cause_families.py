@@ -13,16 +13,13 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.diagnosing.cause_wrenches import FamilyWrench, Wrench, family_wrenches
 from jointplay.catalogue.signals.suspension import accelerance
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.arrays import AnyComplexArray, ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Factors on the stiffness of mounts that a search starts from.
 STIFFNESSES = (0.02, 0.1, 0.3, 0.5, 0.7, 1.3, 2.0)
@@ -56,7 +53,7 @@ class Family(Protocol):
     def oddity(self, numbers: FloatArray) -> FloatArray:
         """Squared distances (n,) from what such changes usually have, in standard deviations."""
 
-    def changed(self, power: ComplexArray, numbers: FloatArray) -> ComplexArray:
+    def changed(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
         """Cross-powers (n, K, 3, 3) after a change, of those before (K, 3, 3)."""
 
     def added(self, numbers: FloatArray) -> ComplexArray:
@@ -93,7 +90,7 @@ class _Forces:
     def oddity(self, numbers: FloatArray) -> FloatArray:
         return np.zeros(len(numbers))
 
-    def changed(self, power: ComplexArray, numbers: FloatArray) -> ComplexArray:
+    def changed(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
         # Powers are mean squares, twice |amplitude|^2.
         new = np.tensordot(numbers, self.basis, 1)
         return np.asarray(power - power_of(self.motion) + power_of(self.motion + new), np.complex128)
@@ -136,7 +133,7 @@ class _Factor:
     def oddity(self, numbers: FloatArray) -> FloatArray:
         return np.asarray((numbers[:, 1] - self.usual * numbers[:, 0]) / SECOND_FACTOR) ** 2
 
-    def changed(self, power: ComplexArray, numbers: FloatArray) -> ComplexArray:
+    def changed(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
         more = np.exp(numbers) - 1.0
         passed = np.linalg.inv(self.own + np.tensordot(more, np.array(self.parts), 1)) @ self.own
         return np.asarray(passed @ power @ passed.conj().swapaxes(-1, -2), np.complex128)

@@ -7,14 +7,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, power_of
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-ComplexArray = npt.NDArray[np.complex128]
+from jointplay.solver.arrays import AnyComplexArray, BoolArray, ComplexArray, FloatArray
 
 #: Standard deviation, relative, of a sensor's gain.
 GAIN_SCATTER = 0.03
@@ -126,12 +122,12 @@ class Misfit:
         return np.asarray(np.sum(root[:, size, :size] ** 2, axis=1) + determinant - own)
 
 
-def _seen(levels: OrderLevels, power: ComplexArray) -> FloatArray:
+def _seen(levels: OrderLevels, power: AnyComplexArray) -> FloatArray:
     """What the sensors see (..., m) of a motion's cross-powers (..., K, 3, 3), without noise, at least nothing."""
     return np.asarray(np.maximum(10.0 ** (0.1 * levels.of_motion(power)) - levels.noise, 0.0))
 
 
-def _by_gain(levels: OrderLevels, power: ComplexArray) -> FloatArray:
+def _by_gain(levels: OrderLevels, power: AnyComplexArray) -> FloatArray:
     """Derivatives (m, s) of levels by the gains of the sensors, dB for a unit of their logarithm."""
     small = 1e-4
     here = levels.of_motion(power)

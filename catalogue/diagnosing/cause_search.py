@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from jointplay.solver.arrays import FloatArray
 
 #: First step, as a part of the largest number of the start.
 FIRST_STEP = 0.1

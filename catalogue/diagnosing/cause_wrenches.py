@@ -11,17 +11,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.diagnosing.frame_forces import MACHINES_KEPT, Revolution, pose_speed, wrench_orders
 from jointplay.catalogue.plans.variants import output_load
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Factors on the mass of a link that a search starts from.
 MASSES = (0.5, 0.65, 0.8, 1.2, 1.5, 2.0)

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import logsumexp
 
 from jointplay.catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics, share_beyond
@@ -22,9 +21,7 @@ from jointplay.catalogue.diagnosing.cause_search import least_of
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from jointplay.solver.arrays import FloatArray, IntArray
 
 #: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
 #: and levels that err together are not as many as they look.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from jointplay.catalogue.matching.coherence import ComplexArray, common_noise, pairs_of
-from jointplay.catalogue.matching.matcher import BoolArray, FloatArray
+from jointplay.catalogue.matching.coherence import common_noise, pairs_of
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.solver.arrays import BoolArray, ComplexArray, FloatArray
 
 LEAST_NOISE_DENSITY = 2e-10
 """Acceleration noise, (m/s2)^2/Hz, a recording is taken to have at least (1 mm/s2 up to 5 kHz): no simulation and no

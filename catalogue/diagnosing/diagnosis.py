@@ -40,7 +40,7 @@ from jointplay.catalogue.diagnosing.synthesis import refine
 from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
 from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.matcher import FloatArray, MatchResult
+from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary, library_of, one_thread
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior
@@ -50,6 +50,7 @@ from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
 from jointplay.version import __version__
 
 MOST_CASES = 100_000

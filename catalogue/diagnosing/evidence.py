@@ -6,9 +6,10 @@ import math
 
 from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, Hypothesis, JointClearance
 from jointplay.catalogue.diagnosing.baseline import Baseline
-from jointplay.catalogue.matching.matcher import FloatArray, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
 
 
 def hypothesis_shown(match: HypothesisMatch) -> Hypothesis:

@@ -11,17 +11,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.parameters import DRIVE_SPEED
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 SAMPLES = 256
 """Points of a revolution: orders up to 20 need a fraction of them, rough loads more."""

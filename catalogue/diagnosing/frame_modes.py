@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import expit
 
 from jointplay.catalogue.diagnosing.causes import LEAST_GAIN, NamedCause
@@ -26,9 +25,7 @@ from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from jointplay.solver.arrays import FloatArray, IntArray
 
 #: Draws of machines in order, at least; and fewest entries that they are made of.
 DRAWS, LEAST_ENTRIES = 500, 60

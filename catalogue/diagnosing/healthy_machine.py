@@ -7,18 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.diagnosing.tuning import Quantity
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.parameters import DRIVE_SPEED
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, band_matrix
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Step of the differences, ln: levels are good to a hundredth of a decibel, and next to a resonance they bend.
 STEP = 0.02

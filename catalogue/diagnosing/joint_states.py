@@ -8,8 +8,9 @@ import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Bound, Condition, JointState
 from jointplay.catalogue.matching.joint_posterior import JointPosterior, joint_posteriors
-from jointplay.catalogue.matching.matcher import HEALTHY, FloatArray, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.matcher import HEALTHY, HypothesisMatch, MatchResult
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.joints import TurningJoint
 
 EDGE = 0.02

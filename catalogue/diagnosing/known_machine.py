@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jointplay.catalogue.diagnosing.answer import BaselineShown
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -19,7 +17,7 @@ class KnownMachine:
     baseline: Baseline
     sha256: str
 
-    def weights(self, catalogue: Catalogue) -> NDArray[np.float64] | None:
+    def weights(self, catalogue: Catalogue) -> FloatArray | None:
         """Return how much each entry of a catalogue is of this machine; None where all count the same."""
         if not self.baseline.explained:
             return None

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 import scipy.spatial
 import scipy.stats
@@ -27,11 +26,9 @@ from jointplay.catalogue.signals.sensors import free_motions
 from jointplay.catalogue.storage.feature_bands import LEAST_POWER, joined
 from jointplay.catalogue.storage.matrix import FeatureMatrix
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 #: Hypotheses that are told apart, and the least probability of one that is worth it.
 CONTENDERS = 3
@@ -194,7 +191,7 @@ def _held_out(first: FloatArray, first_case: IntArray, second: FloatArray, secon
     return float(2.0 * scipy.stats.norm.isf(error)) ** 2
 
 
-def _half(case: IntArray, generator: np.random.Generator) -> npt.NDArray[np.bool_]:
+def _half(case: IntArray, generator: np.random.Generator) -> BoolArray:
     """Draw half of the cases; copies of a case stay together."""
     count = int(case.max()) + 1
     chosen = generator.permutation(count) < count // 2

@@ -19,21 +19,14 @@ from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesi
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import compose
 from jointplay.catalogue.matching.importance import weigh
-from jointplay.catalogue.matching.matcher import (
-    NORMAL_90,
-    ClearanceEstimate,
-    FloatArray,
-    HypothesisMatch,
-    IntArray,
-    MatchResult,
-    ranked,
-)
+from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult, ranked
 from jointplay.catalogue.matching.observation import grouped
 from jointplay.catalogue.matching.population import Population
 from jointplay.catalogue.plans.entry import Entry, Stratum
 from jointplay.catalogue.plans.keys import seed_from
 from jointplay.catalogue.storage.cross_power import pack
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray, IntArray
 
 LEAST_WIDTH = 0.5
 """Least width of a clearance's interval, as a part of the catalogue's own: few cases agree by chance, too."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jointplay.catalogue.matching.matcher import FloatArray
 from jointplay.catalogue.matching.observation import Sensing
+from jointplay.solver.arrays import FloatArray
 
 
 @dataclass(frozen=True)

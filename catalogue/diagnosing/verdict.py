@@ -9,11 +9,12 @@ import numpy as np
 from jointplay.catalogue.diagnosing.answer import Verdict
 from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
 from jointplay.catalogue.diagnosing.frame_modes import find_mode
-from jointplay.catalogue.matching.matcher import HypothesisMatch, IntArray, MatchResult
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import IntArray
 
 UNKNOWN_BELOW = 0.02
 """P-value below which a hypothesis does not explain a recording."""

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.signals.sensors import free_motions
 from jointplay.catalogue.signals.suspension import accelerance, on_mounts
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.sensor import sensor_transform
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Wrench = tuple[float, float, float]
 """Force in x and y and moment about the frame's centre of gravity, in any unit: sizes are said otherwise."""
 

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.evaluation.elsewhere import transform_of
 from jointplay.catalogue.evaluation.protocols import Protocol
 from jointplay.catalogue.evaluation.recordings import Recordings
 from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.solver.arrays import FloatArray
 
 SEEN_FROM = 0.1
 """Wear shows if it changes the signals by at least this part of their noise (rms): a hundredth of its power."""
 
 
 def hidden(
-    protocol: Protocol, truths: Sequence[Truth], signals: dict[int, NDArray[np.float64]], recordings: Recordings
+    protocol: Protocol, truths: Sequence[Truth], signals: dict[int, FloatArray], recordings: Recordings
 ) -> frozenset[int]:
     """Return the numbers of the recordings of worn machines that nobody could tell from the same machine in order.
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 from scipy.stats import kstest
 
@@ -16,8 +15,7 @@ from jointplay.catalogue.matching.calibration import log_loss
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
 from jointplay.catalogue.matching.sightings import SEEN_ABOVE, SEEN_SHARE
 from jointplay.catalogue.plans.keys import seed_from
-
-FloatArray = NDArray[np.float64]
+from jointplay.solver.arrays import FloatArray
 
 HYPOTHESES = 1000
 """Machines drawn from a posterior, of which a share is nearer to a point than the true one."""

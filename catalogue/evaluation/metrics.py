@@ -22,8 +22,7 @@ from jointplay.catalogue.evaluation.joint_figures import (
 from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.matching.calibration import calibration_error, log_loss
 from jointplay.catalogue.matching.matcher import MatchResult
-
-FloatArray = NDArray[np.float64]
+from jointplay.solver.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -335,7 +334,7 @@ def clearance_errors(answers: Sequence[Answered]) -> tuple[list[float], list[boo
     return errors, inside
 
 
-def reliability(confidence: FloatArray, right: NDArray[np.bool_], bins: int = 10) -> tuple[ReliabilityBin, ...]:
+def reliability(confidence: FloatArray, right: BoolArray, bins: int = 10) -> tuple[ReliabilityBin, ...]:
     """Return how sure and how often right answers are, in equally wide bins of their first probability."""
     index = np.minimum((confidence * bins).astype(np.int64), bins - 1)
     return tuple(

@@ -17,13 +17,12 @@ from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.matcher import (
     ClearanceEstimate,
     Draws,
-    FloatArray,
     HypothesisMatch,
-    IntArray,
     MatchResult,
     TrainingSet,
     ranked,
 )
+from jointplay.solver.arrays import FloatArray, IntArray
 
 FOLDS = 4
 """Parts that draws are split into for calibration."""

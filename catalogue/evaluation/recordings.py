@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay import solver
 from jointplay.catalogue.evaluation.elsewhere import transform_of
@@ -25,13 +24,12 @@ from jointplay.catalogue.measurements.measurement import Recording, measurement_
 from jointplay.catalogue.measurements.readers import RawRecording
 from jointplay.catalogue.measurements.readers.raw import RawColumn
 from jointplay.catalogue.plans.keys import content_digest
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.sensor import sensor_signals
-
-FloatArray = NDArray[np.float64]
 
 TOGETHER = 16
 """Cases simulated at a time: two vectors of lanes, so that histories do not fill the memory."""

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.elsewhere import Blows, Bursts, Tones, Wrench
 from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.plans.keys import seed_from
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 Spoiling = Callable[[Truth, np.random.Generator], Truth]
 """Draws what spoils a recording, and returns the truth with it."""

@@ -10,9 +10,6 @@ from functools import partial
 from itertools import product
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
 from jointplay.catalogue.diagnosing.joint_states import plays_of_fits
@@ -30,6 +27,7 @@ from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -274,7 +272,7 @@ class _Run:
         truths, found = self.truths(protocol), _Found({setup: [] for setup in self.setups})
         libraries = {setup.method: self.library(setup.method) for setup in self.setups}
         numbers: dict[Setup, list[int]] = {setup: [] for setup in self.setups}
-        signals: dict[int, NDArray[np.float64]] = {}
+        signals: dict[int, FloatArray] = {}
         worn = sorted({joint for joints in self.columns(without).values() for joint in joints})
         fits = {joint: plays_of_fits(self.catalogue, joint) for joint in worn}
         unseen: set[int] = set()

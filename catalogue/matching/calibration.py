@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp, softmax
 
-from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, IntArray, TrainingSet
+from jointplay.catalogue.matching.matcher import TrainingSet
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 TEMPERATURES = (0.5, 8.0)
 """Range in which a temperature is sought; 1 leaves probabilities as they are, more makes them less sure."""

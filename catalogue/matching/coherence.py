@@ -10,12 +10,9 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.matching.cyclic import cyclic_bands
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from jointplay.solver.arrays import ComplexArray, FloatArray
 
 SCALE = 10.0
 """What a coherence of 1 counts as, dB: coherences then scatter about as much as levels do."""

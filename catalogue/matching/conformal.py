@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from jointplay.solver.arrays import FloatArray, IntArray
 
 WIDER = 0.99
 """Coverage that is asked of a set instead, where the one asked for leaves it empty. What such sets hold is not it: they

@@ -19,9 +19,10 @@ from jointplay.catalogue.matching.calibration import (
 )
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.curves import CurveModel, averaged
-from jointplay.catalogue.matching.matcher import FloatArray, IntArray, TrainingSet
+from jointplay.catalogue.matching.matcher import TrainingSet
 from jointplay.catalogue.matching.network import Opinion
 from jointplay.catalogue.matching.sightings import Sightings
+from jointplay.solver.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

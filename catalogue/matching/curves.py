@@ -9,8 +9,8 @@ from scipy.special import gammaln
 
 from jointplay.catalogue.matching.calibration import largest
 from jointplay.catalogue.matching.log_sums import log_sum_exp
-from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, IntArray
 from jointplay.catalogue.matching.tube import ClearanceGrid, Tube
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)

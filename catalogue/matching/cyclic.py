@@ -10,13 +10,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.arrays import ComplexArray, FloatArray, IntArray
 from jointplay.solver.spectra.band_power import CYCLES
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 REFERENCE_ORDERS = 8
 """Orders whose cyclic coherences say together where in a revolution a recording begins: what moves by its kinematics
@@ -34,9 +31,9 @@ class CyclicBands:
         :data:`jointplay.solver.spectra.band_power.CYCLES`.
     """
 
-    band: NDArray[np.int64]
-    other: NDArray[np.int64]
-    cycle: NDArray[np.int64]
+    band: IntArray
+    other: IntArray
+    cycle: IntArray
 
     def chosen(self, cyclic: ComplexArray) -> ComplexArray:
         """Return those of cyclic powers (n, G, k, c): (n, f, c)."""

@@ -17,17 +17,10 @@ from jointplay.catalogue.matching.calibration import combined, folds, kept_apart
 from jointplay.catalogue.matching.curve_calibration import Calibration, calibrated
 from jointplay.catalogue.matching.curves import Curve, CurveModel, averaged
 from jointplay.catalogue.matching.log_sums import log_sum_exp
-from jointplay.catalogue.matching.matcher import (
-    ClearanceEstimate,
-    FloatArray,
-    HypothesisMatch,
-    IntArray,
-    MatchResult,
-    TrainingSet,
-    ranked,
-)
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, TrainingSet, ranked
 from jointplay.catalogue.matching.network import Opinion
 from jointplay.catalogue.matching.tube import ClearanceGrid, fit_tube
+from jointplay.solver.arrays import FloatArray, IntArray
 
 BROADBAND_SHARE = 0.8
 """Part of the false alarms left to the overall distance: what is broadband, as a second worn joint, shows there alone,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import genpareto
 
-from jointplay.catalogue.matching.matcher import FloatArray
+from jointplay.solver.arrays import FloatArray
 
 LEAST_EFFECTIVE = 8.0
 """Least effective size of a sample, or half of it where it is smaller."""

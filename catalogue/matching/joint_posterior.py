@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointplay.catalogue.matching.matcher import FloatArray, MatchResult
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.solver.arrays import FloatArray
 
 POINTS = 400
 """Points of ln(clearance) at which a posterior is kept."""

@@ -11,11 +11,12 @@ from typing import Literal, Self
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.matcher import BoolArray, Draws, FloatArray, IntArray, Mode, TrainingSet
+from jointplay.catalogue.matching.matcher import Draws, Mode, TrainingSet
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.matching.transfer import RandomTransfer
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 WIDE_SHARE = 2.0 / 3.0
 """Part of the draws of the robust mode that come from machines whose own data are uncertain, where there are such."""

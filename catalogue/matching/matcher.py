@@ -12,16 +12,12 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.matching.conformal import CandidateSet, Conformal
 from jointplay.catalogue.matching.sightings import Sightings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 HEALTHY = "healthy"
 

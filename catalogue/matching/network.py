@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import log_softmax
 
 from jointplay.catalogue.matching.coherence import with_more_noise
-from jointplay.catalogue.matching.matcher import FloatArray
 from jointplay.catalogue.matching.observation import Sensing
+from jointplay.solver.arrays import FloatArray
 
 AS_FILED, DIFFERS = "as filed", "differs"
 """What a network of strata tells apart."""

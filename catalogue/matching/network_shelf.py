@@ -16,7 +16,7 @@ import numpy as np
 from jointplay.catalogue import FEATURES_VERSION
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.learning import Learning
-from jointplay.catalogue.matching.matcher import FloatArray, Mode
+from jointplay.catalogue.matching.matcher import Mode
 from jointplay.catalogue.matching.modelfile import read_network, write_network
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.network_training import NetworkTraining
@@ -25,6 +25,7 @@ from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.signals.sensors import choose_channels, free_motions
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
 
 MODES: tuple[Mode, ...] = ("trusted", "robust")

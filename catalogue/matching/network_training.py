@@ -17,11 +17,11 @@ from threadpoolctl import threadpool_limits
 
 from jointplay.catalogue.matching.calibration import held_out
 from jointplay.catalogue.matching.learning import Learning, rows_of
-from jointplay.catalogue.matching.matcher import FloatArray, IntArray
 from jointplay.catalogue.matching.network import AS_FILED, DIFFERS, Network, density_db
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.solver.arrays import FloatArray, IntArray
 
 LEAST_ON_EITHER_SIDE = 2
 """Cases of a hypothesis that are learned from, and held out, at least."""

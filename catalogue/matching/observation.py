@@ -15,21 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.coherence import (
-    ComplexArray,
-    common_noise,
-    compose,
-    noise_alike,
-    pair_scale,
-    pairs_of,
-)
+from jointplay.catalogue.matching.coherence import common_noise, compose, noise_alike, pair_scale, pairs_of
 from jointplay.catalogue.matching.cyclic import CyclicBands, cyclic_bands
-from jointplay.catalogue.matching.matcher import FloatArray, IntArray
 from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.storage.cross_power import PACKED
+from jointplay.solver.arrays import ComplexArray, FloatArray, IntArray
 from jointplay.solver.spectra.band_power import CYCLES
 
-PackedArray = NDArray[np.float32] | NDArray[np.float64]
+PackedArray = NDArray[np.float32] | FloatArray
 
 _ABOVE = ((0, 1), (0, 2), (1, 2))
 

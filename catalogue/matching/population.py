@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointplay.catalogue.matching.matcher import BoolArray, FloatArray
 from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.plans.parameters import DRIVE_SPEED
+from jointplay.solver.arrays import BoolArray, FloatArray
 
 Kind = tuple[object, ...]
 

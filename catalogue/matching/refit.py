@@ -8,10 +8,11 @@ import numpy as np
 
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
-from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, HypothesisMatch, IntArray, MatchResult, ranked
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.spectra import Spectra, band_widths
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 OPEN_ABOVE = 1e-4
 """Probability above which a hypothesis takes part in a refit."""

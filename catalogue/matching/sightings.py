@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from jointplay.catalogue.matching.conformal import Conformal
-
-FloatArray = NDArray[np.float64]
+from jointplay.solver.arrays import FloatArray
 
 SEEN_ABOVE = 0.5
 """Probability of wear from which on a joint's wear counts as seen."""

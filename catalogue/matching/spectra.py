@@ -6,9 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
-from jointplay.catalogue.matching.matcher import FloatArray, IntArray
 from jointplay.catalogue.matching.observation import PackedArray
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
+from jointplay.solver.arrays import FloatArray, IntArray
 
 
 class Spectra(Protocol):

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.matching.coherence import pairs_of
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from jointplay.solver.arrays import ComplexArray, FloatArray
 
 #: Points of a band over which the squared magnitude of a response is averaged; a resonance of 1 % damping lies well
 #: within a third octave and is not missed by them (0.3 dB of the band's mean at worst).

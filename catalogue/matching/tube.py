@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from jointplay.catalogue.matching.matcher import BoolArray, FloatArray, IntArray
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 REACH = 3.5
 """Kernel widths beyond which a draw does not count."""

@@ -15,9 +15,7 @@ import numpy.typing as npt
 import scipy.fft
 
 from jointplay.catalogue.errors import MeasurementError
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from jointplay.solver.arrays import ComplexArray, FloatArray
 
 #: Speeds looked at, to either side of nominal.
 SEARCH_RANGE = 0.10

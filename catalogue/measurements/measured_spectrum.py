@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import parse_unit
@@ -22,9 +21,8 @@ from jointplay.catalogue.measurements.measured_columns import check_given, find_
 from jointplay.catalogue.measurements.measurement import SI_UNITS, Channel, Recording, measurement_of, raw_of
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, SpectrumForm
 from jointplay.catalogue.measurements.readers.raw import LARGEST
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.spectra.spectrum import Quantity
-
-FloatArray = npt.NDArray[np.float64]
 
 _DETECTORS: dict[str, Literal["rms", "peak", "peak-to-peak"]] = {
     "rms": "rms",

@@ -21,6 +21,7 @@ from jointplay.catalogue.measurements.import_profile import ImportProfile, profi
 from jointplay.catalogue.measurements.measured_columns import understood_columns
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, known_ending, read_raw
 from jointplay.catalogue.measurements.waveform import ChannelFlaw, TimeBase, even_time_base, inspect_waveform
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.spectra.spectrum import Quantity
 
 
@@ -110,13 +111,13 @@ class Recording:
 
     name: str
     sample_rate: float
-    signal: npt.NDArray[np.float64]
+    signal: FloatArray
     channels: tuple[Channel, ...]
     warnings: tuple[str, ...]
     import_report: tuple[str, ...]
     sha256: str
     flaws: tuple[ChannelFlaw, ...] = ()
-    turns: npt.NDArray[np.float64] | None = None
+    turns: FloatArray | None = None
 
     @classmethod
     def from_arrays(

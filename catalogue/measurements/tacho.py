@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack
-
-FloatArray = npt.NDArray[np.float64]
+from jointplay.solver.arrays import FloatArray
 
 #: Part of the channel's range that it must come back by before another pulse counts.
 PULSE_HYSTERESIS = 0.1

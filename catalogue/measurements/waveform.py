@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.solver.arrays import BoolArray, FloatArray
 
 #: Deviation of a sample interval from the mean up to which a recording counts as evenly sampled.
 JITTER = 0.01
@@ -28,7 +28,7 @@ class TimeBase:
 
 
 def even_time_base(
-    time: npt.NDArray[np.float64],
+    time: FloatArray,
     factor: float,
     source: str,
     column: str,
@@ -93,7 +93,7 @@ def even_time_base(
     return TimeBase(rate, (fact,), ())
 
 
-def _find_quantum(time: npt.NDArray[np.float64]) -> float:
+def _find_quantum(time: FloatArray) -> float:
     """Last printed digit of the times, 0 when they have more than nine decimals.
 
     Looked at in neighbouring times of both ends: every tenth time of a recording has one decimal less than all of them,
@@ -102,7 +102,7 @@ def _find_quantum(time: npt.NDArray[np.float64]) -> float:
     return max(_quantum_of(time[:_LOOKED_AT]), _quantum_of(time[-_LOOKED_AT:]))
 
 
-def _quantum_of(time: npt.NDArray[np.float64]) -> float:
+def _quantum_of(time: FloatArray) -> float:
     for digits in range(10):
         scaled = time * 10.0**digits
         if np.all(np.abs(scaled - np.round(scaled)) <= 1e-4 + 1e-12 * np.abs(scaled)):
@@ -144,9 +144,7 @@ class Inspection:
     flaws: tuple[ChannelFlaw, ...] = ()
 
 
-def inspect_waveform(
-    signal: npt.NDArray[np.float64], source: str, channel: str, unit: str, sample_rate: float
-) -> Inspection:
+def inspect_waveform(signal: FloatArray, source: str, channel: str, unit: str, sample_rate: float) -> Inspection:
     """Look at one channel.
 
     Parameters
@@ -194,7 +192,7 @@ def inspect_waveform(
     return Inspection(fact, tuple(warnings), tuple(flaws))
 
 
-def find_clipped(signal: npt.NDArray[np.float64], sample_rate: float) -> npt.NDArray[np.bool_]:
+def find_clipped(signal: FloatArray, sample_rate: float) -> BoolArray:
     """Samples of flat tops at either end of the range, (n,)."""
     found = np.zeros(len(signal), dtype=bool)
     for mask, _, _ in _flat_tops(signal, _standstills(signal, sample_rate)):
@@ -202,9 +200,7 @@ def find_clipped(signal: npt.NDArray[np.float64], sample_rate: float) -> npt.NDA
     return found
 
 
-def _flat_tops(
-    signal: npt.NDArray[np.float64], standstills: list[tuple[int, int]]
-) -> Iterator[tuple[npt.NDArray[np.bool_], float, str]]:
+def _flat_tops(signal: FloatArray, standstills: list[tuple[int, int]]) -> Iterator[tuple[BoolArray, float, str]]:
     """Samples of flat tops, their level and side; what stands still for long belongs to none."""
     kept = np.ones(len(signal), dtype=bool)
     for start, length in standstills:
@@ -218,7 +214,7 @@ def _flat_tops(
             yield kept & (np.abs(signal - extreme) <= 1e-3 * (high - low)), extreme, side
 
 
-def _count_clipped(signal: npt.NDArray[np.float64], extreme: float, span: float) -> int:
+def _count_clipped(signal: FloatArray, extreme: float, span: float) -> int:
     """Number of samples at an end of the range if they are a flat top, else 0.
 
     A flat top has runs of three and more samples, and far more samples in its outermost thousandth of the range than in
@@ -233,7 +229,7 @@ def _count_clipped(signal: npt.NDArray[np.float64], extreme: float, span: float)
     return count if int(runs.sum()) >= 3 else 0
 
 
-def _standstills(signal: npt.NDArray[np.float64], sample_rate: float) -> list[tuple[int, int]]:
+def _standstills(signal: FloatArray, sample_rate: float) -> list[tuple[int, int]]:
     """Start and length of every long run of one value, but for flat tops of clipping."""
     changes = np.concatenate([[0], np.flatnonzero(np.diff(signal)) + 1, [len(signal)]])
     lengths = np.diff(changes)

@@ -6,10 +6,10 @@ import math
 from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 from scipy.special import ndtri
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.units import RATIO
@@ -89,7 +89,7 @@ def log_uniform(low: float, high: float, u: float) -> float:
     return low * math.pow(high / low, u)
 
 
-def unit_draws(seed: int, dimensions: int, count: int) -> NDArray[np.float64]:
+def unit_draws(seed: int, dimensions: int, count: int) -> FloatArray:
     """The first `count` points of the scrambled Sobol sequence of `seed` in the unit cube.
 
     Row i does not depend on `count`: asking for more continues the sequence.
@@ -117,5 +117,5 @@ def unit_draws(seed: int, dimensions: int, count: int) -> NDArray[np.float64]:
 
     sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
     exponent = max(0, math.ceil(math.log2(max(count, 1))))
-    points: NDArray[np.float64] = sequence.random_base2(exponent)
+    points: FloatArray = sequence.random_base2(exponent)
     return points[:count]

@@ -15,10 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.intp]
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 DisturbanceKind = Literal["shock", "drop-out", "clipping", "line"]
 
@@ -197,7 +194,7 @@ def _revolutions(count: int, sample_rate: float, track: SpeedTrack) -> FloatArra
 
 def _places(angle: FloatArray, count: int, parts: int) -> IntArray:
     """First sample of each part of a revolution, and the one after the last, (count + 1,)."""
-    return np.asarray(np.searchsorted(angle, np.arange(count + 1) / parts), dtype=np.intp)
+    return np.asarray(np.searchsorted(angle, np.arange(count + 1) / parts), dtype=np.int64)
 
 
 def _fast(signal: FloatArray, edges: IntArray, count: int) -> FloatArray:

@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_speed
@@ -41,12 +40,10 @@ from jointplay.catalogue.storage.feature_bands import (
     FEATURE_ORDERS,
     usable_cuts,
 )
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS
 from jointplay.solver.spectra.bands import BandScheme
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 #: Revolutions below which a recording is refused, and warned of.
 MIN_REVOLUTIONS = 3.0

@@ -18,10 +18,8 @@ import numpy.typing as npt
 import scipy.fft
 
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.spectra.segments import hann
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Mains frequencies of the world [Hz], how far they stray, which multiples betray them, how many are then looked at.
 MAINS = (50.0, 60.0)

@@ -12,9 +12,8 @@ import numpy.typing as npt
 import scipy.fft
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.spectra.segments import hann
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Length of the short windows [s]: impacts ring off within milliseconds, so that windows between them hold noise.
 WINDOW = 0.0128

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 
 from jointplay.catalogue import FEATURES_VERSION
@@ -25,6 +24,7 @@ from jointplay.catalogue.signals.noise import NoiseFloor
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.signals.sensors import SensorMap
 from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, joined
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.spectra.band_power import BandMatrix, transform_power
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -60,10 +60,6 @@ class RecipeStep(BaseModel):
 def note_step(name: str, found: str, parameters: Mapping[str, float | str] | None = None) -> RecipeStep:
     """Return a step as this program takes it, see :class:`RecipeStep`."""
     return RecipeStep(name=name, version=str(FEATURES_VERSION), parameters=parameters or {}, found=found)
-
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

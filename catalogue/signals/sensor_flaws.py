@@ -14,16 +14,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.signals.hum import MAINS, MULTIPLES
 from jointplay.catalogue.signals.noise import NoiseFloor
 from jointplay.catalogue.signals.sensors import SensorMap
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.spectra.band_power import BandMatrix
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 FlawKind = Literal["swapped", "inverted", "dead", "gain", "contradicts"]
 

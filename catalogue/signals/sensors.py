@@ -8,11 +8,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 from jointplay.solver.spectra.spectrum import DERIVATIVES
@@ -45,9 +45,9 @@ class SensorMap:
 
     columns: tuple[int, ...]
     sensors: tuple[str, ...]
-    transform: npt.NDArray[np.float64]
+    transform: FloatArray
     compared: tuple[str, ...]
-    channels: npt.NDArray[np.float64]
+    channels: FloatArray
     derivatives: tuple[int, ...]
     warnings: tuple[str, ...]
     phases: bool = True
@@ -132,9 +132,7 @@ def match_by_name(names: Sequence[str], machine: Machine) -> dict[str, str]:
     return {name: plain[_plain(name)] for name in names if _plain(name) in plain}
 
 
-def choose_channels(
-    machine: Machine, names: Sequence[str]
-) -> tuple[npt.NDArray[np.float64], tuple[str, ...], npt.NDArray[np.float64]]:
+def choose_channels(machine: Machine, names: Sequence[str]) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
     """Return what some sensors see, and what is compared: fields of :class:`SensorMap`.
 
     Parameters

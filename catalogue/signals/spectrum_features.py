@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, SEARCH_RANGE, SpeedEstimate
@@ -16,11 +15,10 @@ from jointplay.catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LI
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
 from jointplay.catalogue.signals.sensors import map_sensors, sensors_one_by_one
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, usable_cuts
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.band_power import BandMatrix
 from jointplay.solver.spectra.bands import BandScheme
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Lines an order that a spectrum must have at least: coarser, an order is not to be told from its neighbours.
 LINES_AN_ORDER = 3.0

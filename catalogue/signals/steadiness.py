@@ -17,10 +17,8 @@ import scipy.fft
 import scipy.ndimage
 
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack, comb_speed, thin
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.compiler.compiled import compiled
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 #: Windows [revolutions], and windows a revolution.
 WINDOW_REVOLUTIONS = 1.0
@@ -244,10 +242,10 @@ def at_mean_speed(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) 
     return np.asarray((taken + mean).T, dtype=np.float64)
 
 
-def samples_at_mean_speed(mask: npt.NDArray[np.bool_], sample_rate: float, track: SpeedTrack) -> npt.NDArray[np.bool_]:
+def samples_at_mean_speed(mask: BoolArray, sample_rate: float, track: SpeedTrack) -> BoolArray:
     """Samples (n,) of a signal at equal steps of the drive's angle that lie where those of a mask do, or next to it."""
     place = _places(len(mask), sample_rate, track)
-    found: npt.NDArray[np.bool_] = mask[np.floor(place).astype(np.intp)] | mask[np.ceil(place).astype(np.intp)]
+    found: BoolArray = mask[np.floor(place).astype(np.intp)] | mask[np.ceil(place).astype(np.intp)]
     return found
 
 

@@ -7,17 +7,14 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
 from jointplay.catalogue.signals.sensors import MOTIONS
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.band_power import CYCLES, transform_power
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: FloatArray) -> ComplexArray:

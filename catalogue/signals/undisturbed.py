@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack, rough_track
@@ -24,11 +23,10 @@ from jointplay.catalogue.signals.disturbances import (
 from jointplay.catalogue.signals.hum import Cleaned, remove_hum
 from jointplay.catalogue.signals.sensors import SensorMap
 from jointplay.catalogue.storage.feature_bands import usable_cuts
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, BandMatrix, band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Tracking = Callable[[FloatArray], SpeedTrack]
 
 #: What goes with a dropped or clipped sample on either side [s]: filters ring.

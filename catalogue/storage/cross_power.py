@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from jointplay.solver.arrays import AnyComplexArray
 from jointplay.solver.spectra.band_power import CYCLES
 
 CHANNELS = ("x", "y", "theta")
@@ -41,7 +42,7 @@ _ABOVE = ((0, 1), (0, 2), (1, 2))
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), *_ABOVE)
 
 
-def pack(power: NDArray[np.complexfloating]) -> NDArray[np.float32]:
+def pack(power: AnyComplexArray) -> NDArray[np.float32]:
     """Nine numbers, in the order of :data:`PACKED`, of every matrix.
 
     Parameters
@@ -83,7 +84,7 @@ def unpack(packed: NDArray[np.float32]) -> NDArray[np.complex64]:
     return power
 
 
-def pack_cyclic(cyclic: NDArray[np.complexfloating]) -> NDArray[np.float32]:
+def pack_cyclic(cyclic: AnyComplexArray) -> NDArray[np.float32]:
     """Numbers, in the order of :data:`CYCLIC`, of the cyclic cross-powers of every band.
 
     Parameters

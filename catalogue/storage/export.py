@@ -21,6 +21,7 @@ from jointplay.catalogue.storage.feature_bands import LEAST_POWER
 from jointplay.catalogue.storage.hdf5 import write_growing
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.table import EntryTable
+from jointplay.solver.arrays import FloatArray, IntArray
 
 _UNITS = {
     "band_edges": "orders",
@@ -40,7 +41,7 @@ class _Chosen:
     """The cases of some hypotheses, in the order in which their shards hold them."""
 
     catalogue: Catalogue
-    rows: NDArray[np.int64]
+    rows: IntArray
 
     @classmethod
     def of(cls, catalogue: Catalogue, hypotheses: Sequence[str] | None) -> _Chosen:
@@ -191,7 +192,7 @@ def _write_csv(path: Path, chosen: _Chosen) -> None:
                 writer.writerow([*texts, part.draw[i], *(f"{number:.9g}" for number in numbers), *shown])
 
 
-def _levels(catalogue: Catalogue, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+def _levels(catalogue: Catalogue, rows: IntArray) -> FloatArray:
     """Levels (m, 3 G) of x, then y, then theta in feature bands; NaN for a case that failed."""
     matrix = catalogue.matrix
     levels = np.full((len(rows), 3, len(matrix.edges) - 1), np.nan)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.spectra.bands import BandScheme
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Single orders in a feature vector; a recording must reach them.
 FEATURE_ORDERS = 20
@@ -116,6 +115,6 @@ def feature_axes(
     )
 
 
-def joined(values: npt.NDArray[np.float64], cuts: tuple[int, ...]) -> FloatArray:
+def joined(values: FloatArray, cuts: tuple[int, ...]) -> FloatArray:
     """Sum bands (..., B, c) into feature bands (..., G, c)."""
     return np.asarray(np.add.reduceat(values[..., : cuts[-1], :], cuts[:-1], axis=-2), dtype=np.float64)

@@ -16,6 +16,7 @@ from jointplay.catalogue.storage.cross_power import COLUMNS
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Block, MatrixHeader
 from jointplay.catalogue.storage.shard import OK, Shard
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -118,8 +119,8 @@ class _Part:
     hypothesis: Hypothesis
     joints: tuple[str, ...]
     parameter_names: tuple[str, ...]
-    clearance: NDArray[np.float64]
-    parameters: NDArray[np.float64]
+    clearance: FloatArray
+    parameters: FloatArray
     columns: Mapping[str, Numbers]
     remarks: Mapping[int, tuple[str, str]]
     digests: tuple[bytes, ...]
@@ -219,13 +220,13 @@ _EMPTY: Mapping[str, Numbers] = {
 }
 
 
-def _nominal(machine: Machine, names: Sequence[str]) -> NDArray[np.float64]:
+def _nominal(machine: Machine, names: Sequence[str]) -> FloatArray:
     """What the machine's file has in the place of each number; 0 where it has none, as of a load that is not there."""
     numbers = MachineNumbers(machine)
     return np.array([numbers.nominal(name) for name in names], np.float64)
 
 
-def _order(columns: Mapping[str, Numbers]) -> tuple[NDArray[np.int64], int]:
+def _order(columns: Mapping[str, Numbers]) -> tuple[IntArray, int]:
     """Rows in the order of a catalogue, each key once, and the number of those with a spectrum."""
     keys = columns["key"]
     _, first = np.unique(np.ascontiguousarray(keys).ravel().view("S32"), return_index=True)  # in the order of keys

@@ -20,11 +20,12 @@ from jointplay.catalogue.plans.entry import Hypothesis, Recipe, Stratum
 from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.gathering import Gathered, Numbers, gather
-from jointplay.catalogue.storage.matrix_columns import Columns, IntArray, MemoryColumns, hexadecimal
+from jointplay.catalogue.storage.matrix_columns import Columns, MemoryColumns, hexadecimal
 from jointplay.catalogue.storage.matrix_files import MappedColumns, write_matrix
 from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Guard, MatrixHeader, Ranges
 from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.catalogue.storage.table import EntryTable
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 
 
@@ -234,11 +235,11 @@ class FeatureMatrix:
         """
         return unpack(self.packed(rows))
 
-    def clearance(self, rows: IntArray) -> NDArray[np.float64]:
+    def clearance(self, rows: IntArray) -> FloatArray:
         """Radial clearances of some rows, (m, joints), m."""
         return np.asarray(self._columns.column("clearance")[rows], dtype=np.float64)
 
-    def numbers(self, paths: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+    def numbers(self, paths: Iterable[str]) -> dict[str, FloatArray]:
         """Drawn numbers of all entries with a spectrum, SI, by path: those of `paths` that any entry varies."""
         drawn, names = self._columns.column("parameters"), self._header.parameter_names
         return {path: drawn[: len(self), names.index(path)] for path in paths if path in names}
@@ -319,5 +320,5 @@ def _gathered(catalogue: Source, waiting: IO[bytes]) -> Gathered:
     return gather(catalogue.id, catalogue.machine, catalogue.recipe.scheme, catalogue.shards(), waiting)
 
 
-def _span(values: NDArray[np.float64]) -> tuple[float, float]:
+def _span(values: FloatArray) -> tuple[float, float]:
     return (float(np.min(values)), float(np.max(values))) if values.size else (0.0, 0.0)

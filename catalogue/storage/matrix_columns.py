@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from jointplay.catalogue.storage.cross_power import COLUMNS
 from jointplay.catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
-
-IntArray = NDArray[np.int64]
+from jointplay.solver.arrays import IntArray
 
 
 class Columns(Protocol):

@@ -17,6 +17,7 @@ from jointplay.catalogue.storage.cross_power import COLUMNS
 from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of, sync_folder
 from jointplay.catalogue.storage.gathering import BLOCK_ROWS, Gathered, Numbers
 from jointplay.catalogue.storage.matrix_header import ColumnFile, MatrixHeader, OtherVersionError
+from jointplay.solver.arrays import IntArray
 
 _HEADER, _POWER, _DIGESTS = "header.json", "power.npy", "power.sha256"
 _HEAD = 192  # bytes before the numbers of a file, at most
@@ -183,7 +184,7 @@ class MappedColumns:
             self._checked_columns.add(name)
         return column
 
-    def power(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+    def power(self, rows: IntArray) -> NDArray[np.float32]:
         """Packed spectra of some rows, (m, G, 33).
 
         Raises

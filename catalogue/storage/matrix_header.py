@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import Any, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.plans.variants import LawChoice
+from jointplay.solver.arrays import BoolArray
 
 STRATA: tuple[Stratum, ...] = get_args(Stratum)
 """In the order of their codes in the column ``stratum``."""
@@ -139,7 +139,7 @@ class MatrixHeader:
     digests: str = ""
 
     @cached_property
-    def worn(self) -> NDArray[np.bool_]:
+    def worn(self) -> BoolArray:
         """Whether a joint is worn under a hypothesis, (hypotheses, joints)."""
         worn = np.zeros((len(self.hypotheses), len(self.joints)), dtype=np.bool_)
         for code, hypothesis in enumerate(self.hypotheses):

@@ -13,6 +13,7 @@ from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
 from jointplay.catalogue.plans.variants import Variant
 from jointplay.catalogue.storage.cross_power import CYCLIC, pack, pack_cyclic, unpack, unpack_cyclic
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
+from jointplay.solver.arrays import AnyComplexArray, FloatArray
 
 OK = "ok"
 """Status of a case whose spectrum is stored."""
@@ -54,9 +55,9 @@ class Outcome:
     transient: float
     segments: int
     seconds: float
-    power: NDArray[np.complexfloating] | None = None
+    power: AnyComplexArray | None = None
     spread_db: NDArray[np.floating] | None = None
-    cyclic: NDArray[np.complexfloating] | None = None
+    cyclic: AnyComplexArray | None = None
     guard_db: float | None = None
 
 
@@ -128,14 +129,14 @@ class Shard:
     key: tuple[str, ...]
     status: tuple[str, ...]
     message: tuple[str, ...]
-    clearance: NDArray[np.float64]
-    parameters: NDArray[np.float64]
+    clearance: FloatArray
+    parameters: FloatArray
     draw: NDArray[np.int32]
     segments: NDArray[np.int32]
     row: NDArray[np.int32]
-    drive_speed: NDArray[np.float64]
-    transient: NDArray[np.float64]
-    guard_db: NDArray[np.float64]
+    drive_speed: FloatArray
+    transient: FloatArray
+    guard_db: FloatArray
     power: NDArray[np.float32]
     spread_db: NDArray[np.float32]
     cyclic: NDArray[np.float32]

@@ -23,6 +23,7 @@ from jointplay.catalogue.storage.matrix import FeatureMatrix
 from jointplay.catalogue.storage.shard import Outcome, Shard
 from jointplay.catalogue.storage.stored_entry import StoredEntry
 from jointplay.catalogue.storage.table import EntryTable
+from jointplay.solver.arrays import IntArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -239,7 +240,7 @@ class Catalogue:
         number, position = self.matrix.places(np.array([self.row(key)]))[0].tolist()
         return self._shard_names[number], position
 
-    def cases(self, rows: NDArray[np.int64]) -> Iterator[tuple[Entry, Outcome]]:
+    def cases(self, rows: IntArray) -> Iterator[tuple[Entry, Outcome]]:
         """Cases of some rows of :attr:`matrix` in full, in the order of the rows; only their shards are read.
 
         Raises
@@ -251,7 +252,7 @@ class Catalogue:
             shard = self._kept(self._shard_names[number])
             yield shard.entry(position), shard.outcome(position)
 
-    def parts(self, rows: NDArray[np.int64]) -> Iterator[tuple[Shard, NDArray[np.int64]]]:
+    def parts(self, rows: IntArray) -> Iterator[tuple[Shard, IntArray]]:
         """Shards that hold cases of some rows, and their positions there; rows of a shard must follow each other.
 
         Raises

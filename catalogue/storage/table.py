@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 TextArray = NDArray[np.str_]
 
 
@@ -57,7 +56,7 @@ class EntryTable:
     law: TextArray
     joints: tuple[str, ...]
     clearance: FloatArray
-    worn: NDArray[np.bool_]
+    worn: BoolArray
     parameters: Mapping[str, FloatArray]
     draw: IntArray
     speed: FloatArray
@@ -84,7 +83,7 @@ class EntryTable:
         places = zip(first.tolist(), labels.tolist(), strict=True)
         return tuple(Hypothesis(label, self.worn_of(row)) for row, label in sorted(places))
 
-    def rows(self, keep: NDArray[np.bool_] | NDArray[np.integer]) -> EntryTable:
+    def rows(self, keep: BoolArray | NDArray[np.integer]) -> EntryTable:
         """The table of some rows, by mask or by number."""
         values: dict[str, object] = {field.name: getattr(self, field.name) for field in fields(self)}
         for name, value in values.items():

@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import STEP_RULES, Accuracy
 from jointplay.solver.equations.links import LinkMotion
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 MOTIONS = ("x", "y", "theta")
 WINDOW_REVOLUTIONS = 4.0
@@ -172,11 +171,11 @@ class History:
     case: Case
     status: Status
     message: str
-    t: Array
-    displacement: Array
-    velocity: Array
-    acceleration: Array
-    band_limited_acceleration: Array
+    t: FloatArray
+    displacement: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    band_limited_acceleration: FloatArray
     sample_rate: float
     transient: float
     drive_speed: float
@@ -192,7 +191,7 @@ class History:
 
     def spectrum(
         self,
-        signals: Array | None = None,
+        signals: FloatArray | None = None,
         channels: tuple[str, ...] = MOTIONS,
         point: str = "centre of gravity of the frame, global axes",
     ) -> Spectrum:
@@ -225,7 +224,7 @@ class History:
         flat = found.frequency <= FLAT_PART * self.sample_rate
         return replace(found, frequency=found.frequency[flat], values=found.values[flat])
 
-    def at_sensors(self, machine: Machine, acceleration: Array | None = None) -> Array:
+    def at_sensors(self, machine: Machine, acceleration: FloatArray | None = None) -> FloatArray:
         """Return what the sensors of a machine feel (n, s) [m/s2], in the order of its file.
 
         Parameters
@@ -271,12 +270,12 @@ class History:
         return xr.Dataset(content, {"t": self.t, "motion": list(MOTIONS)}, told)
 
     @property
-    def _motion(self) -> Mapping[str, Array]:
+    def _motion(self) -> Mapping[str, FloatArray]:
         names = ("displacement", "velocity", "acceleration", "band_limited_acceleration")
         return {name: getattr(self, name) for name in names}
 
     @cached_property
-    def steadiness_db(self) -> Array:
+    def steadiness_db(self) -> FloatArray:
         """Change of the mean square acceleration from the first to the second half after the transient, dB, (3,)."""
         steady = self.band_limited_acceleration[self.t >= self.transient]
         half = len(steady) // 2

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.rates import friction_rate
 from jointplay.solver.cases.start import follow, walk
 from jointplay.solver.cases.steps import contact_mobility
@@ -19,8 +19,6 @@ from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
-
-Array = NDArray[np.float64]
 
 #: Numbers by path, as a key of a cache.
 _Numbers = tuple[tuple[str, float], ...]
@@ -71,7 +69,7 @@ def _moving(machine: Machine) -> Machine:
 
 
 @keep_by_machine(MODELS_KEPT)
-def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, Array]]:
+def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, FloatArray]]:
     """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`."""
     model = _turning(machine, joints, _paths(motion))
     poses = walk(model, model.vector(dict(motion)), 1.0)
@@ -85,7 +83,7 @@ def _mobility(machine: Machine, joints: tuple[str, ...], motion: _Numbers, masse
     return contact_mobility(model, _poses(machine, joints, motion), model.vector(dict(numbers)))
 
 
-def link_motion(machine: Machine, positions: int) -> Mapping[str, Array]:
+def link_motion(machine: Machine, positions: int) -> Mapping[str, FloatArray]:
     """How the links of the ideal machine go through one period of its drive, seen from the frame.
 
     Parameters

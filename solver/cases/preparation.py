@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Settings
 from jointplay.solver.cases.positions import check_travel, mobility_of, rubbing_rate
 from jointplay.solver.cases.rates import contact_rates, pace_of, without_sliding_friction
@@ -29,8 +29,6 @@ from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 from jointplay.solver.machines.rules import restitution_remarks
-
-Array = NDArray[np.float64]
 
 #: Longest run, steps or samples of one case: refused beyond, so that a mistyped duration does not run for days.
 MOST_STEPS = 2_000_000_000
@@ -81,9 +79,9 @@ class Prepared:
 
     index: int
     vector: list[float]
-    z: Array
-    v: Array
-    memory: Array
+    z: FloatArray
+    v: FloatArray
+    memory: FloatArray
     begin: float
     speed: float
     transient: float
@@ -120,7 +118,7 @@ def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...
 class _Smooth:
     """Motions between impacts: eigenvalues of all, 1/s, and the modes of the suspension under the rigid machine."""
 
-    eigenvalues: Array
+    eigenvalues: FloatArray
     suspension: tuple[complex, ...]
 
 
@@ -207,7 +205,7 @@ def prepare(
 @keep_by_machine(1024)
 def _start(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: tuple[tuple[str, float], ...]
-) -> tuple[Array, Array]:
+) -> tuple[FloatArray, FloatArray]:
     """Coordinates and velocities of the start: pins are concentric in it, so that no contact number matters."""
     model = model_of(machine, joints, varying)
     standing = model if machine.initial.pose == "drawn" else _standing(machine, joints, varying)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.start import inner_coordinates
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
 from jointplay.solver.equations.model import Model
@@ -97,8 +97,6 @@ def _rates(machine: Machine, joint: str, w: float, values: Mapping[str, float], 
     return ContactRates(math.sqrt(n * stiffness * depth ** (n - 1)), decay + drag)
 
 
-Array = NDArray[np.float64]
-
 _NUMBERS = ("clearance", "stiffness", "friction", "friction_velocity")
 
 
@@ -110,7 +108,7 @@ def without_sliding_friction(machine: Machine) -> Machine:
 
 
 def friction_rate(
-    model: Model, poses: Sequence[tuple[float, Array]], p: Sequence[float], values: Mapping[str, float],
+    model: Model, poses: Sequence[tuple[float, FloatArray]], p: Sequence[float], values: Mapping[str, float],
     mobility: Mapping[str, float],
 ) -> float:  # fmt: skip
     """Largest rate of the friction of all joints, 1/s.
@@ -159,7 +157,7 @@ def friction_rate(
     return max(rates)
 
 
-def _ideal_reactions(model: Model, t: float, z: Array, p: Sequence[float]) -> Array:
+def _ideal_reactions(model: Model, t: float, z: FloatArray, p: Sequence[float]) -> FloatArray:
     """Multipliers of closures and eccentricities, pins kept concentric; without friction, from a frame at rest."""
     v = np.zeros(model.size)
     _, jacobian, drift = evaluate(model.constraint, t, z, v, p)

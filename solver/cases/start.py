@@ -10,15 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
-
-Array = NDArray[np.float64]
 
 #: Closures count as closed below this (m, rad): some thousand times rounding at the size of a machine.
 CLOSED = 1e-11
@@ -29,7 +27,9 @@ NEWTON_STEPS = 30
 _WALK_STEPS = 120
 
 
-def close(model: Model, t: float, z: Array, p: Sequence[float], free: Sequence[int]) -> tuple[Array, float, str]:
+def close(
+    model: Model, t: float, z: FloatArray, p: Sequence[float], free: Sequence[int]
+) -> tuple[FloatArray, float, str]:
     """Newton on closures and concentric pins, moving the `free` coordinates as little as possible.
 
     Returns the coordinates, the largest remaining gap and the name of the closure that has it.
@@ -67,7 +67,7 @@ def drive_period(model: Model, speed: float) -> float:
     return 0.0
 
 
-def walk(model: Model, p: Sequence[float], speed: float, steps: int = _WALK_STEPS) -> list[tuple[float, Array]]:
+def walk(model: Model, p: Sequence[float], speed: float, steps: int = _WALK_STEPS) -> list[tuple[float, FloatArray]]:
     """Assembled poses of the ideal machine over one period of the drive, the frame where it was drawn.
 
     Parameters
@@ -94,11 +94,11 @@ def walk(model: Model, p: Sequence[float], speed: float, steps: int = _WALK_STEP
     return follow(model, p, [period * k / steps for k in range(steps)] if period else [0.0])
 
 
-def follow(model: Model, p: Sequence[float], times: Sequence[float]) -> list[tuple[float, Array]]:
+def follow(model: Model, p: Sequence[float], times: Sequence[float]) -> list[tuple[float, FloatArray]]:
     """Assembled poses of the ideal machine at given times of its drive, each from the one before; as :func:`walk`."""
     check_closures(model, p)
     free = inner_coordinates(model)
-    poses: list[tuple[float, Array]] = []
+    poses: list[tuple[float, FloatArray]] = []
     z = np.zeros(model.size)
     previous = 0.0
     for t in times:
@@ -121,7 +121,7 @@ def check_closures(model: Model, p: Sequence[float]) -> None:
     closures = model.kinematics.closures
     rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1][: len(closures)]
     scale = float(np.abs(rows).max(initial=0.0))
-    basis: list[Array] = []
+    basis: list[FloatArray] = []
     for closure, row in zip(closures, rows, strict=True):
         size = float(np.linalg.norm(row))
         left = row.copy()
@@ -140,8 +140,8 @@ def check_closures(model: Model, p: Sequence[float]) -> None:
 
 
 def _last_pose(
-    model: Model, p: Sequence[float], z: Array, good: float, bad: float, free: Sequence[int]
-) -> tuple[float, Array]:
+    model: Model, p: Sequence[float], z: FloatArray, good: float, bad: float, free: Sequence[int]
+) -> tuple[float, FloatArray]:
     """Time and coordinates of the last pose that closes, between one that does and one that does not."""
     for _ in range(12):
         middle = 0.5 * (good + bad)
@@ -159,7 +159,7 @@ def _place(closure: str) -> str:
     return f"links.{owner}.locked" if kind.startswith("locked") else f"joints.{owner}"
 
 
-def _cannot_assemble(model: Model, p: Sequence[float], t: float, z: Array, gap: float, name: str) -> AssemblyError:
+def _cannot_assemble(model: Model, p: Sequence[float], t: float, z: FloatArray, gap: float, name: str) -> AssemblyError:
     """Refusal after the last pose `z` that closes, at time `t`; `gap` is what stays open at the next of the walk."""
     machine, kin = model.machine, model.kinematics
     where = "as drawn"
@@ -185,13 +185,13 @@ class Start:
     Without the last, a contact at the start begins there.
     """
 
-    z: Array
-    v: Array
+    z: FloatArray
+    v: FloatArray
     t: float = 0.0
-    memory: Array = field(default_factory=lambda: np.zeros(0))
+    memory: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
-def start_pose(model: Model, p: Sequence[float]) -> Array:
+def start_pose(model: Model, p: Sequence[float]) -> FloatArray:
     """Coordinates at t = 0: as drawn, or in static equilibrium with the drive standing and pins concentric.
 
     Parameters
@@ -225,7 +225,7 @@ def start_pose(model: Model, p: Sequence[float]) -> Array:
     raise AssemblyError(model.machine.name, "initial.pose", "equilibrium", rule)
 
 
-def start_velocity(model: Model, p: Sequence[float], z: Array) -> Array:
+def start_velocity(model: Model, p: Sequence[float], z: FloatArray) -> FloatArray:
     """Velocities of the ideal machine: constraints and drive fulfilled, what was given kept, the frame at rest.
 
     What is left open is the least mass-weighted motion.
@@ -257,8 +257,8 @@ def start_velocity(model: Model, p: Sequence[float], z: Array) -> Array:
 
 
 def least_velocity(
-    model: Model, t: float, p: Sequence[float], z: Array, rows: Array, right: Array, field: str = "drive"
-) -> Array:
+    model: Model, t: float, p: Sequence[float], z: FloatArray, rows: FloatArray, right: FloatArray, field: str = "drive"
+) -> FloatArray:
     """The least mass-weighted velocities that fulfil closures, concentric pins and drive, and `rows` v = `right`.
 
     Parameters
@@ -300,7 +300,7 @@ def least_velocity(
 
 
 def start_with_frame(
-    model: Model, p: Sequence[float], t: float, pose: Array, displacement: Array, velocity: Array
+    model: Model, p: Sequence[float], t: float, pose: FloatArray, displacement: FloatArray, velocity: FloatArray
 ) -> Start:
     """The machine at a time of its drive with its frame moving as given, everything else following.
 

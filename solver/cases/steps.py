@@ -9,14 +9,13 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.rates import ContactRates
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
 
-Array = NDArray[np.float64]
 Accuracy = Literal["draft", "standard", "reference"]
 
 
@@ -67,7 +66,7 @@ LEAST_RESPONSE = 1e-3
 UNDAMPED = 1e-4
 
 
-def contact_mobility(model: Model, poses: Sequence[tuple[float, Array]], p: Sequence[float]) -> dict[str, float]:
+def contact_mobility(model: Model, poses: Sequence[tuple[float, FloatArray]], p: Sequence[float]) -> dict[str, float]:
     """Largest mobility (1/kg, one over the effective mass) of each clearance joint over the given poses.
 
     Parameters
@@ -98,13 +97,13 @@ def contact_mobility(model: Model, poses: Sequence[tuple[float, Array]], p: Sequ
     return largest
 
 
-def _stack(columns: ca.DM, count: int) -> Array:
+def _stack(columns: ca.DM, count: int) -> FloatArray:
     """Matrices that stand side by side as an array (count, rows, columns)."""
     side_by_side = np.asarray(columns.full())
     return side_by_side.reshape(len(side_by_side), count, -1).swapaxes(0, 1)
 
 
-def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
+def smooth_eigenvalues(model: Model, p: Sequence[float]) -> FloatArray:
     """Eigenvalues (1/s, complex) of small motions about the drawn pose.
 
     Parameters
@@ -129,7 +128,7 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> Array:
 
 
 def largest_step(
-    rule: StepRule, contacts: Iterable[ContactRates], eigenvalues: Array, speed: float, rubbing: float = 0.0
+    rule: StepRule, contacts: Iterable[ContactRates], eigenvalues: FloatArray, speed: float, rubbing: float = 0.0
 ) -> float:
     """Longest step that a rule allows a case, s; infinite where nothing moves.
 

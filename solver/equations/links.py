@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.equations.geometry import Complex
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.equations.numbers import contact_paths
 from jointplay.solver.machines.kept import keep_by_machine
 from jointplay.solver.machines.machine import Machine
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +35,10 @@ class LinkMotion:
     """
 
     links: tuple[str, ...]
-    displacement: Array
-    velocity: Array
-    acceleration: Array
-    reactions: dict[str, Array]
+    displacement: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    reactions: dict[str, FloatArray]
 
 
 @keep_by_machine(16)
@@ -97,7 +95,7 @@ def _pair(vector: ca.SX, row: int) -> Complex:
 
 
 def link_motion(
-    reduced: Model, p: list[float], t: Array, z: Array, v: Array, memory: Array | None = None
+    reduced: Model, p: list[float], t: FloatArray, z: FloatArray, v: FloatArray, memory: FloatArray | None = None
 ) -> LinkMotion:
     """Evaluate links and reactions at recorded states.
 
@@ -125,7 +123,7 @@ def link_motion(
     parts = [np.asarray(part.full()).T[:count] for part in evaluate(t[None, :], z.T, v.T, columns, memory.T)]
     names = tuple(reduced.machine.links)
     motion = [part.reshape(count, len(names), 3) for part in parts[:3]]
-    reactions: dict[str, Array] = {}
+    reactions: dict[str, FloatArray] = {}
     for name, column in zip(_names(full), parts[3].T, strict=True):
         reactions[name] = np.column_stack([reactions[name], column]) if name in reactions else column
     return LinkMotion(names, motion[0], motion[1], motion[2], reactions)

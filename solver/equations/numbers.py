@@ -7,8 +7,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
@@ -78,10 +79,7 @@ class Numbers:
         return tuple(path for path in self._symbols if path not in self._nominal)
 
 
-Array = NDArray[np.float64]
-
-
-def evaluate(function: ca.Function, *arguments: ArrayLike) -> list[Array]:
+def evaluate(function: ca.Function, *arguments: ArrayLike) -> list[FloatArray]:
     """Call a function with dense arguments and outputs.
 
     Parameters

@@ -6,11 +6,7 @@ contact begins or ends to push. A lane whose case has ended takes the next one f
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.compiler.compiled import compiled, inlined
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.rows import Rows
@@ -35,13 +31,9 @@ from jointplay.solver.integrators.gill import DIVERGED, PATIENCE, call
 from jointplay.solver.integrators.lane_work import load, put_away, restore_closures
 from jointplay.solver.integrators.lanes import BUSY, NEXT, STALE, Lanes, Queue, Records
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Structured = NDArray[Any]
-
 
 @inlined
-def _remember_impacts(w: Array, rows: Rows[int], remembering: Integers, lane: int) -> None:
+def _remember_impacts(w: FloatArray, rows: Rows[int], remembering: IntArray, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
         contact = remembering[m]
@@ -49,7 +41,7 @@ def _remember_impacts(w: Array, rows: Rows[int], remembering: Integers, lane: in
 
 
 @inlined
-def _remember_contacts(w: Array, rows: Rows[int], lane: int, old: Array) -> None:
+def _remember_contacts(w: FloatArray, rows: Rows[int], lane: int, old: FloatArray) -> None:
     """Penetration, its rate and the switch function now are those at the start of the next step."""
     for j in range(rows.switch - rows.touching):
         old[0, j, lane] = w[rows.penetration + j, lane]
@@ -59,7 +51,7 @@ def _remember_contacts(w: Array, rows: Rows[int], lane: int, old: Array) -> None
 
 @inlined
 def _first_switch(
-    w: Array, rows: Rows[int], lane: int, step: float, precision: float, shortest: float, old: Array
+    w: FloatArray, rows: Rows[int], lane: int, step: float, precision: float, shortest: float, old: FloatArray
 ) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step (-1 for none), and the shorter step to it, or 0.
 
@@ -83,7 +75,7 @@ def _first_switch(
 
 
 @inlined
-def _switch(w: Array, rows: Rows[int], lane: int, event: int) -> bool:
+def _switch(w: FloatArray, rows: Rows[int], lane: int, event: int) -> bool:
     """Let the contact of the event push or cease to, with those that switched at the same time; whether it pushes."""
     for j in range(rows.switch - rows.touching):
         pushes = w[rows.touching + j, lane] > 0.5
@@ -93,7 +85,7 @@ def _switch(w: Array, rows: Rows[int], lane: int, event: int) -> bool:
 
 
 @inlined
-def _any_contact(w: Array, rows: Rows[int], lane: int) -> bool:
+def _any_contact(w: FloatArray, rows: Rows[int], lane: int) -> bool:
     """Whether any contact of the lane pushes over the step."""
     pushing = 0.0
     for i in range(rows.touching, rows.switch):
@@ -103,7 +95,7 @@ def _any_contact(w: Array, rows: Rows[int], lane: int) -> bool:
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: Array, rows: Rows[int], queue: Queue, records: Records, state: Lanes
+    kernel: tuple[int, int, int, int], w: FloatArray, rows: Rows[int], queue: Queue, records: Records, state: Lanes
 ) -> None:  # fmt: skip
     """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.compiler.compiled import inlined
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
 
@@ -258,7 +256,7 @@ def next_step(
 
 
 @inlined
-def remember(w: NDArray[np.float64], memory: int, penetration: int, approach: int, lane: int) -> None:
+def remember(w: FloatArray, memory: int, penetration: int, approach: int, lane: int) -> None:
     """What one contact remembers (:mod:`jointplay.solver.equations.contact`), brought up to date with an accepted
     state.
 

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.compiler.compiled import compiled, inlined
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.integrators.lanes import GROUP, PHASES
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @compiled
@@ -139,9 +135,9 @@ _write_in_turn: Any = intrinsic(_in_turn)
 
 @inlined
 def record(
-    w: Array, rows: Rows[int], lane: int, begin: float, t: float, step: float, first: int, last: int,
-    slot: int, channels: Integers, interval: float, head: int, velocities: Array,
-    coordinates: Array, accelerations: Array, memories: Array,
+    w: FloatArray, rows: Rows[int], lane: int, begin: float, t: float, step: float, first: int, last: int,
+    slot: int, channels: IntArray, interval: float, head: int, velocities: FloatArray,
+    coordinates: FloatArray, accelerations: FloatArray, memories: FloatArray,
 ) -> None:  # fmt: skip
     """Write the samples `first` ... `last` - 1, which lie within the step.
 

@@ -17,8 +17,8 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.compiler.compiled import compiled
 from jointplay.solver.compiler.ir import LANES, Block
 from jointplay.solver.compiler.rows import Rows, work_rows
@@ -90,7 +90,7 @@ call: Any = intrinsic(_call)
 
 
 @compiled
-def _remember(w: NDArray[np.float64], rows: Rows[int]) -> None:
+def _remember(w: FloatArray, rows: Rows[int]) -> None:
     """Memories of all lanes after the right-hand side of an accepted state.
 
     It need not be evaluated again: with nothing remembered it took the same velocity that is remembered now.
@@ -101,7 +101,7 @@ def _remember(w: NDArray[np.float64], rows: Rows[int]) -> None:
 
 
 @compiled
-def _note(w: NDArray[np.float64], rows: Rows[int], lane: int, how: int, finals: NDArray[np.float64]) -> None:
+def _note(w: FloatArray, rows: Rows[int], lane: int, how: int, finals: FloatArray) -> None:
     """Keep how a lane has ended, its time and its state."""
     finals[lane, 0] = how
     finals[lane, 1] = w[rows.time, lane]
@@ -109,7 +109,7 @@ def _note(w: NDArray[np.float64], rows: Rows[int], lane: int, how: int, finals: 
 
 
 @compiled
-def _note_jams(w: NDArray[np.float64], rows: Rows[int], finals: NDArray[np.float64]) -> None:
+def _note_jams(w: FloatArray, rows: Rows[int], finals: FloatArray) -> None:
     """Keep time and state of lanes that have just jammed."""
     for lane in range(LANES):
         if finals[lane, 0] == RUNNING and w[rows.jam, lane] > 0.5:
@@ -118,9 +118,9 @@ def _note_jams(w: NDArray[np.float64], rows: Rows[int], finals: NDArray[np.float
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: NDArray[np.float64], rows: Rows[int], begins: NDArray[np.float64], h: float,
-    substeps: int, record: NDArray[np.int64], out: NDArray[np.float64], broken: NDArray[np.int64],
-    counts: NDArray[np.int64], finals: NDArray[np.float64],
+    kernel: tuple[int, int, int, int], w: FloatArray, rows: Rows[int], begins: FloatArray, h: float,
+    substeps: int, record: IntArray, out: FloatArray, broken: IntArray,
+    counts: IntArray, finals: FloatArray,
 ) -> None:  # fmt: skip
     """Integrate one group of lanes with a fixed step and record samples.
 
@@ -213,7 +213,7 @@ def integrate(
 
 
 @compiled
-def repeat(kernel: tuple[int, int, int, int], w: NDArray[np.float64], count: int) -> None:
+def repeat(kernel: tuple[int, int, int, int], w: FloatArray, count: int) -> None:
     """The right-hand side alone, `count` times; for benchmarks."""
     call(kernel[0], w)
     for _ in range(count):

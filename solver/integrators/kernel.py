@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.compiler import native
 from jointplay.solver.compiler.emit import Program, straight_line
 from jointplay.solver.compiler.ir import DECLARATIONS, LANES
@@ -48,7 +48,7 @@ class Kernel:
         """The first row of everything, for compiled code."""
         return Rows(*(rows.start for rows in self.rows))
 
-    def work_array(self) -> NDArray[np.float64]:
+    def work_array(self) -> FloatArray:
         """A zeroed, aligned work array, (rows, LANES)."""
         length = self.rows[-1].stop * LANES
         raw = np.zeros(length + _ALIGNMENT // 8)

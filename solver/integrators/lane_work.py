@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray, IntArray, StructuredArray
 from jointplay.solver.compiler.compiled import compiled, inlined
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.rows import Rows
@@ -17,15 +15,11 @@ from jointplay.solver.integrators.control import (
 from jointplay.solver.integrators.gill import LOST, call
 from jointplay.solver.integrators.lanes import BUSY, ENDED, FREE, NEXT
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Structured = NDArray[Any]
-
 
 @compiled
 def load(
-    w: Array, rows: Rows[int], cases: Structured, starts: Array, parameters: Array,
-    lanes: Structured, remembering: Integers, free: Integers, cursor: Integers,
+    w: FloatArray, rows: Rows[int], cases: StructuredArray, starts: FloatArray, parameters: FloatArray,
+    lanes: StructuredArray, remembering: IntArray, free: IntArray, cursor: IntArray,
 ) -> int:  # fmt: skip
     """Give idle lanes the next cases of the queue, as long as there is room for their records; how many got one."""
     loaded, n = 0, rows.v - rows.z
@@ -58,8 +52,8 @@ def load(
 
 @inlined
 def put_away(
-    w: Array, rows: Rows[int], lane: int, outcome: int, reached: int, cases: Structured, starts: Array,
-    lanes: Structured, ended: Integers, cursor: Integers,
+    w: FloatArray, rows: Rows[int], lane: int, outcome: int, reached: int, cases: StructuredArray, starts: FloatArray,
+    lanes: StructuredArray, ended: IntArray, cursor: IntArray,
 ) -> None:  # fmt: skip
     """Put the lane's case away: how it ended, and where it stands."""
     mine = lanes[lane]
@@ -77,7 +71,7 @@ def put_away(
 
 
 @compiled
-def restore_closures(project: int, w: Array, rows: Rows[int], lanes: Structured, saved: Array) -> bool:
+def restore_closures(project: int, w: FloatArray, rows: Rows[int], lanes: StructuredArray, saved: FloatArray) -> bool:
     """Restore the closures of the lanes that are due, and only of them; whether there were any.
 
     The others are left exactly as they are, so that no result depends on which cases run beside it.

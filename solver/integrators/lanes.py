@@ -1,21 +1,17 @@
 """What the error-controlled driver works on: the queue of cases, the state of every lane, the records of their motion.
 
-Structured arrays and named tuples, which compiled code takes as they are. Python keeps them between calls of the
+StructuredArray arrays and named tuples, which compiled code takes as they are. Python keeps them between calls of the
 driver, so that a long queue needs the records of a few cases only.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray, IntArray, StructuredArray
 from jointplay.solver.compiler.ir import LANES
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Structured = NDArray[Any]
 
 #: Samples are written in groups of so many, beyond the end of a step: what is too many is overwritten by the next one.
 GROUP = 8
@@ -65,9 +61,9 @@ class Queue(NamedTuple):
         Lane parameters.
     """
 
-    cases: Structured
-    starts: Array
-    parameters: Array
+    cases: StructuredArray
+    starts: FloatArray
+    parameters: FloatArray
 
 
 class Records(NamedTuple):
@@ -89,13 +85,13 @@ class Records(NamedTuple):
         What contacts remember, where the coordinates are wanted.
     """
 
-    channels: Integers
+    channels: IntArray
     interval: float
     head: int
-    velocities: Array
-    coordinates: Array
-    accelerations: Array
-    memories: Array
+    velocities: FloatArray
+    coordinates: FloatArray
+    accelerations: FloatArray
+    memories: FloatArray
 
 
 class Lanes(NamedTuple):
@@ -119,20 +115,20 @@ class Lanes(NamedTuple):
         computed.
     """
 
-    lanes: Structured
-    old: Array
-    saved: Array
-    remembering: Integers
-    free: Integers
-    ended: Integers
-    cursor: Integers
+    lanes: StructuredArray
+    old: FloatArray
+    saved: FloatArray
+    remembering: IntArray
+    free: IntArray
+    ended: IntArray
+    cursor: IntArray
 
 
 #: Places in :attr:`Lanes.cursor`.
 NEXT, BUSY, FREE, ENDED, STALE = range(5)
 
 
-def idle_lanes(n: int, contacts: int, remembering: Integers, slots: int) -> Lanes:
+def idle_lanes(n: int, contacts: int, remembering: IntArray, slots: int) -> Lanes:
     """Lanes without work.
 
     Parameters
@@ -156,7 +152,7 @@ def idle_lanes(n: int, contacts: int, remembering: Integers, slots: int) -> Lane
 
 
 def empty_records(
-    channels: Integers,
+    channels: IntArray,
     interval: float,
     head: int,
     slots: int,

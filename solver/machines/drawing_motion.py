@@ -7,13 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.drawing import MARGIN, Sheet, svg_class
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.shapes import JointMark, machine_shapes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class MovingDrawing:
     transforms: Mapping[str, tuple[str, ...]]
 
 
-def moving_drawing(machine: Machine, motion: Mapping[str, Array]) -> MovingDrawing:
+def moving_drawing(machine: Machine, motion: Mapping[str, FloatArray]) -> MovingDrawing:
     """Return how the drawing of a machine follows the motion of its links.
 
     Parameters
@@ -65,13 +63,13 @@ def _own_class(kind: str, name: str) -> str:
     return svg_class(kind, name).split(" ", 1)[1]
 
 
-def _points(poses: Array, cg: tuple[float, float], point: tuple[float, float]) -> Array:
+def _points(poses: FloatArray, cg: tuple[float, float], point: tuple[float, float]) -> FloatArray:
     """Where a point of a link is, (n, 2), m."""
     turned = np.exp(1j * poses[:, 2]) * complex(point[0] - cg[0], point[1] - cg[1])
     return np.column_stack([poses[:, 0] + turned.real, poses[:, 1] + turned.imag])
 
 
-def _transforms(sheet: Sheet, cg: tuple[float, float], poses: Array) -> tuple[str, ...]:
+def _transforms(sheet: Sheet, cg: tuple[float, float], poses: FloatArray) -> tuple[str, ...]:
     at = sheet(cg)
     return tuple(
         f"translate({_number((x - cg[0]) * sheet.scale)} {_number((cg[1] - y) * sheet.scale)}) "
@@ -80,7 +78,7 @@ def _transforms(sheet: Sheet, cg: tuple[float, float], poses: Array) -> tuple[st
     )
 
 
-def _shifts(sheet: Sheet, machine: Machine, joint: JointMark, motion: Mapping[str, Array]) -> tuple[str, ...]:
+def _shifts(sheet: Sheet, machine: Machine, joint: JointMark, motion: Mapping[str, FloatArray]) -> tuple[str, ...]:
     """Pins and names stay upright: they are moved and not turned."""
     carrier = joint.links[0]
     points = _points(motion[carrier], machine.links[carrier].cg, joint.at)
@@ -95,7 +93,7 @@ def _number(value: float, digits: int = 1) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def _view_box(sheet: Sheet, points: Array) -> str:
+def _view_box(sheet: Sheet, points: FloatArray) -> str:
     """The drawing's own view, wider where a link goes beyond it."""
     (left, top), (right, bottom) = (
         sheet((points[:, 0].min(), points[:, 1].max())),

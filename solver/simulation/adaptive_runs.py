@@ -6,8 +6,8 @@ import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import Prepared, model_of
 from jointplay.solver.cases.rates import error_scales
@@ -31,8 +31,6 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, describe_failure, samples_of
 from jointplay.solver.spectra import sampling
-
-Array = NDArray[np.float64]
 
 #: Scaled error of a step that each level of accuracy allows, from measured harmonic errors: docs/measured/solver.md.
 TOLERANCES = {"draft": 1e-5, "standard": 1e-6, "reference": 1e-9}
@@ -132,7 +130,7 @@ def _run(model: Model, case: Prepared, queue: Queue, index: int, records: Record
     return Run(case, status, message, z, velocities, samples, a, memory, final, step, seconds)
 
 
-def how_it_ended(model: Model, case: Prepared, outcome: int, final: Array, reached: float) -> tuple[Status, str]:
+def how_it_ended(model: Model, case: Prepared, outcome: int, final: FloatArray, reached: float) -> tuple[Status, str]:
     """Status and message of an error-controlled run.
 
     Parameters

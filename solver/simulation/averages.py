@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.simulation.blocks import MOTIONS, BlockSpectra
 from jointplay.solver.spectra.harmonics import FLOOR_DB
-from jointplay.solver.spectra.segments import FloatArray
 
 #: dB per part by which a power changes.
 _DB_PER_PART = 10 / math.log(10)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.start import Start
 from jointplay.solver.compiler.ir import LANES
@@ -18,7 +19,7 @@ from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 from jointplay.solver.spectra.sampling import PASS
-from jointplay.solver.spectra.segments import FloatArray, revolution_segments
+from jointplay.solver.spectra.segments import revolution_segments
 from jointplay.solver.spectra.sensor import sensor_signals
 from jointplay.solver.spectra.spectrum import frame_units
 

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Case, Status
 from jointplay.solver.cases.steps import SETTLING_REVOLUTIONS
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.simulation.averages import overall
 from jointplay.solver.simulation.blocks import BLOCK, MOTIONS, SEEN
-from jointplay.solver.spectra.segments import FloatArray
 
 EnsembleKind = Literal["perturbation", "phase"]
 #: Blocks that are the least to judge by.

@@ -8,7 +8,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import Prepared, model_of
@@ -21,8 +20,6 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, describe_failure, samples_of
 from jointplay.solver.spectra import sampling
-
-Array = NDArray[np.float64]
 
 
 def _round_number(count: int) -> int:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
-
-Array = NDArray[np.float64]
 
 #: A joint that is slower than its friction velocity is held where its acceleration is below this part of what its
 #: friction could give: a joint that only turns round has its largest acceleration there.
@@ -21,7 +19,7 @@ _STANDING = 1e-6
 _SATURATED = 3.0
 
 
-def jam_message(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> str:
+def jam_message(model: Model, t: float, z: FloatArray, v: FloatArray, p: Sequence[float]) -> str:
     """Which joint jams, from the state before: that with the most friction times leverage, and others above 1.
 
     Parameters
@@ -46,7 +44,7 @@ def jam_message(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) 
     )
 
 
-def hold_remark(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> str:
+def hold_remark(model: Model, t: float, z: FloatArray, v: FloatArray, p: Sequence[float]) -> str:
     """Remark on a joint that its friction holds at the end of a run; empty where there is none.
 
     The friction law has no standstill: a joint that friction would hold creeps, slower than its friction velocity. It
@@ -79,7 +77,7 @@ def hold_remark(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) 
     return "; ".join(remarks)
 
 
-def failure_remark(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> str:
+def failure_remark(model: Model, t: float, z: FloatArray, v: FloatArray, p: Sequence[float]) -> str:
     """Joints that can lock themselves, or that friction holds, at the end of a run that failed, and a cure.
 
     Parameters
@@ -111,5 +109,5 @@ def failure_remark(model: Model, t: float, z: Array, v: Array, p: Sequence[float
     return f"{'; '.join(remarks)}; lower the friction, or raise the friction velocity" if remarks else ""
 
 
-def _state(model: Model, t: float, z: Array, v: Array, p: Sequence[float]) -> list[Array]:
+def _state(model: Model, t: float, z: FloatArray, v: FloatArray, p: Sequence[float]) -> list[FloatArray]:
     return [part[:, 0] for part in evaluate(model.rubbing_state, t, z, v, p)]

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.integrators.lanes import PHASES
 from jointplay.solver.spectra import sampling
-
-Array = NDArray[np.float64]
 
 #: Recorded samples per sample asked for; at least 2 so that nothing folds below 0.4 of the sample rate.
 OVERSAMPLING = PHASES
@@ -49,12 +45,12 @@ class Run:
     case: Prepared
     status: Status
     message: str
-    z: Array | None
-    v: Array
+    z: FloatArray | None
+    v: FloatArray
     samples: int
-    a: Array | None
-    memory: Array | None
-    final: Array
+    a: FloatArray | None
+    memory: FloatArray | None
+    final: FloatArray
     step: float
     seconds: float
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.preparation import Prepared
@@ -26,8 +26,6 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run
 from jointplay.solver.spectra import sampling
-
-Array = NDArray[np.float64]
 
 #: Part of the transient as drawn that is still dropped, in whole revolutions: what the wear itself adds to the motion
 #: of the frame decays as slowly as the suspension. Chosen from measured spectra, ``docs/measured/solver.md``.
@@ -124,7 +122,7 @@ def _started(model: Model, case: Prepared, run: Run, sample_rate: float) -> Prep
     return replace(case, z=start.z, v=start.v, transient=dropped, duration=case.duration - case.transient + dropped)
 
 
-def _end_of_transient(run: Run, sample_rate: float) -> tuple[Array, Array]:
+def _end_of_transient(run: Run, sample_rate: float) -> tuple[FloatArray, FloatArray]:
     """Displacement and velocity of the frame at the end of the healthy machine's transient, whole revolutions."""
     assert run.z is not None and run.a is not None
     last = run.case.transient * sample_rate
@@ -134,7 +132,7 @@ def _end_of_transient(run: Run, sample_rate: float) -> tuple[Array, Array]:
     return _cubic(z, v / sample_rate, at), _cubic(v, a / sample_rate, at)
 
 
-def _cubic(values: Array, slopes: Array, at: float) -> Array:
+def _cubic(values: FloatArray, slopes: FloatArray, at: float) -> FloatArray:
     """Between two samples with slopes, (r, 2) each, 0 <= `at` <= 1 of the way from the first to the second."""
     left, right = values.T
     down, up = slopes.T

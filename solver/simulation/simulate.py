@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.positions import mobility_of
@@ -25,8 +25,6 @@ from jointplay.solver.simulation.gill_runs import gill_runs
 from jointplay.solver.simulation.recorded import OVERSAMPLING, Run
 from jointplay.solver.simulation.settling import settle
 from jointplay.solver.spectra import sampling
-
-Array = NDArray[np.float64]
 
 
 def check_assembly(machine: Machine) -> None:
@@ -145,7 +143,7 @@ def _end(run: Run) -> Start:
     return Start(z, v, float(run.final[0]), memory)
 
 
-def _hold(run: Run, count: int) -> Array:
+def _hold(run: Run, count: int) -> FloatArray:
     """Velocities of a case that failed, its last ones held for as long as the filter needs."""
     flat = run.v[:, :, sampling.head(OVERSAMPLING) :].swapaxes(1, 2).reshape(len(run.v), -1)[:, : run.samples]
     missing = (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1 - run.samples
@@ -165,7 +163,7 @@ def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: 
     first = 0 if settings.transient else min(count, _first_after(run.case.transient, settings.sample_rate))
     rows = {column: recorded.index(i) for column, i in enumerate(model.frame_indices) if i is not None}
 
-    def frame(motion: Array | None) -> Array:
+    def frame(motion: FloatArray | None) -> FloatArray:
         if motion is None:
             return np.zeros((0, 3))
         columns = np.zeros((3, count - first))

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.start import Start, start_with_frame, walk
@@ -17,7 +18,6 @@ from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.machines.fault import HEALTHY
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate
-from jointplay.solver.spectra.segments import FloatArray
 
 #: Samples of the healthy machine in a revolution: phases are met to a degree.
 PHASES = 360

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import extent_of
@@ -28,7 +29,6 @@ from jointplay.solver.spectra.harmonics import (
     order_band_levels,
     whole_rate,
 )
-from jointplay.solver.spectra.segments import FloatArray
 
 #: Tolerances of ``adaptive`` that are measured, and those that may serve as the reference, the tightest first.
 RUNGS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)

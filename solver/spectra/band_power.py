@@ -14,10 +14,11 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from jointplay.solver.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from jointplay.solver.compiler.compiled import compiled
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.spectra.bands import BandScheme
-from jointplay.solver.spectra.segments import ComplexArray, FloatArray, Segmentation, revolution_segments
+from jointplay.solver.spectra.segments import Segmentation, revolution_segments
 
 #: Window of the band estimator in drive revolutions, and the step from one window to the next.
 WINDOW_REVOLUTIONS = 3.0
@@ -65,7 +66,7 @@ class BandMatrix:
     spread_db: FloatArray
     segments: int
     degrees_of_freedom: FloatArray
-    covered: npt.NDArray[np.bool_]
+    covered: BoolArray
     scheme: BandScheme
     drive_speed: float
     sample_rate: float
@@ -279,7 +280,7 @@ def _sum_bands(spectrum: ComplexArray, limits: FloatArray, end: float, auto: Flo
 def _sum_cyclic(
     spectrum: ComplexArray,
     limits: FloatArray,
-    apart: npt.NDArray[np.int64],
+    apart: IntArray,
     turns: ComplexArray,
     end: float,
     cyclic: ComplexArray,

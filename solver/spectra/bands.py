@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.spectra.segments import FloatArray
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
-from jointplay.solver.spectra.segments import FloatArray
 
 #: Multiples of the drive's frequency that are compared, and the highest frequency among them, Hz.
 HARMONICS = 200
@@ -90,7 +90,7 @@ def order_band_levels(signal: npt.ArrayLike, sample_rate: float, frequency: floa
     return np.asarray(10 * np.log10(np.maximum(found.auto_power[:, 0], np.finfo(np.float64).tiny)))
 
 
-def find_comparable(reference: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+def find_comparable(reference: npt.ArrayLike) -> BoolArray:
     """Which of the reference's levels (dB) stand far enough out to be compared."""
     levels = np.asarray(reference)
     return np.asarray(levels > levels.max() - FLOOR_DB)

@@ -14,11 +14,9 @@ from __future__ import annotations
 from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.compiler.compiled import compiled
-
-Array = NDArray[np.float64]
 
 #: Pass band ends, and stop band begins, at these parts of the sample rate: what folds lands above PASS.
 PASS, STOP = 0.4, 0.6
@@ -28,7 +26,7 @@ _BLOCK = 1024
 
 
 @cache
-def _filter(oversampling: int) -> Array:
+def _filter(oversampling: int) -> FloatArray:
     """Low-pass with the inverse sinc in its pass band; even length, so that it centres between two samples."""
     from scipy import signal  # takes half a second to load, which a server can begin without
 
@@ -54,7 +52,7 @@ def head(oversampling: int) -> int:
     return -(-reach(oversampling) // oversampling)
 
 
-def phases(velocity: Array, oversampling: int) -> Array:
+def phases(velocity: FloatArray, oversampling: int) -> FloatArray:
     """Velocities as the filter takes them: every `oversampling`-th one, from the first on, then from the second on ...
 
     Parameters
@@ -74,8 +72,8 @@ def phases(velocity: Array, oversampling: int) -> Array:
 
 
 def band_limited_acceleration(
-    velocity: Array, rate: float, count: int, out: Array | None = None, *, first: int = 0
-) -> Array:
+    velocity: FloatArray, rate: float, count: int, out: FloatArray | None = None, *, first: int = 0
+) -> FloatArray:
     """Acceleration at the reduced rate, flat to 0.4 of it; for aliases see the module.
 
     Parameters
@@ -114,7 +112,7 @@ def band_limited_acceleration(
 
 
 @partial(compiled, fastmath={"contract", "nsz"})
-def _add(weight: float, values: Array, sums: Array) -> None:
+def _add(weight: float, values: FloatArray, sums: FloatArray) -> None:
     """Add weighted values to sums."""
     for k in range(sums.size):
         sums[k] += weight * values[k]
@@ -122,7 +120,15 @@ def _add(weight: float, values: Array, sums: Array) -> None:
 
 @partial(compiled, fastmath={"contract", "nsz"})
 def _add_four(
-    w0: float, w1: float, w2: float, w3: float, x0: Array, x1: Array, x2: Array, x3: Array, sums: Array
+    w0: float,
+    w1: float,
+    w2: float,
+    w3: float,
+    x0: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    x3: FloatArray,
+    sums: FloatArray,
 ) -> None:
     """Add four weighted rows to sums: fewer passes over them than one at a time."""
     for k in range(sums.size):
@@ -130,7 +136,7 @@ def _add_four(
 
 
 @compiled
-def _decimate(velocity: Array, weights: Array, offset: int, room: Array, out: Array) -> None:
+def _decimate(velocity: FloatArray, weights: FloatArray, offset: int, room: FloatArray, out: FloatArray) -> None:
     """Scalar products of the weights with every window, which begin at `offset`, a block of them at a time."""
     step, count, fours = velocity.shape[1], out.shape[1], weights.size - weights.size % 4
     for row in range(out.shape[0]):

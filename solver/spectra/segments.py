@@ -14,10 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.errors import SettingsError
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: How far a window may be longer or shorter than whole revolutions for the sake of a fast transform. At order 20 and
 #: three revolutions a window this shifts a line by 0.06 of a spectral line: no leakage to speak of.

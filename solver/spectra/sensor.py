@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.spectra.segments import FloatArray
 
 #: Ratio of the largest to the smallest singular value of the (length-scaled) transform up to which sensors count as
 #: seeing all three motions. Beyond it sensor noise swamps one motion.

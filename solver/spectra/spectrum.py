@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.spectra.segments import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -191,7 +190,7 @@ def rescale(spectrum: Spectrum, scaling: Scaling) -> Spectrum:
     return dataclasses.replace(spectrum, values=np.asarray(values, dtype=np.float64), scaling=scaling)
 
 
-def order_levels(spectrum: Spectrum, orders: Sequence[float] | npt.NDArray[np.float64]) -> FloatArray:
+def order_levels(spectrum: Spectrum, orders: Sequence[float] | FloatArray) -> FloatArray:
     """Rms in the band one order wide around each order.
 
     Parameters

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.signal
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.spectra.segments import FloatArray, fast_length
+from jointplay.solver.spectra.segments import fast_length
 from jointplay.solver.spectra.spectrum import CrossSpectrum, Quantity, Spectrum, frame_units
 
 #: Equivalent noise bandwidth of a Hann window, in spectral lines.

@@ -24,13 +24,14 @@ from jointplay.catalogue.diagnosing.joint_states import edge_warnings
 from jointplay.catalogue.diagnosing.verdict import judged
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.matching.gaussian import NAME
-from jointplay.catalogue.matching.matcher import ClearanceEstimate, FloatArray, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import shipped_machine
 
 

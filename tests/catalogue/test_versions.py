@@ -23,7 +23,6 @@ from spectra_model import WATCHED, SpectraModel, sensing
 from jointplay import catalogue
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
 from jointplay.catalogue.matching.learning import Learning, training_set
-from jointplay.catalogue.matching.matcher import FloatArray
 from jointplay.catalogue.matching.model_library import Choice, Effort, ModelLibrary
 from jointplay.catalogue.matching.network_training import NetworkTraining
 from jointplay.catalogue.matching.observation import observe
@@ -31,6 +30,7 @@ from jointplay.catalogue.matching.spectra import band_widths
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.cross_power import COLUMNS
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import shipped_machine
 
 FROZEN = Path(__file__).parents[1] / "data" / "numbers" / "versions.npz"

@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.solver.arrays import FloatArray
 
 _RATES = frozenset(
     (
@@ -106,11 +106,11 @@ def _last(name: str) -> str:
 
 def _sort(
     arrays: Mapping[str, Any], source: str
-) -> tuple[dict[str, float], dict[str, list[str]], dict[str, npt.NDArray[np.float64]]]:
+) -> tuple[dict[str, float], dict[str, list[str]], dict[str, FloatArray]]:
     """Scalars, texts and arrays of numbers; integers and single precision become double."""
     scalars: dict[str, float] = {}
     texts: dict[str, list[str]] = {}
-    large: dict[str, npt.NDArray[np.float64]] = {}
+    large: dict[str, FloatArray] = {}
     for name, value in arrays.items():
         if isinstance(value, str):
             texts[name] = [value]
@@ -149,7 +149,7 @@ def _rate(scalars: Mapping[str, float], source: str, told: list[str]) -> float |
     return rate
 
 
-def _upright(array: npt.NDArray[np.float64], name: str, source: str, told: list[str]) -> npt.NDArray[np.float64]:
+def _upright(array: FloatArray, name: str, source: str, told: list[str]) -> FloatArray:
     """Time along the first axis; the longer side is time."""
     squeezed = array.reshape([size for size in array.shape if size != 1] or [1])
     if squeezed.ndim > 2:
@@ -163,12 +163,12 @@ def _upright(array: npt.NDArray[np.float64], name: str, source: str, told: list[
 
 
 def _columns(
-    shaped: Mapping[str, npt.NDArray[np.float64]],
+    shaped: Mapping[str, FloatArray],
     texts: Mapping[str, list[str]],
     units: Mapping[str, str],
     source: str,
     told: list[str],
-) -> tuple[list[RawColumn], list[npt.NDArray[np.float64]]]:
+) -> tuple[list[RawColumn], list[FloatArray]]:
     """Columns with names and units from the texts, where those are as many."""
     total = sum(array.shape[1] for array in shaped.values())
     names = next((texts[each] for each in texts if _last(each).lower() in _NAMES and len(texts[each]) == total), None)
@@ -180,7 +180,7 @@ def _columns(
         if words is not names and words is not common:
             told.append(f"{each}: {' '.join(words)[:80]!r}: not used")
     columns: list[RawColumn] = []
-    values: list[npt.NDArray[np.float64]] = []
+    values: list[FloatArray] = []
     for name, array in shaped.items():
         own = [part.strip() for part in units.get(name, "").split(",")] if units.get(name) else []
         for index in range(array.shape[1]):

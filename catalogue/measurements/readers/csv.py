@@ -12,7 +12,6 @@ import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import parse_unit, split_label
@@ -27,6 +26,7 @@ from jointplay.catalogue.measurements.readers.dialect import (
     is_comment,
 )
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.solver.arrays import FloatArray
 
 #: Lines looked at for the header and the dialect.
 HEAD_LINES = 400
@@ -217,7 +217,7 @@ def _read_number(text: str, dialect: Dialect) -> float | None:
 
 def _numbers(
     text: str, head: Sequence[str], layout: TableLayout, columns: Sequence[RawColumn], source: str
-) -> npt.NDArray[np.float64]:
+) -> FloatArray:
     body = text[sum(len(line) for line in head[: layout.first]) :]
     delimiter = None if layout.dialect.delimiter == " " else layout.dialect.delimiter
     plain = body.replace(",", ".") if layout.dialect.decimal == "," else body
@@ -233,9 +233,7 @@ def _numbers(
     return values
 
 
-def _numbers_line_by_line(
-    text: str, layout: TableLayout, columns: Sequence[RawColumn], source: str
-) -> npt.NDArray[np.float64]:
+def _numbers_line_by_line(text: str, layout: TableLayout, columns: Sequence[RawColumn], source: str) -> FloatArray:
     rows: list[list[float]] = []
     for number, fields in _rows(text, layout):
         if len(fields) != layout.columns:

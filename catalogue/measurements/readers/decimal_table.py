@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.compiler.compiled import compiled
 
 BLANK, NEWLINE, PLUS, MINUS, POINT, ZERO, NINE, SMALL_E, LARGE_E = (ord(mark) for mark in " \n+-.09eE")
@@ -93,7 +93,7 @@ def _fill(text: Any, delimiter: int, powers: Any, table: Any) -> int:
 _filled = compiled(_fill)
 
 
-def plain_table(text: str, delimiter: str, columns: int) -> npt.NDArray[np.float64] | None:
+def plain_table(text: str, delimiter: str, columns: int) -> FloatArray | None:
     """Return the numbers of a table whose rows all have the same form; ``None`` where there is more to it.
 
     Parameters

@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.solver.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class RawRecording:
 
     source: str
     columns: tuple[RawColumn, ...]
-    values: npt.NDArray[np.float64]
+    values: FloatArray
     sample_rate: float | None = None
     facts: tuple[str, ...] = ()
     line_of: Callable[[int], int | None] = field(default=lambda sample: None)
@@ -140,7 +140,7 @@ class RawRecording:
     relative: bool = False
     ceiling: float | None = None
     form: SpectrumForm | None = None
-    turns: npt.NDArray[np.float64] | None = None
+    turns: FloatArray | None = None
 
 
 #: From bytes (decompressed), the name for messages and the limits to a recording; raises MeasurementError.
