@@ -36,8 +36,7 @@ from jointplay.catalogue.diagnosing.evidence import (
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.separation import suggest
-from jointplay.catalogue.diagnosing.synthesis import refine
-from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
+from jointplay.catalogue.diagnosing.synthesis import Recorded, refine
 from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
@@ -248,7 +247,7 @@ def answer(
                 result,
                 result.set(question.coverage).labels,
                 mode=result.mode,
-                settings=Synthesis(cases=question.cases),
+                cases=question.cases,
             )
             result = refined.result
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)

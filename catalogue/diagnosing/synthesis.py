@@ -15,18 +15,42 @@ from scipy.special import softmax
 
 from jointplay.catalogue.building.chunk import chunked, simulate_chunk
 from jointplay.catalogue.diagnosing.answer import Mode
-from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import compose
 from jointplay.catalogue.matching.importance import weigh
-from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult, ranked
-from jointplay.catalogue.matching.observation import grouped
+from jointplay.catalogue.matching.matcher import (
+    NORMAL_90,
+    ClearanceEstimate,
+    HypothesisMatch,
+    MatchResult,
+    ranked,
+)
+from jointplay.catalogue.matching.observation import Sensing, grouped
 from jointplay.catalogue.matching.population import Population
 from jointplay.catalogue.plans.entry import Entry, Stratum
 from jointplay.catalogue.plans.keys import seed_from
 from jointplay.catalogue.storage.cross_power import pack
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
+
+CERTAIN = 0.9
+"""Nothing is simulated where one hypothesis alone is in the candidate set and has more probability than this."""
+
+HYPOTHESES, LEAST = 3, 1e-3
+"""How many are simulated, the most probable first, and the probability below which none is."""
+
+SIZE, ELITE = 16, 6
+"""Cases of a hypothesis in each generation, and how many of all its cases the next ones are drawn around."""
+
+LEVEL_DB = 1.0
+"""Standard deviation of the levels that no simulation explains: as much as a trusted model is believed."""
+
+DEGREES_OF_FREEDOM = 8.0
+"""Of the Student-t score of a level: a few odd bands, as chaotic motion has them, do not decide. A normal score was
+certain, and wrong, of a quarter of doubtful recordings (docs/decisions.md)."""
+
+SEED = 0
+"""Of everything drawn."""
 
 LEAST_WIDTH = 0.5
 """Least width of a clearance's interval, as a part of the catalogue's own: few cases agree by chance, too."""
@@ -36,6 +60,25 @@ NOISES = 400
 
 MOST = 800
 """Draws of a hypothesis and stratum, at most, that say where new cases may lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What a recording is compared by.
+
+    Parameters
+    ----------
+    feature : ndarray, shape (d,)
+        Levels, dB.
+    sensing : Sensing
+        What its sensors see of a motion of the frame.
+    drive_speed : float
+        Measured, rad/s, > 0.
+    """
+
+    feature: FloatArray
+    sensing: Sensing
+    drive_speed: float
 
 
 @dataclass(frozen=True)
@@ -66,7 +109,7 @@ def refine(
     candidates: Sequence[str],
     *,
     mode: Mode = "trusted",
-    settings: Synthesis | None = None,
+    cases: int = 240,
 ) -> Refined:
     """Simulate around the most probable hypotheses where that can change the answer.
 
@@ -80,24 +123,24 @@ def refine(
         Labels of its candidate set.
     mode : {"trusted", "robust"}
         In the robust mode the machine's own data are varied, too, as far as the catalogue varies them.
-    settings : Synthesis, optional
+    cases : int
+        How many may be simulated, of all hypotheses: two generations at least are.
 
     Returns
     -------
     Refined
         The same for the same arguments.
     """
-    settings = settings or Synthesis()
-    if result.best.probability > settings.certain and len(candidates) <= 1:
-        return _unchanged(result, f"certain already: {result.best.label} has more than {settings.certain:g}")
-    tried = [each for each in result.hypotheses if each.probability >= settings.least][: settings.hypotheses]
+    if result.best.probability > CERTAIN and len(candidates) <= 1:
+        return _unchanged(result, f"certain already: {result.best.label} has more than {CERTAIN:g}")
+    tried = [each for each in result.hypotheses if each.probability >= LEAST][:HYPOTHESES]
     if len(tried) < 2:
         return _unchanged(result, "only one hypothesis is probable at all")
-    searches = [_Search.of(recorded, catalogue, match, mode, settings) for match in tried]
-    generations = max(2, settings.cases // (settings.size * len(searches)))
+    searches = [_Search.of(recorded, catalogue, match, mode) for match in tried]
+    generations = max(2, cases // (SIZE * len(searches)))
     for _ in range(generations):
-        _simulate(recorded, catalogue, searches, settings)
-    refined, judged = _combined(recorded, result, searches, settings)
+        _simulate(recorded, catalogue, searches)
+    refined, judged = _combined(recorded, result, searches)
     changed = refined.best.label != result.best.label
     count = sum(len(search.scores) for search in searches)
     names = ", ".join(search.match.label for search in searches)
@@ -124,18 +167,16 @@ class _Search:
     levels: list[FloatArray]
 
     @classmethod
-    def of(
-        cls, recorded: Recorded, catalogue: Catalogue, match: HypothesisMatch, mode: Mode, settings: Synthesis
-    ) -> _Search:
+    def of(cls, recorded: Recorded, catalogue: Catalogue, match: HypothesisMatch, mode: Mode) -> _Search:
         rows, first = _rows(catalogue, match.label, mode)
         powers, _ = recorded.sensing.powers(catalogue.matrix.packed(rows))
         levels = compose(powers + recorded.sensing.noise, None)
         order = np.argsort(np.mean((levels - recorded.feature) ** 2, axis=1), kind="stable")
-        near = rows[order[: settings.size]]
+        near = rows[order[:SIZE]]
         # What is drawn shows in the first draws; reading all of 100 000 cases from their shards takes seconds.
         wanted = np.union1d(first, near)
         entries = dict(zip(wanted.tolist(), (entry for entry, _ in catalogue.cases(wanted)), strict=True))
-        seed = seed_from("synthesis", settings.seed, match.label)
+        seed = seed_from("synthesis", SEED, match.label)
         population = Population.of(list(entries.values()), [entries[row] for row in near.tolist()])
         return cls(match, population, np.random.default_rng(seed), [], [], [], [])
 
@@ -165,14 +206,12 @@ def _rows(catalogue: Catalogue, label: str, mode: Mode) -> tuple[IntArray, IntAr
     return every, first
 
 
-def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Search], settings: Synthesis) -> None:
+def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Search]) -> None:
     """Draw and simulate one generation of all hypotheses, those of one model together."""
     drawn: list[tuple[_Search, Entry, float]] = []
     for search in searches:
-        elite = [search.cases[place] for place in search.best(settings.elite)]
-        for parent, clearances, parameters, importance in search.population.drawn(
-            elite, settings.size, search.generator
-        ):
+        elite = [search.cases[place] for place in search.best(ELITE)]
+        for parent, clearances, parameters, importance in search.population.drawn(elite, SIZE, search.generator):
             speed = np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed)
             case = Entry.of(
                 catalogue.machine,
@@ -195,14 +234,14 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
         if power is None:
             score, levels = -np.inf, np.zeros_like(recorded.feature)
         else:
-            score, levels = _score(recorded, np.asarray(power), settings)
+            score, levels = _score(recorded, np.asarray(power))
         search.cases.append(case)
         search.scores.append(score)
         search.importances.append(importance)
         search.levels.append(levels)
 
 
-def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[float, FloatArray]:
+def _score(recorded: Recorded, power: np.ndarray) -> tuple[float, FloatArray]:
     """Log density of the recording given one simulated case, and that case's levels (d,)."""
     sensing = recorded.sensing
     clean, noise = sensing.powers(grouped(pack(power[None]), sensing.cuts))[0][0], sensing.noise
@@ -210,21 +249,19 @@ def _score(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[
     cells = 0.5 * sensing.degrees_of_freedom[:, None]
     # Of a level in dB, from the relative variance of the power (see catalogue.observation.observe).
     scatter = (10.0 / np.log(10.0)) ** 2 * (noise**2 + 2.0 * clean * noise) / (cells * (clean + noise) ** 2)
-    variance = settings.level_db**2 + scatter.ravel()
-    nu = settings.degrees_of_freedom
+    variance = LEVEL_DB**2 + scatter.ravel()
+    nu = DEGREES_OF_FREEDOM
     z = (recorded.feature - levels) ** 2 / variance
     return float(-0.5 * np.sum((nu + 1.0) * np.log1p(z / nu) + np.log(variance))), levels
 
 
-def _combined(
-    recorded: Recorded, result: MatchResult, searches: Sequence[_Search], settings: Synthesis
-) -> tuple[MatchResult, str]:
+def _combined(recorded: Recorded, result: MatchResult, searches: Sequence[_Search]) -> tuple[MatchResult, str]:
     """Share the probability of the simulated hypotheses out anew, and say how far their samples can be believed.
 
     What a hypothesis has from the catalogue counts times the mean weight of its sample. Nothing changes where no sample
     of a hypothesis could be simulated.
     """
-    sampled = [search.sampled(settings.size) for search in searches]
+    sampled = [search.sampled(SIZE) for search in searches]
     if not all(len(places) for places in sampled):
         return result, ": some hypotheses could not be simulated, so that nothing changes"
     logs = [
@@ -234,12 +271,12 @@ def _combined(
     weighed, temperature = weigh(logs)
     before = np.log([search.match.probability for search in searches])
     # No surer than the samples allow: averaged over the errors of their means.
-    noise = np.random.default_rng(settings.seed).normal(size=(NOISES, len(searches)))
+    noise = np.random.default_rng(SEED).normal(size=(NOISES, len(searches)))
     means = np.array([each.log_mean for each in weighed]) + noise * [each.error for each in weighed]
     share = softmax(before + means, axis=1).mean(axis=0)
     total = sum(search.match.probability for search in searches)
     anew: Mapping[str, HypothesisMatch] = {
-        search.match.label: _refitted(recorded, search, places, each.weights, float(total * part), settings)
+        search.match.label: _refitted(recorded, search, places, each.weights, float(total * part))
         for search, places, each, part in zip(searches, sampled, weighed, share, strict=True)
     }
     matches = [anew.get(match.label, match) for match in result.hypotheses]
@@ -254,7 +291,6 @@ def _refitted(
     places: Sequence[int],
     weights: FloatArray,
     probability: float,
-    settings: Synthesis,
 ) -> HypothesisMatch:
     """Clearances of a hypothesis from its weighed sample, predicted levels and distance from its best cases."""
     estimates = []
@@ -265,7 +301,7 @@ def _refitted(
         half = max(half, 0.5 * LEAST_WIDTH * float(np.log(found.high / found.low)))
         low, median, high = np.exp([middle - half, middle, middle + half])
         estimates.append(ClearanceEstimate(found.joint, float(median), float(low), float(high)))
-    predicted = np.mean([search.levels[place] for place in search.best(settings.elite)], axis=0)
+    predicted = np.mean([search.levels[place] for place in search.best(ELITE)], axis=0)
     return replace(
         search.match,
         probability=probability,

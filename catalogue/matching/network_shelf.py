@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jointplay.catalogue import FEATURES_VERSION
+from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.learning import Learning
 from jointplay.catalogue.matching.matcher import Mode
 from jointplay.catalogue.matching.modelfile import read_network, write_network
-from jointplay.catalogue.matching.network import Network
-from jointplay.catalogue.matching.network_training import NetworkTraining
+from jointplay.catalogue.matching.network import Network, NetworkTraining
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.plans.keys import content_digest
@@ -44,6 +43,7 @@ class NetworkShelf:
     folder : Path, optional
         Where networks are kept; without it they live as long as the shelf.
     training : NetworkTraining, optional
+        Less than is trained otherwise.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class NetworkShelf:
         asked = [self._arrangement, repr(_whole(learning)), learning.reach, repr(self._training), self._place(speed)]
         if learning.subject != "hypotheses":
             asked.append(learning.subject)
-        return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, FEATURES_VERSION, *asked])}"
+        return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, FEATURES_VERSION, MATCHER_VERSION, *asked])}"
 
 
 def own_sensing(machine: Machine, cuts: tuple[int, ...]) -> Sensing | None:

@@ -22,9 +22,8 @@ from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import TrainingSet
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.modelfile import read_network, write_network
-from jointplay.catalogue.matching.network import Network, Opinion
+from jointplay.catalogue.matching.network import Network, NetworkTraining, Opinion
 from jointplay.catalogue.matching.network_shelf import NetworkShelf, arrangement
-from jointplay.catalogue.matching.network_training import NetworkTraining
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.matching.spectra import band_widths
 from jointplay.catalogue.storage.store import Catalogue

@@ -11,8 +11,7 @@ import pytest
 from jointplay.catalogue.diagnosing import synthesis
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
-from jointplay.catalogue.diagnosing.synthesis import Refined, refine
-from jointplay.catalogue.diagnosing.synthesis_settings import Recorded, Synthesis
+from jointplay.catalogue.diagnosing.synthesis import Recorded, Refined, refine
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.truth import Truth
@@ -53,10 +52,13 @@ def doubtful(small_catalogue: Catalogue) -> tuple[Truth, Recorded, MatchResult]:
 
 
 def refined(
-    catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], settings: Synthesis, *, seed: int = 0
+    catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], cases: int, *, seed: int = 0
 ) -> Refined:
     _, record, result = doubtful
-    return refine(record, catalogue, result, ["A", "B"], settings=replace(settings, hypotheses=4, seed=seed))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthesis, "HYPOTHESES", 4)
+        patch.setattr(synthesis, "SEED", seed)
+        return refine(record, catalogue, result, ["A", "B"], cases=cases)
 
 
 @pytest.mark.parametrize("joint", ["A", "B", "O"])
@@ -69,7 +71,7 @@ def test_simulating_anew_finds_joint_and_clearance(small_catalogue: Catalogue, j
     errors = []
     for number in range(6):
         case = asked(small_catalogue, joint, number)
-        found = refined(small_catalogue, case, Synthesis(cases=320))
+        found = refined(small_catalogue, case, 320)
         assert found.result.best.label == joint
         assert found.result.best.probability > 0.75  # 0.88 and more of six; the temperature follows the sample
         assert sum(match.probability for match in found.result.hypotheses) == pytest.approx(1.0)
@@ -88,7 +90,7 @@ def test_simulating_anew_finds_joint_and_clearance(small_catalogue: Catalogue, j
 def test_the_same_question_has_the_same_answer(
     small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
 ) -> None:
-    short = Synthesis(cases=128)
+    short = 128
     first, again, other = (refined(small_catalogue, doubtful, short, seed=seed) for seed in (0, 0, 1))
     assert first.reason == again.reason
     for one, two in zip(first.result.hypotheses, again.result.hypotheses, strict=True):
@@ -97,11 +99,13 @@ def test_the_same_question_has_the_same_answer(
     assert first.result.best.clearances != other.result.best.clearances
 
 
-def test_cases_bound_the_search(small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]) -> None:
+def test_cases_bound_the_search(
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
     _, record, result = doubtful
+    monkeypatch.setattr(synthesis, "HYPOTHESES", 2)
     for cases, generations in ((1, 2), (64, 2), (100, 3)):  # two generations at least, none that is not whole
-        settings = Synthesis(cases=cases, hypotheses=2)
-        found = refine(record, small_catalogue, result, ["A", "B"], settings=settings)
+        found = refine(record, small_catalogue, result, ["A", "B"], cases=cases)
         assert found.generations == generations
         assert found.simulations == 2 * 16 * generations
         assert "effective sample size" in found.reason
@@ -134,14 +138,14 @@ def test_the_search_begins_with_the_nearest_of_all_draws(
 ) -> None:
     _, record, result = doubtful
     match = next(match for match in result.hypotheses if match.label == "B")
-    whole = synthesis._Search.of(record, small_catalogue, match, "trusted", Synthesis()).population
+    whole = synthesis._Search.of(record, small_catalogue, match, "trusted").population
     planned = {entry.key: entry for entry in cases_of_joint(small_catalogue, "B")}
     assert all(planned[entry.key].clearances == entry.clearances for entry in whole.start)
     assert all(planned[entry.key].parameters == entry.parameters for entry in whole.start)
     # However few draws say where new cases may lie, and without the table of all entries.
     monkeypatch.setattr(synthesis, "MOST", 20)
     monkeypatch.setitem(small_catalogue.__dict__, "entries", None)  # what is kept of it stands there
-    few = synthesis._Search.of(record, small_catalogue, match, "trusted", Synthesis()).population
+    few = synthesis._Search.of(record, small_catalogue, match, "trusted").population
     assert [entry.key for entry in few.start] == [entry.key for entry in whole.start]
     assert [space.low.tolist() for space in few.spaces.values()] != [s.low.tolist() for s in whole.spaces.values()]
 
@@ -149,7 +153,7 @@ def test_the_search_begins_with_the_nearest_of_all_draws(
 def test_simulates_hypotheses_that_the_last_plan_does_not_hold(
     small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    short = Synthesis(cases=128)
+    short = 128
     expected = refined(small_catalogue, doubtful, short)
     # Healthy machines were added last, with a plan of their own: the manifest names no other plan.
     plan = parse_plan({"name": "more", "hypotheses": ["healthy"], "seconds": 1.0})
@@ -163,7 +167,7 @@ def test_simulates_hypotheses_that_the_last_plan_does_not_hold(
 
 
 def test_what_the_catalogue_said_counts_too(
-    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult]
+    small_catalogue: Catalogue, doubtful: tuple[Truth, Recorded, MatchResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, record, result = doubtful
     factors = {"A": 1.8, "B": 0.2}
@@ -171,11 +175,11 @@ def test_what_the_catalogue_said_counts_too(
         result,
         hypotheses=tuple(replace(m, probability=0.25 * factors.get(m.label, 1.0)) for m in result.hypotheses),
     )
-    short = Synthesis(cases=128, hypotheses=4)
+    monkeypatch.setattr(synthesis, "HYPOTHESES", 4)
     modes: tuple[Mode, ...] = ("trusted", "robust")
     for mode in modes:
         plain, leaning = (
-            refine(record, small_catalogue, each, ["A", "B"], mode=mode, settings=short)
+            refine(record, small_catalogue, each, ["A", "B"], mode=mode, cases=128)
             for each in (result, ranked(other.hypotheses))
         )
         odds = [found.result.probability("A") / found.result.probability("B") for found in (plain, leaning)]
@@ -189,13 +193,13 @@ def test_distance_is_that_of_the_levels_shown(
     score = synthesis._score
     numbers = itertools.count()
 
-    def seldom(recorded: Recorded, power: np.ndarray, settings: Synthesis) -> tuple[float, np.ndarray]:
+    def seldom(recorded: Recorded, power: np.ndarray) -> tuple[float, np.ndarray]:
         """Fit of every fourth case, so that fewer succeed than are kept of the best."""
-        found = score(recorded, power, settings)
+        found = score(recorded, power)
         return found if next(numbers) % 4 == 0 else (-np.inf, np.zeros_like(recorded.feature))
 
     monkeypatch.setattr(synthesis, "_score", seldom)
-    found = refined(small_catalogue, doubtful, Synthesis(cases=128))
+    found = refined(small_catalogue, doubtful, 128)
     for match in found.result.hypotheses:
         assert match.distance_db == pytest.approx(float(np.sqrt(np.mean((record.feature - match.predicted) ** 2))))
     # From 5.3 to 4.1 dB; 10 dB where the levels of cases that failed are among those averaged.

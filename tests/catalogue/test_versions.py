@@ -24,7 +24,7 @@ from jointplay import catalogue
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.model_library import Choice, Effort, ModelLibrary
-from jointplay.catalogue.matching.network_training import NetworkTraining
+from jointplay.catalogue.matching.network import NetworkTraining
 from jointplay.catalogue.matching.observation import observe
 from jointplay.catalogue.matching.spectra import band_widths
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
@@ -128,7 +128,7 @@ def test_what_is_compared_and_answered_is_as_frozen(name: str) -> None:
         ("matcher: fast, trusted", "matching.gaussian.BROADBAND_SHARE", 0.79),
         ("matcher: standard, auto", "matching.blending.AS_FILED_BEFORE", 0.89),
         ("matcher: standard, robust", "matching.learning.WIDE_SHARE", 0.66),
-        ("matcher: network", "matching.network_training.FULL_BAND", 5050.0),
+        ("matcher: network", "matching.network.FULL_BAND", 5050.0),
     ],
 )
 def test_changes_of_the_method_show(name: str, where: str, what: object, monkeypatch: pytest.MonkeyPatch) -> None:
