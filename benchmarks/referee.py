@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 
 from jointplay.app.tables import table
 from jointplay.catalogue.matching.calibration import kept_apart
+from jointplay.catalogue.matching.classifier import seen_by_all_sensors
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import TrainingSet
 from jointplay.catalogue.matching.model_library import Observed, library_of
-from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
-from jointplay.catalogue.matching.network_training import FULL_BAND
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.observation import Sensing
-from jointplay.catalogue.matching.spectra import band_widths
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.store import Catalogue
 
@@ -39,16 +38,6 @@ LEAST_PLAY = 1e-7
 
 SAMPLES = 1000
 """Of the referee's posterior, for each held-out draw."""
-
-
-def seen_by_all_sensors(catalogue: Catalogue, noise: float, seconds: float) -> Sensing:
-    """Return what recordings of some seconds by all sensors see, with white noise [m/s2 rms up to 5 kHz]."""
-    own = own_sensing(catalogue.machine, catalogue.matrix.cuts)
-    assert own is not None
-    width = band_widths(catalogue.matrix)[: own.bands]
-    density = noise**2 / FULL_BAND * np.sum(own.channels**2, axis=1)
-    freedom = 2.0 * np.maximum(1.0, seconds * width)
-    return replace(own, noise=density * width[:, None], degrees_of_freedom=freedom)
 
 
 def worn_of(draws: TrainingSet) -> FloatArray:

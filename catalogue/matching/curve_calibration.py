@@ -96,7 +96,7 @@ def calibrated(
         if opinion is not None:
             opinions.append(opinion.log_evidences(features, held.labels))
         truth.append(index)
-        worn.append(_worn(held))
+        worn.append(held.log_clearances())
     stacked = np.concatenate(truth)
     weights = row_weights(stacked)
     joined = np.concatenate(evidence)
@@ -120,18 +120,6 @@ def calibrated(
             held.joints, [draws.joints for draws in held.hypotheses], np.concatenate(worn), posterior, weights
         ),
     )
-
-
-def _worn(held: TrainingSet) -> FloatArray:
-    """Logarithm of the clearance (m, joints) of each joint that is worn in each row, NaN where it is not."""
-    found = np.full((sum(len(draws.features) for draws in held.hypotheses), len(held.joints)), np.nan)
-    begin = 0
-    for draws in held.hypotheses:
-        end = begin + len(draws.features)
-        for column, joint in zip(draws.log_clearance.T, draws.joints, strict=False):
-            found[begin:end, held.joints.index(joint)] = column
-        begin = end
-    return found
 
 
 def _clearance_temperature(own: Sequence[tuple[FloatArray, IntArray]]) -> float:

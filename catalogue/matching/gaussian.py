@@ -108,11 +108,11 @@ def fit_gaussian(
     Raises
     ------
     MatchingError
-        A hypothesis has fewer than three draws, or clearances of more than three joints.
+        A hypothesis has fewer than four draws, or clearances of more than three joints.
     """
     for draws in training.hypotheses:
-        if len(draws.features) < 3:
-            raise MatchingError(f"hypothesis {draws.label}: {len(draws.features)} draws: must be at least 3")
+        if len(draws.features) < FOLDS:
+            raise MatchingError(f"hypothesis {draws.label}: {len(draws.features)} draws: must be at least {FOLDS}")
         if draws.log_clearance.shape[1] > len(POINTS):
             raise MatchingError(
                 f"hypothesis {draws.label}: clearances of {draws.joints}: must be at most {len(POINTS)}"

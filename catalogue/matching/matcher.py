@@ -160,6 +160,17 @@ class TrainingSet:
         worn = [draws.cases for draws in self.hypotheses if draws.log_clearance.shape[1]]
         return min(worn or [draws.cases for draws in self.hypotheses])
 
+    def log_clearances(self) -> FloatArray:
+        """Return ln(clearance) of each joint (n, joints) that is worn in each row of all; NaN where it is not."""
+        found = np.full((sum(len(draws.features) for draws in self.hypotheses), len(self.joints)), np.nan)
+        begin = 0
+        for draws in self.hypotheses:
+            end = begin + len(draws.features)
+            for column, joint in zip(draws.log_clearance.T, draws.joints, strict=False):
+                found[begin:end, self.joints.index(joint)] = column
+            begin = end
+        return found
+
     def stacked(self) -> tuple[FloatArray, IntArray]:
         """Return features of all rows (n, d) and the hypothesis index of each row (n,)."""
         features = np.concatenate([draws.features for draws in self.hypotheses])

@@ -225,8 +225,8 @@ def test_refuses_what_it_cannot_learn_or_match() -> None:
         fitted().match(np.zeros(3))
     with pytest.raises(MatchingError, match="finite"):
         fitted().match(np.full(MODEL.length, np.nan))
-    short = training.hypotheses[0].rows(np.arange(40) < 2)
-    with pytest.raises(MatchingError, match="2 draws: must be at least 3"):
+    short = training.hypotheses[0].rows(np.arange(40) < 3)
+    with pytest.raises(MatchingError, match="3 draws: must be at least 4"):
         fit_gaussian(TrainingSet((short, *training.hypotheses[1:]), training.watched))
     with pytest.raises(MatchingError, match="its own label"):
         TrainingSet((training.hypotheses[0], training.hypotheses[0]), training.watched)
