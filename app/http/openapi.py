@@ -14,7 +14,7 @@ from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.schemas.resources import ProblemDocument
 from jointplay.app.scopes import scope_of
 
-API_VERSION = "1.0.0"
+API_VERSION = "1.0.1"
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {

@@ -28,7 +28,7 @@ Limit = Annotated[int | None, Query(ge=1, le=500, description="Number of items i
 
 JSON_TYPE = "application/json"
 YAML_TYPES = ("application/yaml", "application/x-yaml", "text/yaml", "text/x-yaml")
-FILE: dict[str, Any] = {"type": "object", "description": "A machine file; see docs/machine-file.md."}
+FILE: dict[str, Any] = {"type": "object", "description": "A machine file; see docs/reference/machine-file.md."}
 SHOWN: dict[str, Any] = {"content": {JSON_TYPE: {"schema": FILE}}}
 BODY = {"required": True, "content": {JSON_TYPE: {"schema": FILE}, YAML_TYPES[0]: {"schema": {"type": "string"}}}}
 PUT_SHOWN: dict[int | str, dict[str, Any]] = {

@@ -15,7 +15,7 @@ from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.settings import Settings
 
 #: Version of the interface, and the beginning of the SHA-256 of all else in its document.
-OF_VERSION = ("1.0.0", "0264b862ab43b084")
+OF_VERSION = ("1.0.1", "d1c2b43bef3cff04")
 ASSET_MEASUREMENT = "/api/v1/assets/{external_id}/measurements/{measurement}"
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 

@@ -106,6 +106,15 @@ def test_commands_that_are_named_are_there(page: Path) -> None:
         assert all((ROOT / each).exists() for each in re.findall(r"tests/[\w/.]+", test)), test
 
 
+def test_pages_that_code_names_are_there() -> None:
+    for folder in ("app", "benchmarks", "catalogue", "solver", "src"):
+        for source in (ROOT / folder).rglob("*.*"):
+            if source.suffix in (".py", ".yaml", ".html", ".js"):
+                text = source.read_text(encoding="utf-8")
+                for name in re.findall(r"\bdocs/[\w/.-]*\w", text):
+                    assert tracked(name), f"{source}: {name}"
+
+
 @pytest.mark.parametrize("page", DECISIONS, ids=named)
 def test_a_decision_has_number_date_and_status(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
