@@ -55,7 +55,7 @@ class Smoothing:
 
 
 #: Other directions, kernels and shrinkage, and other degrees of freedom (below), move the figures of an evaluation by
-#: less than their own uncertainty (docs/decisions/0100).
+#: less than their own uncertainty (docs/measured/diagnosis.md).
 MANY, FEW = Smoothing(40, 0.005, (0.3, 0.5, 0.8), (10, 4, 2)), Smoothing(15, 0.02, (0.5, 0.8, 1.0), (6, 3, 2))
 FEW_CASES = 100
 """Simulated cases a hypothesis below which there are few: 2.5 a direction."""
