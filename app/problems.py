@@ -1,18 +1,22 @@
 """Problem documents (RFC 9457): the one table from exceptions to answers, for HTTP and for exit statuses.
 
 The packages below raise what is wrong in their own words and know nothing of HTTP. Each class of
-their trees has its own row here; a test walks the trees, so that a new class cannot be forgotten.
+their trees has its own row here; a test walks the trees, so that a new class cannot be forgotten. Failures of what the
+service stands on, disk and database, are told apart from its own: they pass without a repair.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import errno
+import sqlite3
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any
 
 from jointplay.app import errors
-from jointplay.app.failures import foreseen
+from jointplay.app.errors import AppError, DatabaseGoneError, StorageFullError
 from jointplay.catalogue import errors as catalogue_errors
 from jointplay.solver import errors as solver_errors
 
@@ -204,3 +208,45 @@ def exit_status(error: Exception) -> int:
 def one_line(text: str) -> str:
     """Return a message as one line of characters that can be sent, whatever a library or a request put into it."""
     return " ".join(text.encode("utf-8", "backslashreplace").decode().split())
+
+
+FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+POSTGRES_FULL = "53100"
+
+
+def foreseen(error: BaseException) -> AppError | None:
+    """Return what is wrong with disk or database, where that is why an exception was raised; else ``None``."""
+    chain = list(causes(error))
+    if any(is_full(each) for each in chain):
+        return StorageFullError("there is no space left on a disk of the service; nothing of this was stored")
+    if any(is_gone(each) for each in chain):
+        return DatabaseGoneError("the database of the service does not answer; try again in a few seconds")
+    return None
+
+
+def causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Give an exception and those it was raised from, a driver's among them."""
+    while error is not None:
+        yield error
+        driver = getattr(error, "orig", None)
+        if isinstance(driver, BaseException):
+            yield driver
+        error = error.__cause__
+
+
+def is_full(error: BaseException) -> bool:
+    """Return whether a disk or a quota is full, this computer's or the database's."""
+    if isinstance(error, OSError):
+        return error.errno in FULL
+    if isinstance(error, sqlite3.Error):
+        return getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
+    return getattr(error, "sqlstate", None) == POSTGRES_FULL
+
+
+def is_gone(error: BaseException) -> bool:
+    """Return whether a database cannot be reached, or is held by others for too long."""
+    if "sqlalchemy" not in sys.modules:  # the command line does without it
+        return False
+    from sqlalchemy import exc
+
+    return isinstance(error, exc.OperationalError | exc.InterfaceError | exc.TimeoutError | exc.DisconnectionError)

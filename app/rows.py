@@ -1,14 +1,14 @@
-"""Rows of the tables that say what a diagnosis found, and its numbers with the digits that mean something.
+"""Rows of the tables that say what a diagnosis found, with the digits that mean something, and its evidence by channel.
 
 The same on the terminal, on the page and in a report.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from jointplay.catalogue.diagnosing.answer import Answer, JointClearance, JointState
+from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence, JointClearance, JointState
 
 CONDITIONS = {"worn": "worn", "in_order": "in order", "open": "cannot be told"}
 
@@ -183,3 +183,72 @@ def percent(probability: float) -> str:
     if probability < 0.005:
         return "< 1 %"
     return f"{100 * probability:.0f} %"
+
+
+NAMES = {"x": "x of the frame", "y": "y of the frame", "theta": "rotation of the frame"}
+MOST_DECIDING = 8
+UNITS = {"theta": "rad/s²"}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One channel.
+
+    Parameters
+    ----------
+    channel : str
+        x, y, theta, or the name of a sensor.
+    bands : tuple of BandEvidence
+        In rising order.
+    """
+
+    channel: str
+    bands: tuple[BandEvidence, ...]
+
+    @property
+    def title(self) -> str:
+        """What the channel is called."""
+        return NAMES.get(self.channel, self.channel)
+
+    @property
+    def label(self) -> str:
+        """What the levels are."""
+        return f"dB re 1 {UNITS.get(self.channel, 'm/s²')}"
+
+
+def comparisons(result: Answer) -> list[Comparison]:
+    """Return the evidence of a diagnosis by channel, in the order of its appearance.
+
+    Parameters
+    ----------
+    result : Answer
+    """
+    found: dict[str, list[BandEvidence]] = {}
+    for band in (*result.evidence.orders, *result.evidence.bands):
+        found.setdefault(band.channel, []).append(band)
+    return [Comparison(channel, tuple(sorted(bands, key=lambda band: band.order))) for channel, bands in found.items()]
+
+
+def deciding(found: Sequence[Comparison]) -> list[tuple[Comparison, BandEvidence]]:
+    """Return the bands that decided, the strongest first: the fewest that hold half of what speaks for the best.
+
+    Parameters
+    ----------
+    found : sequence of Comparison
+        All channels of a diagnosis.
+    """
+    speaking = [
+        (favour, comparison, band)
+        for comparison in found
+        for band in comparison.bands
+        if (favour := band.favours_best or 0.0) > 0
+    ]
+    speaking.sort(key=lambda each: -each[0])
+    half = 0.5 * sum(favour for favour, _, _ in speaking)
+    chosen: list[tuple[Comparison, BandEvidence]] = []
+    for favour, comparison, band in speaking[:MOST_DECIDING]:
+        chosen.append((comparison, band))
+        half -= favour
+        if half <= 0:
+            break
+    return chosen

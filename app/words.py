@@ -1,8 +1,16 @@
-"""A diagnosis in words and numbers a person reads, the same on the terminal, on the page and in a report."""
+"""A diagnosis in words, numbers and moments a person reads, the same on the terminal, on the page and in a report.
+
+In requests, moments are RFC 3339 with a time zone, and nothing that merely resembles it.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Annotated
+
+from pydantic import AfterValidator, AwareDatetime, BeforeValidator
 
 from jointplay.app.rows import between, joint_rows, length, percent, plays
 from jointplay.catalogue.diagnosing.answer import Answer, Cause, JointState
@@ -242,3 +250,29 @@ def enumerate_words(words: Sequence[str]) -> str:
 def capital(text: str) -> str:
     """Return a text with its first letter as a capital."""
     return text[:1].upper() + text[1:]
+
+
+PATTERN = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d{1,9})?([Zz]|[+-]\d\d:\d\d)")
+
+
+def written(given: object) -> object:
+    """Return what was given if it has the form; numbers of seconds and bare dates are refused."""
+    if not isinstance(given, str) or not PATTERN.fullmatch(given):
+        raise ValueError('must be a moment with a time zone, such as "2026-03-01T06:00:00Z"')
+    return given
+
+
+def in_utc(moment: datetime) -> datetime:
+    """Return a moment in UTC; the first and last hours of the calendar have none."""
+    try:
+        return moment.astimezone(UTC)
+    except OverflowError:
+        raise ValueError("is outside of the calendar") from None
+
+
+def spelled(moment: datetime) -> str:
+    """Return a moment as a person reads it, in UTC."""
+    return f"{moment:%Y-%m-%d %H:%M}"
+
+
+Moment = Annotated[AwareDatetime, BeforeValidator(written), AfterValidator(in_utc)]

@@ -150,13 +150,13 @@ def command(
         else:
             found = evaluate(opened, wanted, count, seed, setups=setups, recordings=kept, progress=line.show)
     if plot is not None:
-        from jointplay.app.figures.evaluation_plots import plot_evaluation
+        from jointplay.app.figures.evaluation import plot_evaluation
 
         plot_evaluation(found, plot)
     if as_json:
         print_json(found.content())
         return
-    from jointplay.app.figures.evaluation_report import report
+    from jointplay.app.figures.evaluation import report
 
     click.echo(report(found))
     if plot is not None:

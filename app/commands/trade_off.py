@@ -47,7 +47,7 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
         raise SimulationFailedError(f"{found.name}: no reference: {measured.status}: {measured.message}")
     advice = measured.recommend(error)
     if plot is not None:
-        from jointplay.app.figures.tradeoff_plot import plot_trade_off
+        from jointplay.app.figures.plots import plot_trade_off
 
         plot_trade_off(found, measured, error, plot)
     if as_json:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from jointplay.app.moments import spelled
 from jointplay.app.rows import micrometres
 from jointplay.app.schemas.entries import EntryItem
 from jointplay.app.storage.build_queue import ENDED, BuildRow
+from jointplay.app.words import spelled
 
 STATES = {
     "queued": "Waiting",

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jointplay.app import words
-from jointplay.app.moments import spelled
 from jointplay.app.rows import micrometres, plays
 from jointplay.app.storage.assets import FindingRow
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.app.words import spelled
 
 
 def history(

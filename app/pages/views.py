@@ -7,10 +7,9 @@ from typing import Any
 
 from jointplay.app import words
 from jointplay.app.figures.pictures import machine_picture
-from jointplay.app.figures.spectra import Comparison, comparisons, deciding
-from jointplay.app.moments import spelled
-from jointplay.app.rows import hypothesis_rows, joint_rows, order
+from jointplay.app.rows import Comparison, comparisons, deciding, hypothesis_rows, joint_rows, order
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.app.words import spelled
 from jointplay.catalogue.diagnosing.answer import BandEvidence
 from jointplay.solver.machines.machine import parse_machine
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from jointplay.app import words
 from jointplay.app.jobs.summaries import extent, kind_of, said
-from jointplay.app.moments import spelled
 from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.app.words import spelled
 from jointplay.catalogue.diagnosing.answer import Answer, JointState
 
 SHOWN_HYPOTHESES = 5

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
-from jointplay.app.figures.spectra import Comparison, comparisons
+from jointplay.app.rows import Comparison, comparisons
 from jointplay.app.storage.store import DiagnosisRow
 from jointplay.catalogue.diagnosing.answer import BandEvidence
 from jointplay.solver.machines.drawing import machine_svg

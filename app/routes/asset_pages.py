@@ -13,7 +13,6 @@ from jointplay.app.errors import BadFieldError
 from jointplay.app.http import paging
 from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validated
-from jointplay.app.moments import spelled
 from jointplay.app.pages.history import history
 from jointplay.app.pages.page_forms import messages_of, plain_form
 from jointplay.app.problems import Problem
@@ -24,6 +23,7 @@ from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
 from jointplay.app.storage.store import MeasurementRow
+from jointplay.app.words import spelled
 
 router = APIRouter(prefix="/assets")
 

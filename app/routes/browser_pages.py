@@ -10,12 +10,11 @@ from starlette.responses import Response
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.figures.pictures import machine_picture
-from jointplay.app.figures.spectra import NAMES, UNITS
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, plain_number
 from jointplay.app.routes.pages import REFUSALS, context
-from jointplay.app.rows import micrometres, order
+from jointplay.app.rows import NAMES, UNITS, micrometres, order
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.solver.errors import UnitError

@@ -14,8 +14,7 @@ from jointplay.app.http.negotiation import chosen_type
 from jointplay.app.http.openapi import problems
 from jointplay.app.schemas.entries import EntryDetail, EntryPage, EntryQuery
 from jointplay.app.service import Service, of_request
-from jointplay.app.shelves.entries import Rendered
-from jointplay.app.shelves.entry_forms import FORMS
+from jointplay.app.shelves.entries import FORMS, Rendered
 
 router = APIRouter(prefix="/catalogues/{name}/entries", tags=["catalogues"])
 

@@ -11,12 +11,12 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
-from jointplay.app.moments import Moment
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import Assets, FindingRow
 from jointplay.app.storage.idempotency import IdempotencyKey, once
+from jointplay.app.words import Moment
 
 router = APIRouter(tags=["findings"])
 

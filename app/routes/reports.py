@@ -13,9 +13,8 @@ from jointplay.app.etags import matches, respond
 from jointplay.app.http.negotiation import chosen_type
 from jointplay.app.http.openapi import problems
 from jointplay.app.reports.content import Report, report_of
+from jointplay.app.reports.documents import html, pdf, policy
 from jointplay.app.reports.figures import Figures, figures_of
-from jointplay.app.reports.html import html, policy
-from jointplay.app.reports.pdf import pdf
 from jointplay.app.service import Service, of_request
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
@@ -243,3 +243,110 @@ class Readiness(Shape):
 
     status: Literal["ready"]
     catalogues: int
+
+
+State = Literal["queued", "running", "done", "failed", "cancelled", "worker_lost"]
+
+CATALOGUE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+
+
+class BuildRequest(Shape):
+    """Which catalogue to build, or to go on with."""
+
+    machine: Annotated[str, Field(min_length=1, max_length=255, description="Name of a machine.")]
+    plan: Annotated[
+        dict[str, Any] | str,
+        Field(default="standard", description="quick, standard or thorough; or a plan file's content as JSON."),
+    ]
+    catalogue: Annotated[
+        str,
+        Field(
+            pattern=CATALOGUE_NAME,
+            description="Name of the catalogue's folder. One that is there is extended, if it is of the same machine.",
+        ),
+    ]
+    workers: Annotated[
+        int | None,
+        Field(default=None, ge=1, le=1024, strict=True, description="Processes that compute; one a processor."),
+    ]
+
+
+class BuildOut(Shape):
+    """A build, and how far it is."""
+
+    id: str
+    machine: str
+    plan: str = Field(description="Name of the plan.")
+    plan_hash: str = Field(description="SHA-256 of what the plan asks for, without its name.")
+    catalogue: str = Field(description="Name of the catalogue's folder.")
+    catalogue_id: str | None = Field(description="Id of the catalogue as it was when the build ended.")
+    workers: int | None
+    state: State = Field(
+        description="A queued build waits for a server, or for another of the same catalogue; worker_lost: its process"
+        " or its server ended again and again. What was computed is kept in any case: the same build goes on with it."
+    )
+    message: str = Field(description="What went wrong, or what is being done besides cases, in one line; or nothing.")
+    cases_done: int = Field(description="Cases of the plan that are in the catalogue.")
+    cases_total: int = Field(description="All cases of the plan; 0 until the build has begun.")
+    rate_per_s: float = Field(description="Cases a second.")
+    seconds_left: float | None = Field(description="At this rate; null where it is not known.")
+    attempts: int = Field(description="How often it was begun, but for stops of its server in good order.")
+    created_at: datetime
+    started_at: datetime | None
+    ended_at: datetime | None
+
+
+class BuildPage(Page):
+    """A page of builds."""
+
+    items: list[BuildOut]
+
+
+Event = Literal["diagnosis.created", "finding.created"]
+EVENTS: tuple[str, ...] = get_args(Event)
+
+
+class WebhookIn(Shape):
+    """Whom to tell, and of what."""
+
+    url: Annotated[str, Field(min_length=1, max_length=2000, description="http or https, at a public address.")]
+    events: Annotated[list[Event], Field(min_length=1, max_length=len(EVENTS), description="What to tell of.")]
+
+
+class WebhookOut(Shape):
+    """A webhook."""
+
+    id: str
+    url: str
+    events: list[str]
+    created_at: datetime
+
+
+class WebhookMade(WebhookOut):
+    """A webhook that has just been made."""
+
+    secret: str = Field(description="Signs every delivery (HMAC-SHA256); it is not shown again.")
+
+
+class WebhookPage(Page):
+    """A page of webhooks."""
+
+    items: list[WebhookOut]
+
+
+class DeliveryOut(Shape):
+    """One thing that a webhook was told, or is to be told."""
+
+    id: str = Field(description="Also in the header Jointplay-Delivery: the same again is the same delivery.")
+    event: str
+    state: str = Field(description="waiting, delivered, or failed after the last attempt.")
+    attempts: int
+    error: str = Field(description="Why the last attempt did not succeed; empty when it did, or there was none.")
+    created_at: datetime
+    due_at: datetime | None = Field(description="When the next attempt is made.")
+
+
+class DeliveryPage(Page):
+    """A page of deliveries."""
+
+    items: list[DeliveryOut]

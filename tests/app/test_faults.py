@@ -23,8 +23,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
 from starlette.datastructures import UploadFile
 
-from jointplay.app.failures import foreseen
-from jointplay.app.problems import problem_of
+from jointplay.app.problems import foreseen, problem_of
 from jointplay.app.settings import Settings
 from jointplay.app.storage.store import ABANDONED_S, PARTIAL, Store
 from jointplay.catalogue.errors import CatalogueFileError

@@ -15,11 +15,10 @@ from answers import hypothesis, joint
 from pypdf import PdfReader
 
 from jointplay.app import words
-from jointplay.app.figures.spectra import Comparison
 from jointplay.app.reports.content import NO_ZONE, Report, report_of
+from jointplay.app.reports.documents import html, pdf
 from jointplay.app.reports.figures import figures_of, spectrum
-from jointplay.app.reports.html import html
-from jointplay.app.reports.pdf import pdf
+from jointplay.app.rows import Comparison
 from jointplay.app.settings import Settings
 from jointplay.app.storage.results import DiagnosisOut
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, Store

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from jointplay.app.cli import main
 from jointplay.app.commands.trade_off import document, option_of, report
-from jointplay.app.figures.tradeoff_plot import plot_trade_off
+from jointplay.app.figures.plots import plot_trade_off
 from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine

@@ -1,7 +1,9 @@
-"""A report as PDF, one sheet of A4, by ReportLab; figures come from the same SVG as on the HTML page."""
+"""A report as one self-contained HTML page and as PDF (ReportLab): one sheet of A4, figures from the same SVG."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import io
 import threading
 from collections.abc import Sequence
@@ -9,6 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from jointplay.app.reports.content import JOINT_COLUMNS, Named, Report
 from jointplay.app.reports.figures import Figures
@@ -205,3 +209,40 @@ def fonts() -> None:
     register_font(REGULAR, str(folder / f"{REGULAR}.ttf"))
     register_font(REGULAR, str(folder / f"{BOLD}.ttf"), weight="bold", rlgFontName=BOLD)
     register_font(REGULAR, str(folder / f"{OBLIQUE}.ttf"), style="italic", rlgFontName=OBLIQUE)
+
+
+TEMPLATES = Path(__file__).parent.parent / "templates" / "report"
+
+
+def html(report: Report, figures: Figures) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    report : Report
+        Every text in it is escaped.
+    figures : Figures
+        SVG of our own making.
+    """
+    template = environment().get_template("report.html")
+    return template.render(report=report, figures=figures, style=style(), joint_columns=JOINT_COLUMNS)
+
+
+def policy() -> str:
+    """Return the content security policy of the page: its own style sheet, by its hash, and nothing else."""
+    digest = base64.b64encode(hashlib.sha256(style().encode()).digest()).decode()
+    return (
+        f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+
+
+@cache
+def style() -> str:
+    """Return the style sheet."""
+    return (TEMPLATES / "report.css").read_text(encoding="utf-8")
+
+
+@cache
+def environment() -> Environment:
+    """Return the templates; text is escaped, and a name that is not there is an error."""
+    return Environment(loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined)
