@@ -47,7 +47,7 @@ LEVEL_DB = 1.0
 
 DEGREES_OF_FREEDOM = 8.0
 """Of the Student-t score of a level: a few odd bands, as chaotic motion has them, do not decide. A normal score was
-certain, and wrong, of a quarter of doubtful recordings (docs/decisions.md)."""
+certain, and wrong, of a quarter of doubtful recordings (docs/decisions/0039)."""
 
 SEED = 0
 """Of everything drawn."""

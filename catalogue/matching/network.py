@@ -182,7 +182,7 @@ class NetworkTraining:
     blocks : int
         Different noises and lengths among them.
     layers : tuple of int
-        Units of the hidden layers; 256 and 128 of them know no more (docs/decisions.md).
+        Units of the hidden layers; 256 and 128 of them know no more (docs/decisions/0112).
     epochs, strata_epochs : tuple of int
         Passes over all recordings in each stage, of networks that tell hypotheses or strata apart.
     least_cases : int
