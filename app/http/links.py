@@ -1,131 +1,65 @@
-"""Links in the OpenAPI document: where what an operation answers can be used next."""
+"""Links in the OpenAPI document: where what an operation answers can be used next. They follow from the paths."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
-API = "/api/v1"
-ID = "$response.body#/id"
-FIRST = "$response.body#/items/0"
+from jointplay.app.scopes import API
 
-
-@dataclass(frozen=True)
-class Target:
-    """An operation that takes a name or id in its path.
-
-    Parameters
-    ----------
-    name : str
-        Of the link.
-    method, path : str
-    parameter : str
-        Which part of the path it is.
-    """
-
-    name: str
-    method: str
-    path: str
-    parameter: str
-
-
-@dataclass(frozen=True)
-class Source:
-    """An operation that answers with a name or id.
-
-    Parameters
-    ----------
-    method, path, status : str
-    value : str
-        Runtime expression of OpenAPI.
-    others : tuple of str
-        Parts of its own path that the targets have, too.
-    """
-
-    method: str
-    path: str
-    status: str
-    value: str
-    others: tuple[str, ...] = ()
-
-
-#: What can be made or found in a list, and what can be asked for then.
-LINKS: tuple[tuple[tuple[Source, ...], tuple[Target, ...]], ...] = (
-    (
-        (
-            Source("get", "/machines", "200", f"{FIRST}/name"),
-            Source("put", "/machines/{name}", "201", "$request.path.name"),
-        ),
-        (
-            Target("machine", "get", "/machines/{name}", "name"),
-            Target("machine_drawing", "get", "/machines/{name}/drawing.svg", "name"),
-        ),
-    ),
-    (
-        (Source("get", "/catalogues", "200", f"{FIRST}/name"),),
-        (
-            Target("catalogue", "get", "/catalogues/{name}", "name"),
-            Target("catalogue_drawing", "get", "/catalogues/{name}/drawing.svg", "name"),
-            Target("entries", "get", "/catalogues/{name}/entries", "name"),
-        ),
-    ),
-    (
-        (Source("get", "/catalogues/{name}/entries", "200", f"{FIRST}/key", ("name",)),),
-        (Target("entry", "get", "/catalogues/{name}/entries/{key}", "key"),),
-    ),
-    (
-        (Source("post", "/builds", "202", ID), Source("get", "/builds", "200", f"{FIRST}/id")),
-        (
-            Target("build", "get", "/builds/{key}", "key"),
-            Target("build_events", "get", "/builds/{key}/events", "key"),
-            Target("cancel_build", "post", "/builds/{key}/cancel", "key"),
-        ),
-    ),
-    (
-        (Source("post", "/measurements", "201", ID), Source("get", "/measurements", "200", f"{FIRST}/id")),
-        (Target("measurement", "get", "/measurements/{key}", "key"),),
-    ),
-    (
-        (Source("post", "/diagnoses", "201", ID), Source("get", "/diagnoses", "200", f"{FIRST}/id")),
-        (
-            Target("diagnosis", "get", "/diagnoses/{key}", "key"),
-            Target("report", "get", "/diagnoses/{key}/report", "key"),
-            Target("report_finding", "post", "/diagnoses/{key}/finding", "key"),
-        ),
-    ),
-    (
-        (Source("post", "/diagnoses/{key}/finding", "201", ID), Source("get", "/findings", "200", f"{FIRST}/id")),
-        (Target("finding", "get", "/findings/{key}", "key"),),
-    ),
-    (
-        (
-            Source("put", "/assets/{external_id}", "201", "$request.path.external_id"),
-            Source("get", "/assets", "200", f"{FIRST}/external_id"),
-        ),
-        (Target("asset", "get", "/assets/{external_id}", "external_id"),),
-    ),
-    (
-        (Source("post", "/webhooks", "201", ID), Source("get", "/webhooks", "200", f"{FIRST}/id")),
-        (
-            Target("webhook", "get", "/webhooks/{key}", "key"),
-            Target("deliveries", "get", "/webhooks/{key}/deliveries", "key"),
-            Target("forget_webhook", "delete", "/webhooks/{key}", "key"),
-        ),
-    ),
-)
+MADE = ("201", "202")
 
 
 def with_links(document: dict[str, Any]) -> dict[str, Any]:
-    """Add the links to an OpenAPI document."""
-    paths = document["paths"]
-    for sources, targets in LINKS:
-        for source in sources:
-            others = {name: f"$request.path.{name}" for name in source.others}
-            paths[API + source.path][source.method]["responses"][source.status]["links"] = {
-                target.name: {
-                    "operationId": paths[API + target.path][target.method]["operationId"],
-                    "parameters": {**others, target.parameter: source.value},
-                }
-                for target in targets
+    """Add to an OpenAPI document what can be asked for next.
+
+    Where there is a ``GET /things/{key}``, whatever lists or makes things, or puts one there, leads to it and to what
+    else is below it.
+    """
+    for path, operations in document["paths"].items():
+        collection, _, last = path.rpartition("/")
+        if not path.startswith(API) or not last.startswith("{") or "get" not in operations:
+            continue
+        found = dict(targets(document, path))
+        for response, value in sources(document, collection, last.strip("{}")):
+            above = {part.strip("{}") for part in collection.split("/") if part.startswith("{")}
+            parameters = {**{name: f"$request.path.{name}" for name in above}, last.strip("{}"): value}
+            response["links"] = {
+                name: {"operationId": operation, "parameters": parameters} for name, operation in found.items()
             }
     return document
+
+
+def targets(document: dict[str, Any], path: str) -> Iterator[tuple[str, str]]:
+    """Name and id of the operations that need no more than what is in a path."""
+    for other, operations in document["paths"].items():
+        if (other == path or other.startswith(f"{path}/")) and "{" not in other[len(path) :]:
+            for method, operation in operations.items():
+                if method != "put":
+                    yield operation["operationId"].partition("_api_")[0], operation["operationId"]
+
+
+def sources(document: dict[str, Any], collection: str, parameter: str) -> Iterator[tuple[dict[str, Any], str]]:
+    """Answers that hold what a thing is asked for by, and where in them."""
+    paths, schemas = document["paths"], document["components"]["schemas"]
+    path = f"{collection}/{{{parameter}}}"
+    listed = paths.get(collection, {}).get("get", {}).get("responses", {}).get("200", {})
+    page = schemas.get(schema_of(listed).rpartition("/")[2], {}).get("properties", {})
+    if "items" in page:
+        item = schemas[page["items"]["items"]["$ref"].rpartition("/")[2]]["properties"]
+        yield listed, f"$response.body#/items/0/{parameter if parameter in item else 'id'}"
+    if "put" in paths[path]:
+        yield paths[path]["put"]["responses"]["201"], f"$request.path.{parameter}"
+    thing = schema_of(paths[path]["get"]["responses"]["200"])
+    for other, operations in paths.items():
+        for status in MADE:
+            made = operations.get("post", {}).get("responses", {}).get(status, {})
+            same = schema_of(made) == thing and not other.startswith(f"{path}/")
+            if made and (other == collection or (thing and same)):
+                yield made, "$response.body#/id"
+
+
+def schema_of(response: dict[str, Any]) -> str:
+    """Return what names the model of an answer; empty where it has none."""
+    found: str = response.get("content", {}).get("application/json", {}).get("schema", {}).get("$ref", "")
+    return found

@@ -14,7 +14,9 @@ from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.schemas.resources import ProblemDocument
 from jointplay.app.scopes import scope_of
 
-API_VERSION = "1.0.1"
+API_VERSION = "1.0.2"
+DIGEST = "5cce730d62d3591e"
+"""Of the document of that version: a test computes it, and another document has another version."""
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {

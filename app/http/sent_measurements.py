@@ -6,9 +6,9 @@ import io
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import FailFast, Field
+from pydantic import ConfigDict, FailFast, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
@@ -24,6 +24,14 @@ JSON_TYPE = "application/json"
 ENDING = ".json"
 #: Members of a JSON body that are the recording itself, as a file of this kind holds it.
 HELD = ("sample_rate_hz", "time_s", "frequency_hz", "channels")
+
+#: A recording of 0.1 s; the shortest that is taken has 256 samples.
+RECORDING: dict[str, Any] = {
+    "name": "press-7",
+    "sample_rate_hz": 2560,
+    "channels": [{"name": "s1-y", "unit": "g", "values": [(7 * k) % 13 - 6 for k in range(256)]}],
+    "profile": {"sensors": {"s1-y": "s1-y"}},
+}
 
 # The first number that is none is told; a body may hold a million.
 Numbers = Annotated[list[Annotated[float, Field(strict=True, allow_inf_nan=False)]], Field(min_length=1), FailFast()]
@@ -42,6 +50,8 @@ class ChannelIn(Shape):
 
 class MeasurementIn(Shape):
     """A recording over time (with `sample_rate_hz` or `time_s`), or a spectrum (with `frequency_hz`)."""
+
+    model_config = ConfigDict(json_schema_extra={"example": RECORDING})
 
     name: Annotated[
         str,

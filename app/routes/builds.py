@@ -10,8 +10,6 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
@@ -21,6 +19,7 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import media_type
+from jointplay.app.http.validation import validated
 from jointplay.app.jobs.build_orders import order
 from jointplay.app.routes.diagnoses import JSON_TYPE, parsed
 from jointplay.app.routes.machines import Cursor, Limit
@@ -66,10 +65,7 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
     kind = media_type(request)
     if kind != JSON_TYPE:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE}")
-    try:
-        wanted = BuildRequest.model_validate(parsed(await request.body()))
-    except ValidationError as error:
-        raise RequestValidationError(error.errors()) from None
+    wanted = validated(BuildRequest, parsed(await request.body()))
 
     async def answered() -> Response:
         row = await run_in_threadpool(order, service.builds, service.machines, service.settings.catalogues, wanted)

@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
+from jointplay.app.http.examples import MEASUREMENT
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
 from jointplay.app.http.uploads import MULTIPART, Form, media_type, received_form
@@ -33,6 +34,13 @@ router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 JSON_TYPE = "application/json"
 FIELDS = TOLD | {"measurement", "catalogue", "speed", "effort", "mode", "mapping", "prior", "asset"}
 TEXT = {"type": "string"}
+ASKED = {
+    "catalogue": "slider-crank",
+    "speed": "606.8 rpm",
+    "effort": "fast",
+    "asset": "press-7",
+    "measurement": MEASUREMENT,
+}
 FORM = {
     "type": "object",
     "required": ["catalogue"],
@@ -55,7 +63,8 @@ FORM = {
 def body() -> dict[str, Any]:
     """Return the description of the two bodies that a diagnosis may be asked for with."""
     schema = DiagnosisRequest.model_json_schema(ref_template="#/components/schemas/{model}")
-    return {"required": True, "content": {JSON_TYPE: {"schema": schema}, MULTIPART: {"schema": FORM}}}
+    content = {kind: {"schema": held, "example": ASKED} for kind, held in ((JSON_TYPE, schema), (MULTIPART, FORM))}
+    return {"required": True, "content": content}
 
 
 @router.post(

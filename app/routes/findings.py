@@ -20,7 +20,10 @@ from jointplay.app.words import Moment
 
 router = APIRouter(tags=["findings"])
 
-Since = Annotated[Moment | None, Query(description="Only what came at this moment or later (RFC 3339).")]
+Since = Annotated[
+    Moment | None,
+    Query(examples=["2026-11-21T00:00:00Z"], description="Only what came at this moment or later (RFC 3339)."),
+]
 Only = Annotated[str | None, Query(min_length=1, max_length=128, pattern=r"^[A-Za-z0-9._:-]+$")]
 
 

@@ -24,13 +24,33 @@ from jointplay.solver.machines.machine import Machine, shipped_machine_names
 router = APIRouter(prefix="/machines", tags=["machines"])
 
 Cursor = Annotated[str | None, Query(max_length=200, description="`next_cursor` of the page before.")]
-Limit = Annotated[int | None, Query(ge=1, le=500, description="Number of items in the page.")]
+Limit = Annotated[int | None, Query(ge=1, le=500, examples=[20], description="Number of items in the page.")]
 
 JSON_TYPE = "application/json"
 YAML_TYPES = ("application/yaml", "application/x-yaml", "text/yaml", "text/x-yaml")
 FILE: dict[str, Any] = {"type": "object", "description": "A machine file; see docs/reference/machine-file.md."}
 SHOWN: dict[str, Any] = {"content": {JSON_TYPE: {"schema": FILE}}}
-BODY = {"required": True, "content": {JSON_TYPE: {"schema": FILE}, YAML_TYPES[0]: {"schema": {"type": "string"}}}}
+MACHINE_FILE = {
+    "name": "pendulum",
+    "links": {"base": {"fixed": True}, "arm": {"mass": "1.2 kg", "inertia": 0.02, "cg": [0.1, 0]}},
+    "joints": {"O": {"kind": "turning", "links": ["arm", "base"], "at": [0, 0]}},
+    "drive": {"kind": "rotation", "joint": "O", "speed": "120 rpm"},
+}
+MACHINE_YAML = """name: pendulum
+links:
+  base: {fixed: true}
+  arm: {mass: 1.2 kg, inertia: 0.02, cg: [0.1, 0]}
+joints:
+  O: {kind: turning, links: [arm, base], at: [0, 0]}
+drive: {kind: rotation, joint: O, speed: 120 rpm}
+"""
+BODY = {
+    "required": True,
+    "content": {
+        JSON_TYPE: {"schema": FILE, "example": MACHINE_FILE},
+        YAML_TYPES[0]: {"schema": {"type": "string"}, "example": MACHINE_YAML},
+    },
+}
 PUT_SHOWN: dict[int | str, dict[str, Any]] = {
     200: {"description": "The machine of this name is this one now; there was one before.", **SHOWN},
     201: {"description": "There was no machine of this name.", **SHOWN},

@@ -23,7 +23,7 @@ HTML_TYPE, PDF_TYPE = "text/html", "application/pdf"
 FORMATS = {"html": HTML_TYPE, "pdf": PDF_TYPE}
 CONTENT = {HTML_TYPE: {"schema": {"type": "string"}}, PDF_TYPE: {"schema": {"type": "string", "format": "binary"}}}
 
-Format = Annotated[Literal["html", "pdf"] | None, Query(description="In place of `Accept`.")]
+Format = Annotated[Literal["html", "pdf"] | None, Query(examples=["html"], description="In place of `Accept`.")]
 
 
 @router.get(

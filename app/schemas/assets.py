@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from jointplay.app.schemas.resources import Page, Shape
 from jointplay.app.words import Moment
@@ -24,6 +24,8 @@ class AssetName(Shape):
 
 class AssetIn(Shape):
     """What is known of one machine that stands somewhere."""
+
+    model_config = ConfigDict(json_schema_extra={"example": {"machine": "slider-crank", "notes": "hall 2, line 3"}})
 
     machine: Annotated[
         str, Field(min_length=1, max_length=200, pattern=TEXT, description="Name of the machine that it is one of.")
@@ -69,6 +71,16 @@ class JointFound(Shape):
 
 class FindingIn(Shape):
     """What an inspection found; joints, or a text, or both."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "joints": {"B": {"clearance_um": 140}},
+                "text": "gudgeon pin worn, replaced",
+                "at": "2026-11-21T10:30:00Z",
+            }
+        }
+    )
 
     joints: Annotated[
         dict[str, JointFound], Field(default={}, max_length=200, description="By name of the turning joint.")

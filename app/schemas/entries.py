@@ -17,20 +17,28 @@ class EntryFilter(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     hypothesis: Annotated[
-        str | None, Field(max_length=400, description="Label of the hypothesis: `healthy`, `A+F`.")
+        str | None, Field(max_length=400, examples=["A"], description="Label of the hypothesis: `healthy`, `A+F`.")
     ] = None
-    joint: Annotated[str | None, Field(max_length=200, description="A turning joint that is worn.")] = None
+    joint: Annotated[str | None, Field(max_length=200, examples=["A"], description="A turning joint that is worn.")] = (
+        None
+    )
     stratum: Annotated[
-        Literal["trusted", "wide"] | None, Field(description="How much of the machine was uncertain.")
+        Literal["trusted", "wide"] | None,
+        Field(examples=["trusted"], description="How much of the machine was uncertain."),
     ] = None
-    status: Annotated[str | None, Field(max_length=80, description="`ok`, or how the simulation failed.")] = None
-    law: Annotated[Literal["own", "linear", "hertz"] | None, Field(description="Contact law.")] = None
+    status: Annotated[
+        str | None, Field(max_length=80, examples=["ok"], description="`ok`, or how the simulation failed.")
+    ] = None
+    law: Annotated[Literal["own", "linear", "hertz"] | None, Field(examples=["own"], description="Contact law.")] = None
     min_clearance_um: Annotated[
         Micrometres | None,
-        Field(description="Least radial clearance: of `joint` where it is given, else the greatest of all joints."),
+        Field(
+            examples=[50],
+            description="Least radial clearance: of `joint` where it is given, else the greatest of all joints.",
+        ),
     ] = None
     max_clearance_um: Annotated[
-        Micrometres | None, Field(description="Greatest radial clearance, of the same joint.")
+        Micrometres | None, Field(examples=[400], description="Greatest radial clearance, of the same joint.")
     ] = None
 
 
@@ -38,7 +46,7 @@ class EntryQuery(EntryFilter):
     """Which entries, and which page of them."""
 
     cursor: Annotated[str | None, Field(max_length=200, description="`next_cursor` of the page before.")] = None
-    limit: Annotated[int | None, Field(ge=1, le=500, description="Number of items in the page.")] = None
+    limit: Annotated[int | None, Field(ge=1, le=500, examples=[20], description="Number of items in the page.")] = None
 
 
 class EntryItem(Shape):

@@ -253,6 +253,10 @@ CATALOGUE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 class BuildRequest(Shape):
     """Which catalogue to build, or to go on with."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"example": {"machine": "slider-crank", "plan": "quick", "catalogue": "press-7"}}
+    )
+
     machine: Annotated[str, Field(min_length=1, max_length=255, description="Name of a machine.")]
     plan: Annotated[
         dict[str, Any] | str,
@@ -308,6 +312,10 @@ EVENTS: tuple[str, ...] = get_args(Event)
 
 class WebhookIn(Shape):
     """Whom to tell, and of what."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"example": {"url": "https://maintenance.example/jointplay", "events": ["diagnosis.created"]}}
+    )
 
     url: Annotated[str, Field(min_length=1, max_length=2000, description="http or https, at a public address.")]
     events: Annotated[list[Event], Field(min_length=1, max_length=len(EVENTS), description="What to tell of.")]

@@ -35,6 +35,7 @@ IdempotencyKey = Annotated[
     str | None,
     Header(
         alias="Idempotency-Key",
+        examples=["7f3c1c1e-2f5b-4d0e-9a43-0c6a5d1f8e22"],
         min_length=1,
         max_length=LONGEST,
         pattern="^[!-~]+$",

@@ -15,6 +15,7 @@ from example_calls import BINARY, Answered, ExampleService, shown
 
 from jointplay.app.http import examples
 from jointplay.app.problems import MEDIA_TYPE
+from jointplay.app.routes.machines import MACHINE_FILE
 
 OPERATIONS_AT_LEAST = 34
 #: Not in any document: the file of a form.
@@ -111,7 +112,7 @@ def test_the_examples_are_what_is_answered(answers: Answers, tmp_path: Path) -> 
 
 def test_an_example_that_is_wrong_would_be_seen(service: ExampleService) -> None:
     place = f"/api/v1/machines/{examples.PUT_NAME}"
-    wrong = {**examples.MACHINE_FILE, "drive": {"kind": "rotation", "joint": "P", "speed": 1}}
+    wrong = {**MACHINE_FILE, "drive": {"kind": "rotation", "joint": "P", "speed": 1}}
     assert service.client.put(place, json=wrong).status_code == 422
 
 
