@@ -23,21 +23,23 @@ from jointplay.catalogue.diagnosing.answer import (
     Provenance,
     SensorFlaw,
 )
-from jointplay.catalogue.diagnosing.baseline import fit_baseline
+from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
-from jointplay.catalogue.diagnosing.evidence import (
+from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
+from jointplay.catalogue.diagnosing.separation import suggest
+from jointplay.catalogue.diagnosing.synthesis import Recorded, refine
+from jointplay.catalogue.diagnosing.verdict import (
+    SURE_ABOVE,
     evidence,
+    find_causes,
     hypothesis_shown,
+    judged,
+    needs_cause,
     number_warnings,
     rival_of,
     speed_warnings,
 )
-from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
-from jointplay.catalogue.diagnosing.known_machine import KnownMachine
-from jointplay.catalogue.diagnosing.separation import suggest
-from jointplay.catalogue.diagnosing.synthesis import Recorded, refine
-from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judged, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary, library_of, one_thread

@@ -17,7 +17,6 @@ from jointplay.catalogue.building.chunk import chunked, simulate_chunk
 from jointplay.catalogue.diagnosing.answer import Mode
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import compose
-from jointplay.catalogue.matching.importance import weigh
 from jointplay.catalogue.matching.matcher import (
     NORMAL_90,
     ClearanceEstimate,
@@ -26,7 +25,7 @@ from jointplay.catalogue.matching.matcher import (
     ranked,
 )
 from jointplay.catalogue.matching.observation import Sensing, grouped
-from jointplay.catalogue.matching.population import Population
+from jointplay.catalogue.matching.population import Population, weigh
 from jointplay.catalogue.plans.entry import Entry, Stratum
 from jointplay.catalogue.plans.keys import seed_from
 from jointplay.catalogue.storage.cross_power import pack

@@ -21,10 +21,9 @@ from jointplay.catalogue.evaluation.nearest_entry import (
 )
 from jointplay.catalogue.matching.calibration import fit_temperature, folds, probabilities, row_weights
 from jointplay.catalogue.matching.conformal import Conformal
-from jointplay.catalogue.matching.learning import Learning
+from jointplay.catalogue.matching.learning import Learning, Spectra
 from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet, ranked
 from jointplay.catalogue.matching.model_library import Effort, ModelLibrary, Observed
-from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.extensions import entry_points_of
 

@@ -9,9 +9,9 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import rankdata
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis, Verdict
-from jointplay.catalogue.evaluation.detection import auroc, rejected
 from jointplay.catalogue.evaluation.joint_figures import (
     JointAnswer,
     JointFigures,
@@ -53,7 +53,7 @@ class Answered:
         Cases simulated for it.
     hidden : bool
         The recording cannot be told from one of the same machine in order, see
-        :mod:`jointplay.catalogue.evaluation.hidden`.
+        :mod:`jointplay.catalogue.evaluation.recordings`.
     joints : tuple of JointAnswer
         Every joint by itself.
     credibility : float or None
@@ -369,3 +369,26 @@ def _first_two(answer: Answered, joints_of: Mapping[str, frozenset[str]]) -> fro
 
 def _mean(values: Sequence[float] | Sequence[bool] | NDArray[np.generic]) -> float | None:
     return float(np.mean(np.asarray(values, dtype=np.float64))) if len(values) else None
+
+
+def auroc(positive: Sequence[float], negative: Sequence[float]) -> float | None:
+    """Return the probability that a positive scores higher than a negative, ties counting one half; None without any.
+
+    Area under the receiver operating characteristic, by ranks (Hanley and McNeil, Radiology 143 (1982) 29).
+    """
+    if not len(positive) or not len(negative):
+        return None
+    ranks = rankdata(np.concatenate([positive, negative]))
+    n = len(positive)
+    return float((ranks[:n].sum() - 0.5 * n * (n + 1)) / (n * len(negative)))
+
+
+def rejected(foreign: Sequence[float], listed: Sequence[float], false_alarms: float = 0.05) -> float | None:
+    """Return the share of p-values below the highest limit that at most the share `false_alarms` of `listed` is below.
+
+    None without any. Values that are tied at the limit are not below it.
+    """
+    if not len(foreign) or not len(listed):
+        return None
+    limit = np.sort(listed)[int(false_alarms * len(listed) + 1e-9)]
+    return float(np.mean(np.asarray(foreign) < limit))

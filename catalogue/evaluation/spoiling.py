@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.evaluation.elsewhere import Blows, Bursts, Tones, Wrench
-from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.evaluation.truth import Blows, Bursts, Tones, Truth, Wrench
 from jointplay.catalogue.plans.keys import seed_from
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine

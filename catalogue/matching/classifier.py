@@ -17,12 +17,11 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from jointplay.catalogue.errors import DiagnosisError, MatchingError
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
-from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.matcher import Draws, MatchResult, TrainingSet
 from jointplay.catalogue.matching.network import FULL_BAND
 from jointplay.catalogue.matching.network_shelf import own_sensing
 from jointplay.catalogue.matching.observation import Sensing
-from jointplay.catalogue.matching.spectra import band_widths
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
 

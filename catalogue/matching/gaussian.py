@@ -15,11 +15,9 @@ from scipy.linalg import eigh
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.matching.calibration import combined, folds, kept_apart, probabilities, row_weights
 from jointplay.catalogue.matching.curve_calibration import Calibration, calibrated
-from jointplay.catalogue.matching.curves import Curve, CurveModel, averaged
-from jointplay.catalogue.matching.log_sums import log_sum_exp
+from jointplay.catalogue.matching.curves import ClearanceGrid, Curve, CurveModel, averaged, fit_tube, log_sum_exp
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, TrainingSet, ranked
 from jointplay.catalogue.matching.network import Opinion
-from jointplay.catalogue.matching.tube import ClearanceGrid, fit_tube
 from jointplay.solver.arrays import FloatArray, IntArray
 
 BROADBAND_SHARE = 0.8

@@ -6,17 +6,71 @@ import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Self
+from typing import Literal, Protocol, Self
 
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import Draws, Mode, TrainingSet
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.observation import Discrepancy, PackedArray, Sensing, observe
 from jointplay.catalogue.matching.prior import Prior
-from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.matching.transfer import RandomTransfer
+from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
+
+
+class Spectra(Protocol):
+    """What is learned from: :class:`jointplay.catalogue.storage.matrix.FeatureMatrix`, or anything that answers like
+    it.
+    """
+
+    @property
+    def id(self) -> str:
+        """Of the state of the catalogue."""
+
+    @property
+    def cuts(self) -> tuple[int, ...]:
+        """Edges of the feature bands in stored bands."""
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Edges of the feature bands, orders of the drive."""
+
+    nominal_speed: float
+    """Drive speed of the machine's file, rad/s."""
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        """Factors on that speed which it has spectra at, rising."""
+
+    def nearest_speed(self, speed: float) -> float:
+        """The one of them that is nearest to a drive speed, rad/s."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Turning joints, the columns of :meth:`clearance`."""
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """Those it has spectra of."""
+
+    def rows(
+        self, label: str, stratum: Stratum | None = None, *, draws: int | None = None, speed: float | None = None
+    ) -> IntArray:
+        """Rows of a hypothesis."""
+
+    def packed(self, rows: IntArray) -> PackedArray:
+        """Spectra of rows, (m, G, 33): :data:`jointplay.catalogue.storage.cross_power.COLUMNS`."""
+
+    def clearance(self, rows: IntArray) -> FloatArray:
+        """Radial clearances of rows, (m, joints), m."""
+
+
+def band_widths(spectra: Spectra) -> FloatArray:
+    """Return the widths (G,) of the feature bands at the machine's own drive speed, Hz."""
+    widths: FloatArray = np.diff(spectra.edges) * abs(spectra.nominal_speed) / (2.0 * np.pi)
+    return widths
+
 
 WIDE_SHARE = 2.0 / 3.0
 """Part of the draws of the robust mode that come from machines whose own data are uncertain, where there are such."""

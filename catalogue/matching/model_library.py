@@ -16,17 +16,15 @@ from threadpoolctl import ThreadpoolController
 
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.blending import blended
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
-from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.learning import Learning, Spectra, band_widths, training_set
 from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
 from jointplay.catalogue.matching.modelfile import as_read, read_model, write_model, written
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.observation import Sensing, rounded_sensing
-from jointplay.catalogue.matching.refit import Refit, merged
-from jointplay.catalogue.matching.spectra import Spectra, band_widths
+from jointplay.catalogue.matching.refit import Refit, blended, merged
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray

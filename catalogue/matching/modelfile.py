@@ -15,11 +15,10 @@ from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.calibration import Tail
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.curve_calibration import Calibration
-from jointplay.catalogue.matching.curves import Curve, CurveModel
+from jointplay.catalogue.matching.curves import ClearanceGrid, Curve, CurveModel, Tube
 from jointplay.catalogue.matching.gaussian import FittedGaussian
 from jointplay.catalogue.matching.network import Network, Opinion
 from jointplay.catalogue.matching.sightings import Sightings
-from jointplay.catalogue.matching.tube import ClearanceGrid, Tube
 from jointplay.catalogue.storage.directory import publish
 
 FORMAT = 1

@@ -24,9 +24,8 @@ from threadpoolctl import threadpool_limits
 
 from jointplay.catalogue.matching.calibration import held_out
 from jointplay.catalogue.matching.coherence import with_more_noise
-from jointplay.catalogue.matching.learning import Learning, rows_of
+from jointplay.catalogue.matching.learning import Learning, Spectra, rows_of
 from jointplay.catalogue.matching.observation import Sensing, observe
-from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 from jointplay.solver.arrays import FloatArray, IntArray
 

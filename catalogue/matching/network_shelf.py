@@ -15,12 +15,11 @@ import numpy as np
 
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import CatalogueFileError
-from jointplay.catalogue.matching.learning import Learning
+from jointplay.catalogue.matching.learning import Learning, Spectra
 from jointplay.catalogue.matching.matcher import Mode
 from jointplay.catalogue.matching.modelfile import read_network, write_network
 from jointplay.catalogue.matching.network import Network, NetworkTraining
 from jointplay.catalogue.matching.observation import Sensing
-from jointplay.catalogue.matching.spectra import Spectra
 from jointplay.catalogue.plans.keys import content_digest
 from jointplay.catalogue.signals.sensors import choose_channels, free_motions
 from jointplay.catalogue.storage.store import Catalogue

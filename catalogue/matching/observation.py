@@ -15,8 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.coherence import common_noise, compose, noise_alike, pair_scale, pairs_of
-from jointplay.catalogue.matching.cyclic import CyclicBands, cyclic_bands
+from jointplay.catalogue.matching.coherence import (
+    CyclicBands,
+    common_noise,
+    compose,
+    cyclic_bands,
+    noise_alike,
+    pair_scale,
+    pairs_of,
+)
 from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.storage.cross_power import PACKED
 from jointplay.solver.arrays import ComplexArray, FloatArray, IntArray

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointplay.catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, fit_baseline
+from jointplay.catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
-from jointplay.catalogue.diagnosing.known_machine import KnownMachine
-from jointplay.catalogue.diagnosing.tuning import quantities
+from jointplay.catalogue.diagnosing.healthy_machine import quantities
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
 from jointplay.catalogue.signals.features import prepare

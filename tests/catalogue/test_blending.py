@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointplay.catalogue.matching.blending import AS_FILED_BEFORE, blended, weight_as_filed
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, ranked
+from jointplay.catalogue.matching.refit import AS_FILED_BEFORE, blended, weight_as_filed
 
 NOTHING = np.zeros(1)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from jointplay.catalogue.diagnosing.cause_search import least_of
+from jointplay.catalogue.diagnosing.causes import least_of
 
 FloatArray = NDArray[np.float64]
 

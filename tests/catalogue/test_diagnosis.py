@@ -19,9 +19,8 @@ from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, FittedNumber
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
-from jointplay.catalogue.diagnosing.evidence import number_warnings
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
-from jointplay.catalogue.diagnosing.verdict import judged
+from jointplay.catalogue.diagnosing.verdict import judged, number_warnings
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.matching.gaussian import NAME
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult

@@ -25,10 +25,9 @@ from jointplay.catalogue.evaluation import sweep
 from jointplay.catalogue.evaluation.differences import DIFFERENCES, with_differences
 from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, draw_truth, protocols_of
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
-from jointplay.catalogue.evaluation.response import Response
 from jointplay.catalogue.evaluation.study import Setup, evaluate, setups_of
 from jointplay.catalogue.evaluation.sweep import trade_off
-from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.evaluation.truth import Response, Truth
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.plans.parameters import nominal_drive_speed

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from jointplay.catalogue.diagnosing.cause_wrenches import family_wrenches
-from jointplay.catalogue.diagnosing.frame_forces import SAMPLES, Revolution, wrench_orders
+from jointplay.catalogue.diagnosing.frame_forces import SAMPLES, Revolution, family_wrenches, wrench_orders
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.solver.machines.machine import Machine, shipped_machine
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.catalogue.evaluation.differences import with_differences
-from jointplay.catalogue.evaluation.hidden import hidden
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, Protocol, draw_truth
-from jointplay.catalogue.evaluation.recordings import Recordings
+from jointplay.catalogue.evaluation.recordings import Recordings, hidden
 from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.solver.machines.machine import shipped_machine

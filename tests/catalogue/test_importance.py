@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointplay.catalogue.matching.importance import LEAST_EFFECTIVE, effective_size, pareto_k, weigh
+from jointplay.catalogue.matching.population import LEAST_EFFECTIVE, effective_size, pareto_k, weigh
 
 
 def test_effective_size_by_hand() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from jointplay.catalogue.matching.joint_posterior import joint_posteriors
+from jointplay.catalogue.diagnosing.joint_states import joint_posteriors
 from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult
 
 NOTHING = np.zeros(1)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.special import logsumexp
 
-from jointplay.catalogue.matching.log_sums import log_sum_exp
+from jointplay.catalogue.matching.curves import log_sum_exp
 
 FINITE = st.floats(-1e6, 1e6) | st.sampled_from([0.0, -1.0, 700.0])
 

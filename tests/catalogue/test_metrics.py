@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointplay.catalogue.evaluation.detection import auroc, rejected
-from jointplay.catalogue.evaluation.metrics import Answered, figures, joint_scores, reliability
+from jointplay.catalogue.evaluation.metrics import Answered, auroc, figures, joint_scores, rejected, reliability
 
 JOINTS = {"healthy": frozenset[str](), "A": frozenset("A"), "B": frozenset("B"), "A+B": frozenset("AB")}
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
-from jointplay.catalogue.evaluation.response import Response
+from jointplay.catalogue.evaluation.truth import Response
 from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement

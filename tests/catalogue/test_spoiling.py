@@ -12,11 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
-from jointplay.catalogue.evaluation.elsewhere import Blows, Bursts, Tones, transform_of
 from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.spoiling import SPOILINGS, Clipped, DropOut, FlawedSensors, with_spoiling
-from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.evaluation.truth import Blows, Bursts, Tones, Truth, transform_of
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.suspension import accelerance

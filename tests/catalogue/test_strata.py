@@ -10,13 +10,12 @@ from spectra_model import WATCHED, SpectraModel, sensing
 
 from jointplay.catalogue.matching.calibration import held_out
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
-from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.modelfile import as_read
 from jointplay.catalogue.matching.network import AS_FILED, DIFFERS, Network, NetworkTraining, Opinion
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.observation import observe
-from jointplay.catalogue.matching.spectra import band_widths
 from jointplay.solver.arrays import FloatArray
 
 AMOUNT = 1.5

@@ -22,11 +22,10 @@ from spectra_model import WATCHED, SpectraModel, sensing
 
 from jointplay import catalogue
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
-from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.model_library import Choice, Effort, ModelLibrary
 from jointplay.catalogue.matching.network import NetworkTraining
 from jointplay.catalogue.matching.observation import observe
-from jointplay.catalogue.matching.spectra import band_widths
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.cross_power import COLUMNS
@@ -126,7 +125,7 @@ def test_what_is_compared_and_answered_is_as_frozen(name: str) -> None:
         ("features: recording", "signals.noise.WINDOW", 0.0256),
         ("features: entries, robust", "matching.coherence.SCALE", 10.1),
         ("matcher: fast, trusted", "matching.gaussian.BROADBAND_SHARE", 0.79),
-        ("matcher: standard, auto", "matching.blending.AS_FILED_BEFORE", 0.89),
+        ("matcher: standard, auto", "matching.refit.AS_FILED_BEFORE", 0.89),
         ("matcher: standard, robust", "matching.learning.WIDE_SHARE", 0.66),
         ("matcher: network", "matching.network.FULL_BAND", 5050.0),
     ],
