@@ -11,14 +11,16 @@ import hashlib
 import io
 import json
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from math import pi
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from cachetools import LRUCache, cachedmethod
 
 from jointplay.app.errors import BadCursorError, BadFieldError
 from jointplay.app.schemas.entries import ComplexSeries, EntryDetail, EntryFilter, EntryItem, EntrySpectrum
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 
 OPEN_CATALOGUES = 4
 KEPT_BYTES = 64_000_000
-KEPT_TAGS = 20_000
+TAG_BYTES = 3200  # what a tag counts for, beside its body
 BLOCK = 2048  # rows of a table made at once
 
 
@@ -49,9 +51,10 @@ class EntryShelf:
     """Reads entries; keeps the last catalogues open and the last bodies in memory. Safe to use from many threads."""
 
     def __init__(self) -> None:
-        self._open: OrderedDict[tuple[str, str], Catalogue] = OrderedDict()
-        self._kept: OrderedDict[tuple[str, str, str, str], Rendered] = OrderedDict()
-        self._bytes = 0
+        self._open: LRUCache[tuple[str, str], Catalogue] = LRUCache(OPEN_CATALOGUES)
+        self._kept: LRUCache[tuple[str, str, str, str], Rendered] = LRUCache(
+            KEPT_BYTES, lambda rendered: TAG_BYTES + len(rendered.body or b"")
+        )
         self._lock = threading.Lock()
         self._reading = threading.Lock()  # a catalogue keeps its last shard, and belongs to one thread at a time
 
@@ -59,10 +62,7 @@ class EntryShelf:
         """Return what is in memory of an entry in a form; it takes no time."""
         place = (str(offer.path), offer.stamp, key, kind)
         with self._lock:
-            found = self._kept.get(place)
-            if found is not None:
-                self._kept.move_to_end(place)
-        return found
+            return self._kept.get(place)
 
     def tagged(self, offer: Offer, key: str, kind: str) -> Rendered:
         """Return an entry in a form, with a body only if that is in memory; no shard is opened.
@@ -137,24 +137,16 @@ class EntryShelf:
             table = matrix.table(rows[:size])
         return [item(table, row) for row in range(len(table))], len(rows)
 
+    @cachedmethod(attrgetter("_open"), key=lambda _, offer: (str(offer.path), offer.stamp))
     def _catalogue(self, offer: Offer) -> Catalogue:
         from jointplay.catalogue.storage.store import Catalogue
 
-        place = (str(offer.path), offer.stamp)
-        if place not in self._open:
-            self._open[place] = Catalogue.open(offer.path)
-            while len(self._open) > OPEN_CATALOGUES:
-                self._open.popitem(last=False)
-        self._open.move_to_end(place)
-        return self._open[place]
+        return Catalogue.open(offer.path)
 
     def _keep(self, offer: Offer, key: str, kind: str, rendered: Rendered) -> Rendered:
         place = (str(offer.path), offer.stamp, key, kind)
-        with self._lock:
-            self._bytes += len(rendered.body or b"") - len((self._kept.pop(place, rendered)).body or b"")
+        with self._lock, suppress(ValueError):  # larger than all that is kept
             self._kept[place] = rendered
-            while self._bytes > KEPT_BYTES or len(self._kept) > KEPT_TAGS:
-                self._bytes -= len(self._kept.popitem(last=False)[1].body or b"")
         return rendered
 
 

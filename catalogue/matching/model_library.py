@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from cachetools import LRUCache, cached
 from threadpoolctl import ThreadpoolController
 
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
@@ -68,9 +68,9 @@ class ModelLibrary:
     def __init__(
         self, matrix: Spectra, folder: Path | None = None, networks: NetworkShelf | None = None, *, size: int = 16
     ) -> None:
-        self._matrix, self._folder, self._networks, self._size = matrix, folder, networks, size
+        self._matrix, self._folder, self._networks = matrix, folder, networks
         self._lock = threading.Lock()
-        self._known: OrderedDict[str, FittedGaussian] = OrderedDict()
+        self._known: LRUCache[str, FittedGaussian] = LRUCache(size)
 
     @property
     def matrix(self) -> Spectra:
@@ -152,9 +152,9 @@ class ModelLibrary:
         judges = [None if each is None else each.network.digest for each in (opinion, witness)]
         key = self.key(observed, learning, judges)
         with self._lock:
-            if key in self._known:
-                self._known.move_to_end(key)
-                return self._known[key]
+            known = self._known.get(key)
+        if known is not None:
+            return known
         # Fitted outside the lock: two threads may fit the same, which costs time but nothing else.
         folder = self._folder if observed.weights is None else None
         found = None if folder is None else read_model(folder, key)
@@ -165,8 +165,6 @@ class ModelLibrary:
                 write_model(folder, key, found)
         with self._lock:
             self._known[key] = found
-            while len(self._known) > self._size:
-                self._known.popitem(last=False)
         return found
 
     def training(self, observed: Observed, learning: Learning) -> TrainingSet:
@@ -197,10 +195,11 @@ class ModelLibrary:
         if self._folder is None:
             return 0
         files = sorted(self._folder.glob(f"{self._state}-*.npz"), key=written, reverse=True)
-        found = [(file.stem, read_model(self._folder, file.stem)) for file in files[: min(most, self._size)]]
+        most = min(most, int(self._known.maxsize))
+        found = [(file.stem, read_model(self._folder, file.stem)) for file in files[:most]]
         with self._lock:
             for key, model in found:
-                if model is not None and key not in self._known and len(self._known) < self._size:
+                if model is not None and key not in self._known and len(self._known) < self._known.maxsize:
                     self._known[key] = model
         return sum(model is not None for _, model in found)
 
@@ -260,20 +259,10 @@ class Observed:
     weights: FloatArray | None = None
 
 
-_known: OrderedDict[tuple[str, str], ModelLibrary] = OrderedDict()
-_lock = threading.Lock()
-
-
+@cached(LRUCache(CATALOGUES), key=lambda catalogue: (str(catalogue.path), catalogue.id), lock=threading.Lock())
 def library_of(catalogue: Catalogue) -> ModelLibrary:
     """Return the library of a catalogue in its present state; the same one for the same state of the same folder."""
-    key = (str(catalogue.path), catalogue.id)
-    with _lock:
-        if key not in _known:
-            _known[key] = ModelLibrary(catalogue.matrix, catalogue.layout.models, NetworkShelf.of(catalogue))
-        _known.move_to_end(key)
-        while len(_known) > CATALOGUES:
-            _known.popitem(last=False)
-        return _known[key]
+    return ModelLibrary(catalogue.matrix, catalogue.layout.models, NetworkShelf.of(catalogue))
 
 
 def one_thread() -> AbstractContextManager[Any]:

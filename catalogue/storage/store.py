@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Self
 
 import numpy as np
+from cachetools import LRUCache, cachedmethod
 from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import CatalogueFileError, EntryNotFoundError
@@ -48,7 +49,7 @@ class Catalogue:
     def __init__(self, layout: CatalogueDirectory, manifest: Manifest, shard_names: Sequence[str]) -> None:
         self._layout, self._manifest = layout, manifest
         self._shard_names = tuple(sorted(shard_names))
-        self._shards: OrderedDict[str, Shard] = OrderedDict()
+        self._shards: LRUCache[str, Shard] = LRUCache(KEPT_SHARDS)
         self._lock = threading.Lock()
 
     def __repr__(self) -> str:
@@ -278,17 +279,10 @@ class Catalogue:
         power.flags.writeable = spread.flags.writeable = False
         return power, spread
 
+    @cachedmethod(attrgetter("_shards"), lock=attrgetter("_lock"))
     def _kept(self, name: str) -> Shard:
         """A shard, from memory if it is one of those that were asked for last; threads may share the catalogue."""
-        with self._lock:
-            shard = self._shards.pop(name, None)
-        if shard is None:
-            shard = self._read(name)
-        with self._lock:
-            self._shards[name] = shard
-            while len(self._shards) > KEPT_SHARDS:
-                self._shards.popitem(last=False)
-        return shard
+        return self._read(name)
 
     def _read(self, name: str) -> Shard:
         path = self._layout.shard(name)
