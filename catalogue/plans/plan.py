@@ -24,7 +24,7 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.refusals import first_error
 from jointplay.solver.machines.units import FREQUENCY, RATIO, TIME
-from jointplay.solver.machines.yamlfile import read_tree
+from jointplay.solver.machines.yamlfile import read_text, read_tree
 from jointplay.solver.spectra.sampling import PASS
 
 Family = Literal["healthy", "singles", "pairs", "triples"]
@@ -240,15 +240,11 @@ def load_plan(name_or_path: str | Path) -> Plan:
     PlanError
         When it is neither, when the file cannot be read, or as :func:`parse_plan`.
     """
-    name, path = str(name_or_path), Path(name_or_path)
-    if name in preset_names() and not path.is_file():
+    names, name = preset_names(), str(name_or_path)
+    if name in names and not Path(name).is_file():
         return preset(name)
-    if not path.exists():
-        raise PlanError(name, "", None, f"is neither a file nor a shipped plan{nearest(name, preset_names())}")
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise PlanError(name, "", None, f"cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise PlanError(name, "", None, "is not a text file in UTF-8") from None
+        text = read_text(name, "plan", names)
+    except MachineError as error:
+        raise PlanError(name, "", None, error.rule) from None
     return parse_plan(text, name)

@@ -24,7 +24,7 @@ from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.matrix import read_matrix_form
 from jointplay.solver.machines.parts import Damper, Mount, Spring
 from jointplay.solver.machines.refusals import first_error
-from jointplay.solver.machines.yamlfile import read_tree
+from jointplay.solver.machines.yamlfile import read_text, read_tree
 
 
 class Machine(MachineContent):
@@ -158,19 +158,10 @@ def load_machine(name_or_path: str | Path) -> Machine:
     MachineError
         When it is neither, when the file cannot be read, or as :func:`parse_machine`.
     """
-    names = shipped_machine_names()
-    name, path = str(name_or_path), Path(name_or_path)
-    if name in names and not path.is_file():
+    names, name = shipped_machine_names(), str(name_or_path)
+    if name in names and not Path(name).is_file():
         return shipped_machine(name)
-    if not path.exists():
-        raise MachineError(name, "", None, f"is neither a file nor a shipped machine{nearest(name, names)}")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise MachineError(name, "", None, f"cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise MachineError(name, "", None, "is not a text file in UTF-8") from None
-    return parse_machine(text, name)
+    return parse_machine(read_text(name, "machine", names), name)
 
 
 def machine_json_schema() -> dict[str, Any]:

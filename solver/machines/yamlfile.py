@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from ruamel.yaml import YAML
 from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fields import nearest
 
 type_names = {dict: "a mapping", list: "a list", str: "text", bool: "true or false", type(None): "nothing"}
 
@@ -28,6 +30,38 @@ DEEPEST = 20
 
 MOST_BRACKETS = 64
 """Brackets that may be open at a time; some may stand in texts, where they nest nothing."""
+
+
+def read_text(name: str, noun: str, shipped: Sequence[str]) -> str:
+    """Return what a file holds that somebody named in place of something shipped.
+
+    Parameters
+    ----------
+    name : str
+        Its path.
+    noun : str
+        What it should describe, for the message.
+    shipped : sequence of str
+        Names that would have done, too.
+
+    Raises
+    ------
+    MachineError
+        When there is none, when it cannot be read, is longer than :func:`read_tree` takes, or no text.
+    """
+    path = Path(name)
+    if not path.exists():
+        raise MachineError(name, "", None, f"is neither a file nor a shipped {noun}{nearest(name, shipped)}")
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(LARGEST_TEXT + 1)
+    except OSError as error:
+        raise MachineError(name, "", None, f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise MachineError(name, "", None, "is not a text file in UTF-8") from None
+    if len(text) > LARGEST_TEXT:
+        raise MachineError(name, "", None, f"must not be longer than {LARGEST_TEXT} characters")
+    return text
 
 
 def read_tree(text: str, source: str) -> Tree:

@@ -23,7 +23,7 @@ from jointplay.solver.machines.machine import (
     shipped_machine_text,
 )
 from jointplay.solver.machines.parts import Mount, RotationDrive, Spring
-from jointplay.solver.machines.yamlfile import read_tree
+from jointplay.solver.machines.yamlfile import LARGEST_TEXT, read_tree
 
 SHAPER = Path(__file__).parents[1] / "data" / "machines" / "quick-return-shaper.yaml"
 
@@ -172,9 +172,11 @@ def test_resolve_by_name_and_by_path(tmp_path: Path) -> None:
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "long.yaml").write_text("a" * (LARGEST_TEXT + 1))
     for path, rule in (
         (tmp_path / "none.yaml", "is neither a file nor a shipped machine"),
         (tmp_path, "cannot be read: Is a directory"),
+        (tmp_path / "long.yaml", f"must not be longer than {LARGEST_TEXT} characters"),
     ):
         with pytest.raises(MachineError) as caught:
             load_machine(path)
