@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -168,3 +169,9 @@ def test_the_page_of_the_command_line_is_as_made() -> None:
     sys.modules[described.name] = made
     described.loader.exec_module(made)
     assert made.PAGE.read_text(encoding="utf-8") == made.page(), "run `python docs/command_line.py`"
+
+
+def test_the_files_of_make_quick_are_there() -> None:
+    done = subprocess.run(["make", "-n", "quick"], cwd=ROOT, capture_output=True, text=True, check=True)
+    files = re.findall(r"\btests/[\w/]+\.py", done.stdout)
+    assert len(files) > 10 and all((ROOT / file).is_file() for file in files)
