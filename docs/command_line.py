@@ -23,7 +23,7 @@ def sections(command: click.Command, name: str, level: int = 2) -> Iterator[str]
     context = click.Context(command, info_name=name)
     options = [each for each in command.params if isinstance(each, click.Option) and each.name != "help"]
     yield f"{'#' * level} `{name}`\n"
-    yield textwrap.fill(command.help or "", 120) + "\n"
+    yield textwrap.fill(" ".join((command.help or "").split()), 120) + "\n"
     yield f"`{' '.join([name, *command.collect_usage_pieces(context)])}`\n"
     if options:
         rows = [each.get_help_record(context) for each in options]
