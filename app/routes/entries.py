@@ -10,8 +10,8 @@ from starlette.responses import Response
 
 from jointplay.app.etags import matches, tag
 from jointplay.app.http import paging
-from jointplay.app.http.negotiation import chosen_type
 from jointplay.app.http.openapi import problems
+from jointplay.app.http.query import chosen_type
 from jointplay.app.schemas.entries import EntryDetail, EntryPage, EntryQuery
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.entries import FORMS, Rendered

@@ -10,8 +10,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from jointplay.app.etags import matches, respond
-from jointplay.app.http.negotiation import chosen_type
 from jointplay.app.http.openapi import problems
+from jointplay.app.http.query import chosen_type
 from jointplay.app.reports.content import Report, report_of
 from jointplay.app.reports.documents import html, pdf, policy
 from jointplay.app.reports.figures import Figures, figures_of

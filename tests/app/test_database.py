@@ -19,10 +19,10 @@ from uploaded import SHA256, SIZE, uploaded
 
 from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
 from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.backup import TABLES
 from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
-from jointplay.app.storage.tables import TABLES
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.storage.database import Database
 

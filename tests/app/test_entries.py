@@ -16,7 +16,7 @@ from starlette.requests import Request
 
 import jointplay.catalogue.storage.store
 from jointplay.app.errors import NotAcceptableError
-from jointplay.app.http.negotiation import chosen_type
+from jointplay.app.http.query import chosen_type
 from jointplay.app.schemas.entries import EntryFilter
 from jointplay.app.settings import Settings
 from jointplay.app.shelves.entries import EntryShelf, fits
