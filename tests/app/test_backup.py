@@ -13,7 +13,7 @@ import pytest
 from command_line import assert_refused, invoke
 from small_service import serving
 
-from jointplay.app.http.examples import MACHINE_FILE
+from jointplay.app.routes.machines import MACHINE_FILE
 from jointplay.app.settings import Settings
 
 API = "/api/v1"
