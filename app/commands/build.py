@@ -52,8 +52,7 @@ def command(
     from jointplay.catalogue.building.executors import count_processors
     from jointplay.catalogue.building.network_building import train_networks
     from jointplay.catalogue.plans.plan import load_plan
-    from jointplay.catalogue.plans.plan_check import check_plan
-    from jointplay.catalogue.plans.plan_text import plan_lines
+    from jointplay.catalogue.plans.plan_check import check_plan, plan_lines
     from jointplay.solver.machines.machine import load_machine
 
     if scheduler is not None and workers is not None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jointplay.solver.cases.history import Case, History, Settings
     from jointplay.solver.cases.steps import Accuracy
     from jointplay.solver.machines.machine import Machine
-    from jointplay.solver.simulation.ensemble_result import Ensemble, EnsembleKind
+    from jointplay.solver.simulation.ensemble import Ensemble, EnsembleKind
 
 
 @click.command("simulate")
@@ -117,7 +117,7 @@ def command(
         links=links,
     )
     if several:
-        from jointplay.solver.simulation.ensemble_result import Ensemble
+        from jointplay.solver.simulation.ensemble import Ensemble
 
         asked = Ensemble(starts or 8, starts_by, converged, most_revolutions, seed)
         run_ensemble(found, case, asked, settings, output, plot, as_json)

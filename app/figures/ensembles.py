@@ -14,7 +14,7 @@ from jointplay.app.figures.plots import BLUE, SHOWN_DECADES, SYMBOLS, save
 from jointplay.app.figures.simulation_file import Attribute, SimulationFile, accuracy_of, identity
 from jointplay.solver.cases.history import MOTIONS, Settings
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation.ensemble_result import EnsembleResult
+from jointplay.solver.simulation.ensemble import EnsembleResult
 
 WINDOW = "hann"
 

@@ -28,8 +28,7 @@ from jointplay.solver.arrays import BoolArray
 
 if TYPE_CHECKING:
     from jointplay.app.shelves.catalogues import Offer
-    from jointplay.catalogue.storage.store import Catalogue
-    from jointplay.catalogue.storage.stored_entry import StoredEntry
+    from jointplay.catalogue.storage.store import Catalogue, StoredEntry
     from jointplay.catalogue.storage.table import EntryTable
 
 

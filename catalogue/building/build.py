@@ -17,11 +17,9 @@ from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.storage.database import IndexDatabase
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.index import Index
-from jointplay.catalogue.storage.leases import ChunkRow
-from jointplay.catalogue.storage.location import IndexLocation
-from jointplay.catalogue.storage.locks import BuilderLock
+from jointplay.catalogue.storage.leases import BuilderLock, ChunkRow
+from jointplay.catalogue.storage.location import IndexLocation, match_files, open_index
 from jointplay.catalogue.storage.manifest import Manifest
-from jointplay.catalogue.storage.recovery import match_files, open_index
 from jointplay.catalogue.storage.sealing import seal
 from jointplay.catalogue.storage.shard import OK
 from jointplay.solver.machines.machine import Machine

@@ -13,8 +13,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from jointplay.catalogue.plans.entry import Entry, Recipe
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import Entry, Recipe, content_digest
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.shard import OK, Outcome
 from jointplay.solver.arrays import AnyComplexArray

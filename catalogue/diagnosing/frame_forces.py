@@ -20,8 +20,7 @@ from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.joints import TurningJoint
-from jointplay.solver.machines.kept import keep_by_machine
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.simulation.simulate import simulate_batch
 
 SAMPLES = 256

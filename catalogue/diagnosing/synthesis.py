@@ -26,8 +26,7 @@ from jointplay.catalogue.matching.matcher import (
 )
 from jointplay.catalogue.matching.observation import Sensing, grouped
 from jointplay.catalogue.matching.population import Population, weigh
-from jointplay.catalogue.plans.entry import Entry, Stratum
-from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.entry import Entry, Stratum, seed_from
 from jointplay.catalogue.storage.cross_power import pack
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray

@@ -13,7 +13,7 @@ import numpy as np
 
 from jointplay.catalogue.diagnosing.frame_forces import Revolution
 from jointplay.catalogue.evaluation.truth import Response, Truth, contact_of, drawn_contacts
-from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.entry import seed_from
 from jointplay.catalogue.plans.parameters import MachineNumbers, nominal_drive_speed
 from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint

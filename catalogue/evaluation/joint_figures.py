@@ -14,7 +14,7 @@ from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.matching.calibration import log_loss
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
 from jointplay.catalogue.matching.sightings import SEEN_ABOVE, SEEN_SHARE
-from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.entry import seed_from
 from jointplay.solver.arrays import FloatArray
 
 HYPOTHESES = 1000

@@ -14,8 +14,7 @@ from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.differences import DIFFERENCES
 from jointplay.catalogue.evaluation.spoiling import SPOILINGS
 from jointplay.catalogue.evaluation.truth import Truth, drawn_contacts
-from jointplay.catalogue.plans.entry import Hypothesis
-from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.entry import Hypothesis, seed_from
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine

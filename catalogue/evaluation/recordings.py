@@ -22,7 +22,7 @@ from jointplay.catalogue.evaluation.truth import Truth, transform_of
 from jointplay.catalogue.measurements.measurement import Recording, measurement_of
 from jointplay.catalogue.measurements.readers import RawRecording
 from jointplay.catalogue.measurements.readers.raw import RawColumn
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import content_digest
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.machines.fault import Fault

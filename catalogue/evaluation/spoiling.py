@@ -14,7 +14,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.truth import Blows, Bursts, Tones, Truth, Wrench
-from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.entry import seed_from
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
 

@@ -18,7 +18,7 @@ from jointplay.catalogue.evaluation.metrics import Figures
 from jointplay.catalogue.evaluation.protocols import Protocol, protocols_of
 from jointplay.catalogue.evaluation.recordings import Recordings
 from jointplay.catalogue.evaluation.study import Setup, evaluate
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import content_digest
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.storage.leases import ChunkStatus
 from jointplay.catalogue.storage.location import IndexLocation

@@ -25,7 +25,7 @@ from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.observation import Sensing, rounded_sensing
 from jointplay.catalogue.matching.refit import Refit, blended, merged
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import content_digest
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray
 

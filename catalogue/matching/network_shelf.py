@@ -20,7 +20,7 @@ from jointplay.catalogue.matching.matcher import Mode
 from jointplay.catalogue.matching.modelfile import read_network, write_network
 from jointplay.catalogue.matching.network import Network, NetworkTraining
 from jointplay.catalogue.matching.observation import Sensing
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import content_digest
 from jointplay.catalogue.signals.sensors import choose_channels, free_motions
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray

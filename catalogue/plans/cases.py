@@ -8,9 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations
 
 from jointplay.catalogue.errors import PlanError
-from jointplay.catalogue.plans.draws import Distribution, log_uniform, unit_draws
-from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
-from jointplay.catalogue.plans.keys import seed_from
+from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum, seed_from
 from jointplay.catalogue.plans.parameters import (
     LOAD,
     SHARED,
@@ -21,6 +19,7 @@ from jointplay.catalogue.plans.parameters import (
     ripple_order,
 )
 from jointplay.catalogue.plans.plan import Plan
+from jointplay.catalogue.plans.plan_parts import Distribution, log_uniform, unit_draws
 from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine

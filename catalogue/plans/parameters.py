@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from jointplay.catalogue.errors import PlanError
-from jointplay.catalogue.plans.draws import Distribution
+from jointplay.catalogue.plans.plan_parts import Distribution
 from jointplay.catalogue.plans.variants import output_load
 from jointplay.solver.cases.groups import SHORTHANDS
 from jointplay.solver.equations.model import build_model

@@ -11,12 +11,20 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from jointplay.catalogue.errors import PlanError
-from jointplay.catalogue.plans.draws import Distribution
-from jointplay.catalogue.plans.entry import Recipe, Stratum
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import Recipe, Stratum, content_digest
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
-from jointplay.catalogue.plans.plan_parts import Auto, Bands, ClearanceRange, Draws, Fits, Wide
-from jointplay.catalogue.plans.ranges import default_laws, default_uncertain, default_wide
+from jointplay.catalogue.plans.plan_parts import (
+    Auto,
+    Bands,
+    ClearanceRange,
+    Distribution,
+    Draws,
+    Fits,
+    Wide,
+    default_laws,
+    default_uncertain,
+    default_wide,
+)
 from jointplay.catalogue.plans.variants import LawChoice
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fields import Name, QuantityField, RuleError, Title, nearest
@@ -50,10 +58,10 @@ class Plan(Part):
     uncertain : mapping of str to Distribution, optional
         What is uncertain even of a machine whose data can be trusted, by path in the machine file or short path
         (:class:`~jointplay.catalogue.plans.parameters.MachineNumbers`); None, or "auto" in a file, is
-        :func:`~jointplay.catalogue.plans.ranges.default_uncertain`.
+        :func:`~jointplay.catalogue.plans.plan_parts.default_uncertain`.
     laws : mapping of {"own", "linear", "hertz"} to float, optional
         Weights of the contact laws that are drawn; None, or "auto" in a file, is
-        :func:`~jointplay.catalogue.plans.ranges.default_laws`.
+        :func:`~jointplay.catalogue.plans.plan_parts.default_laws`.
     wide : Wide
         Draws of a machine whose own data are uncertain, too.
     speeds : tuple of float

@@ -1,11 +1,12 @@
-"""Whether a plan fits a machine, found before anything of it is shown or computed."""
+"""A plan before it is built: whether it fits a machine, and in words what it asks for."""
 
 from __future__ import annotations
 
 from jointplay.catalogue.errors import PlanError
-from jointplay.catalogue.plans.cases import entries_of
+from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import Draws
+from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
 _ONCE = Draws(healthy=1, single=1, pair=1, larger=1)
@@ -43,3 +44,78 @@ def _placed(error: PlanError, plan: Plan, source: str) -> PlanError:
         path = path if drawn in trusted else f"wide.{path}"
         value = trusted.get(drawn, wide.get(drawn))
     return PlanError(source if error.source == "plan" else error.source, path, value, error.rule)
+
+
+def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
+    """What a plan asks for, line by line.
+
+    Parameters
+    ----------
+    plan : Plan
+    machine : Machine
+
+    Returns
+    -------
+    tuple of str
+        Name and hash, hypotheses with their draws, ranges, laws, what is uncertain, how cases are computed.
+
+    Raises
+    ------
+    PlanError
+        The plan does not fit the machine.
+    """
+    plan = plan.resolved(machine)
+    recipe = plan.recipe(machine)
+    kinds: dict[str, list[str]] = {}
+    cases = {"trusted": 0, "wide": 0}
+    for sequence in sequences_of(plan, machine):
+        worn = len(sequence.hypothesis.joints)
+        kind = ("", "single", "pair", "triple")[worn] if worn < 4 else f"{worn} joints"
+        kind = kind or sequence.hypothesis.label
+        labels = kinds.setdefault(kind, [])
+        if sequence.hypothesis.label not in labels:
+            labels.append(sequence.hypothesis.label)
+        cases[sequence.stratum] += sequence.count
+    hypotheses = ", ".join(kind if labels == [kind] else f"{len(labels)} of a {kind}" for kind, labels in kinds.items())
+    draws = ", ".join(f"{name} {count}" for name, count in plan.draws.model_dump().items())
+    laws = ", ".join(f"{law} {weight:g}" for law, weight in (plan.laws or {}).items())
+    lines = [
+        f"plan {plan.name}, {plan.hash[:12]}: {sum(cases.values())} cases "
+        f"({cases['trusted']} trusted, {cases['wide']} wide)",
+        f"hypotheses: {hypotheses}",
+        f"draws: {draws}",
+        f"clearance: worn {_um(plan.clearance.low, plan.clearance.high)} "
+        f"(one alone to {plan.clearance.beyond:g} times that), fits {_fits(plan, machine)}, next to none in "
+        f"{100 * plan.fits.tight:g} % of them, none at all in {100 * plan.fits.silent:g} % of the machines",
+        f"contact laws: {laws}",
+        f"uncertain: {_listed(plan, machine, wide=False)}",
+    ]
+    if plan.wide.draws:
+        lines.append(f"uncertain in the wide draws, too: {_listed(plan, machine, wide=True)}")
+    if plan.speeds != (1.0,):
+        lines.append(f"speeds: {', '.join(f'x {speed:g}' for speed in plan.speeds)}")
+    guard = f"; one draw in {plan.guard} again at standard" if plan.guard and plan.accuracy != "standard" else ""
+    signal = f"{recipe.sample_rate:g} Hz, {recipe.revolutions:g} revolutions"
+    lines.append(f"computed: {plan.accuracy}{guard}; {signal}; seed {plan.seed}")
+    return tuple(lines)
+
+
+def _listed(plan: Plan, machine: Machine, *, wide: bool) -> str:
+    trusted = plan.spread(machine, "trusted")
+    shown = trusted
+    if wide:
+        shown = {path: spread for path, spread in plan.spread(machine, "wide").items() if trusted.get(path) != spread}
+    return ", ".join(f"{path} {spread}" for path, spread in shown.items()) or "nothing"
+
+
+def _fits(plan: Plan, machine: Machine) -> str:
+    """Play of the joints that are not worn: one range, or that of each joint."""
+    joints = {name: part for name, part in machine.joints.items() if isinstance(part, TurningJoint)}
+    ranges = {name: _um(*plan.fits.bounds(part)) for name, part in sorted(joints.items())}
+    if len(set(ranges.values())) == 1:
+        return next(iter(ranges.values()))
+    return ", ".join(f"{name} {text}" for name, text in ranges.items())
+
+
+def _um(low: float, high: float) -> str:
+    return f"{1e6 * low:g}-{1e6 * high:g} um"

@@ -1,4 +1,7 @@
-"""Parts of a plan."""
+"""Parts of a plan: what is uncertain about a machine, by itself or as said, and space-filling draws of it.
+
+Ranges that a plan leaves open follow from the machine's own numbers.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,124 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
+from scipy.special import ndtri
 
-from jointplay.catalogue.plans.draws import Distribution, log_uniform
-from jointplay.solver.machines.fields import QuantityField, RuleError
+from jointplay.catalogue.plans.variants import LawChoice, output_load
+from jointplay.solver.arrays import FloatArray
+from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
 from jointplay.solver.machines.joints import TurningJoint
-from jointplay.solver.machines.parts import Part
-from jointplay.solver.machines.units import FREQUENCY, LENGTH
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Damper, Mount, Part, RotationDrive, Spring
+from jointplay.solver.machines.units import FREQUENCY, LENGTH, RATIO
+
+#: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
+_CELL = 2.0**-30
+
+_PositiveBounds = Annotated[tuple[float, float], VectorField((QuantityField(RATIO, above=0.0),) * 2)]
+
+
+class Distribution(Part):
+    """How one number of the machine scatters; exactly one of the fields is given.
+
+    Parameters
+    ----------
+    uniform, loguniform : (float, float), optional
+        Bounds of a uniform, or log-uniform (> 0), distribution of the number itself, SI.
+    either_loguniform : (float, float), optional
+        Bounds, > 0, of the log-uniform size of a number of either sign: of what there may be little or much of.
+    factor_uniform, factor_loguniform : (float, float), optional
+        Bounds, > 0, of a distribution of the factor on the machine's own number.
+    lognormal : float, optional
+        Standard deviation, > 0, of the natural logarithm of the factor on the machine's own number; its median is 1.
+    """
+
+    uniform: Annotated[tuple[float, float], VectorField((QuantityField(RATIO),) * 2)] | None = None
+    loguniform: _PositiveBounds | None = None
+    either_loguniform: _PositiveBounds | None = None
+    factor_uniform: _PositiveBounds | None = None
+    factor_loguniform: _PositiveBounds | None = None
+    lognormal: Annotated[float, QuantityField(RATIO, above=0.0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_in_order(self) -> Self:
+        given = {name: getattr(self, name) for name in type(self).model_fields if getattr(self, name) is not None}
+        if len(given) != 1:
+            raise RuleError(f"must give exactly one of {', '.join(type(self).model_fields)}")
+        for name, value in given.items():
+            if isinstance(value, tuple) and value[0] > value[1]:
+                raise RuleError("must be [low, high] with low <= high", (name,), list(value))
+        return self
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether :meth:`quantile` is a factor on the machine's own number, not the number itself."""
+        return self.uniform is None and self.loguniform is None and self.either_loguniform is None
+
+    def quantile(self, u: float) -> float:
+        """Number, or factor, below which the fraction `u` (in [0, 1]) of all draws lies."""
+        if self.lognormal is not None:
+            deviate = float(ndtri(min(max(u, _CELL / 2), 1.0 - _CELL / 2)))
+            return math.exp(self.lognormal * deviate)
+        if self.either_loguniform is not None:
+            return math.copysign(log_uniform(*self.either_loguniform, abs(2.0 * u - 1.0)), u - 0.5)
+        logarithmic = self.loguniform or self.factor_loguniform
+        if logarithmic is not None:
+            return log_uniform(*logarithmic, u)
+        bounds = self.uniform or self.factor_uniform
+        assert bounds is not None  # one of them is given, see _one_in_order
+        low, high = bounds
+        return low + u * (high - low)
+
+    def __str__(self) -> str:
+        """In words: ``x 0.97 to 1.03``."""
+        if self.lognormal is not None:
+            return f"x exp({self.lognormal:g} N(0, 1))"
+        if self.either_loguniform is not None:
+            return "+-{:g} to {:g} (log)".format(*self.either_loguniform)
+        bounds = self.uniform or self.loguniform or self.factor_uniform or self.factor_loguniform
+        assert bounds is not None
+        scale = " (log)" if self.loguniform or self.factor_loguniform else ""
+        return f"{'x ' if self.is_factor else ''}{bounds[0]:g} to {bounds[1]:g}{scale}"
+
+
+def log_uniform(low: float, high: float, u: float) -> float:
+    """Quantile `u` of the log-uniform distribution between `low` and `high`."""
+    return low * math.pow(high / low, u)
+
+
+def unit_draws(seed: int, dimensions: int, count: int) -> FloatArray:
+    """The first `count` points of the scrambled Sobol sequence of `seed` in the unit cube.
+
+    Row i does not depend on `count`: asking for more continues the sequence.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the scrambling.
+    dimensions : int
+        Numbers drawn at a time, >= 1.
+    count : int
+        Number of points.
+
+    Returns
+    -------
+    ndarray, shape (count, dimensions)
+        In [0, 1).
+
+    Notes
+    -----
+    Owen's scrambling as left matrix scrambling with a digital shift (J. Matousek, J. Complexity 14 (1998)), by SciPy.
+    Counts that are powers of two are balanced in every dimension.
+    """
+    from scipy.stats import qmc  # takes half a second to load, which opening a catalogue can do without
+
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
+    exponent = max(0, math.ceil(math.log2(max(count, 1))))
+    points: FloatArray = sequence.random_base2(exponent)
+    return points[:count]
+
 
 Auto = BeforeValidator(lambda value: None if isinstance(value, str) and value == "auto" else value)
 """Lets a file say ``auto`` for what follows from the machine: None."""
@@ -94,7 +208,7 @@ class Wide(Part):
     """Further draws in which the machine's own data are uncertain, too: ``draws`` of them for each of the others.
 
     ``uncertain`` is what is uncertain besides, by path; None (``auto`` in a file) is
-    :func:`~jointplay.catalogue.plans.ranges.default_wide`.
+    :func:`~jointplay.catalogue.plans.plan_parts.default_wide`.
     """
 
     draws: Share = 0.0
@@ -111,3 +225,136 @@ class Bands(Part):
     orders: Annotated[int, Field(ge=1, le=1000, strict=True)] = 100
     per_octave: Annotated[int, Field(ge=1, le=96, strict=True)] = 12
     f_max: Annotated[float, QuantityField(FREQUENCY, above=0.0)] = 4000.0
+
+
+#: Standard deviation of the logarithm of contact stiffness and damping. The contact law is drawn, so they need not
+#: stand for it; docs/measured/catalogues.md says what was compared.
+STIFFNESS_SCATTER = 0.4
+DAMPING_SCATTER = 0.4
+
+#: Standard deviations of the logarithm of what every file says a little wrong: mass and inertia of a frame with all
+#: that is bolted to it, and each mount: nineteen of twenty pieces of the same rubber lie within 10 % of stiffness.
+TOLERANCE = {"mass": 0.025, "inertia": 0.03, "stiffness": 0.05, "damping": 0.15}
+
+#: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
+HYSTERESIS = (0.3, 30.0)
+
+#: Speed ripple of an order, relative; the low orders of drives that are too weak, 6 and 12 of motors with three phases.
+RIPPLE = (1e-4, 1e-2)
+RIPPLE_ORDERS = (1, 2, 3, 4, 6, 12)
+
+#: Process load, as a part of the weight and the inertia of the moving links; and orders of what comes and goes with a
+#: turn, each as a part of that: a force on one of two strokes is 1/2, 0.64, 0 and 0.21 of itself in orders 0 to 3.
+LOAD = (0.01, 1.0)
+LOAD_ORDERS = {1: 0.6, 2: 0.3, 3: 0.2}
+#: Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat.
+WEIGHT = 9.81
+
+
+def default_laws(machine: Machine) -> dict[LawChoice, float]:
+    """Contact laws that are drawn, with their weights: the machine's own, and the other one of linear and Hertzian."""
+    contacts = [joint.contact.law for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
+    return {"own": 1.0, "hertz" if "linear" in contacts else "linear": 1.0}
+
+
+def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict[str, Distribution]:
+    """What is not known even of a machine whose data can be trusted: speed, tolerances, and everything about contacts.
+
+    Parameters
+    ----------
+    machine : Machine
+    laws : mapping of str to float
+        Contact laws that are drawn.
+
+    Returns
+    -------
+    dict of str to Distribution
+        By path, see :class:`~jointplay.catalogue.plans.parameters.MachineNumbers`.
+    """
+    turning = [joint.contact for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
+    contacts = turning if "own" in laws else []  # any other law takes the place of the file's in every joint
+    known = {contact.law for contact in contacts} | set(laws)
+    found = {
+        "drive.speed": Distribution(factor_uniform=(0.97, 1.03)),
+        "contact.friction": Distribution(uniform=(0.01, 0.15)),
+        "contact.stiffness": Distribution(lognormal=STIFFNESS_SCATTER),
+    }
+    if any(getattr(joint, "pin_radius", 0.0) > 0 for joint in machine.joints.values()):
+        found["pin_radius"] = Distribution(factor_uniform=(0.9, 1.1))
+    if "linear" in known:
+        found["contact.damping"] = Distribution(lognormal=DAMPING_SCATTER)
+    if "hertz" in known:
+        found["contact.hysteresis"] = Distribution(loguniform=HYSTERESIS)
+    asked = [contact.restitution for contact in contacts if contact.restitution is not None]
+    if asked:
+        low, high = max(0.05, min(asked) - 0.25), min(1.0, max(asked) + 0.25)
+        found["contact.restitution"] = Distribution(uniform=(low, high))
+    return found | {
+        path: Distribution(lognormal=TOLERANCE[path.rpartition(".")[2]]) for path in _frame_and_mounts(machine)
+    }
+
+
+def default_wide(machine: Machine) -> dict[str, Distribution]:
+    """What else is not known of a machine whose data cannot be trusted: frame, supports, load, ripple of the drive.
+
+    Supports have one common factor each for x and y, and each mount a smaller one of its own: a single loose mount
+    stays outside of all draws.
+
+    Returns
+    -------
+    dict of str to Distribution
+        By path, see :class:`~jointplay.catalogue.plans.parameters.MachineNumbers`.
+    """
+    factors = {
+        "frame.mass": Distribution(factor_uniform=(0.8, 1.2)),
+        "frame.inertia": Distribution(factor_uniform=(0.8, 1.2)),
+        "supports.stiffness": Distribution(factor_uniform=(0.7, 1.3)),
+        "supports.damping": Distribution(factor_loguniform=(0.5, 2.0)),
+    }
+    own = {"stiffness": Distribution(factor_uniform=(0.85, 1.15)), "damping": Distribution(factor_uniform=(0.8, 1.25))}
+    found = {path: factors.get(path) or own[path.rpartition(".")[2]] for path in _frame_and_mounts(machine)}
+    if any(path[9:10].isdigit() for path in found):
+        found |= {f"supports.{name}.{axis}": factors[f"supports.{name}"] for name in own for axis in "xy"}
+    load = output_load(machine)
+    if load is not None:
+        scale = _weight_and_inertia(machine) * (load.arm or 1.0)
+        found["load"] = _either(LOAD, scale)
+        for order, share in LOAD_ORDERS.items():
+            spread = _either(LOAD, share * scale)
+            found |= {f"load.{order}.sin": spread, f"load.{order}.cos": spread}
+    for order in RIPPLE_ORDERS:
+        spread = _either(RIPPLE, 1.0 / order)
+        found |= {f"ripple.{order}.sin": spread, f"ripple.{order}.cos": spread}
+    return found
+
+
+def _frame_and_mounts(machine: Machine) -> list[str]:
+    """Short paths of the frame's numbers, as far as it moves, of mounts, and of springs and dampers by themselves."""
+    frame = machine.links[machine.frame]
+    if frame.fixed:
+        return []
+    free = {"x", "y", "theta"}.difference(frame.locked)
+    moved = {"frame.mass": frame.mass and free & {"x", "y"}, "frame.inertia": frame.inertia and free & {"theta"}}
+    paths = [path for path, is_held in moved.items() if is_held]
+    own = [(place, each) for place, each in enumerate(machine.supports) if each.link == machine.frame]
+    for name, single in (("stiffness", Spring), ("damping", Damper)):
+        paths += [f"supports.{place}.{name}" for place, support in own if isinstance(support, Mount)]
+        if any(isinstance(support, single) for _, support in own):
+            paths.append(f"supports.{name}")
+    return paths
+
+
+def _either(bounds: tuple[float, float], scale: float) -> Distribution:
+    low, high = (float(f"{scale * bound:.3g}") for bound in bounds)
+    return Distribution(either_loguniform=(low, high))
+
+
+def _weight_and_inertia(machine: Machine) -> float:
+    """Force [N] of the moving links' weight, and of their mass on the way of the driven link's end."""
+    moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
+    drive = machine.drive
+    joint = machine.joints.get(str(getattr(drive, "joint", "")))
+    speed = drive.speed if isinstance(drive, RotationDrive) and isinstance(drive.speed, float) else 0.0
+    driven = [name for name in joint.links if name != machine.frame] if joint else []
+    ends = [math.dist(joint.at, end.at) for end in machine.joints.values() if joint and {*driven} & {*end.links}]
+    return moving * (WEIGHT + max(ends, default=0.0) * speed**2)

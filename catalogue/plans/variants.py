@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self, get_args
 
 from jointplay.solver.machines.joints import Contact, TurningJoint
-from jointplay.solver.machines.kept import keep_by_machine
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import Load, Ripple, RotationDrive
 
 LawChoice = Literal["own", "linear", "hertz"]

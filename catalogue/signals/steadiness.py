@@ -18,7 +18,7 @@ import scipy.ndimage
 
 from jointplay.catalogue.measurements.drivespeed import SpeedTrack, comb_speed, thin
 from jointplay.solver.arrays import BoolArray, FloatArray
-from jointplay.solver.compiler.compiled import compiled
+from jointplay.solver.compiler.native import compiled
 
 #: Windows [revolutions], and windows a revolution.
 WINDOW_REVOLUTIONS = 1.0

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError
-from jointplay.catalogue.plans.entry import Hypothesis, Recipe, Stratum
-from jointplay.catalogue.plans.keys import canonical_json
+from jointplay.catalogue.plans.entry import Hypothesis, Recipe, Stratum, canonical_json
 from jointplay.catalogue.plans.variants import Variant
 from jointplay.catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED, UNITS
 from jointplay.catalogue.storage.directory import publish

@@ -14,10 +14,9 @@ from typing import Self, TypeVarTuple
 from sqlalchemy import Connection, Select, delete, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
-from jointplay.catalogue.storage.database import IndexDatabase
+from jointplay.catalogue.storage.database import CATALOGUES, ENTRIES, SHARDS, IndexDatabase
 from jointplay.catalogue.storage.leases import ChunkRow, Leases, finish_chunk
 from jointplay.catalogue.storage.shard import Shard
-from jointplay.catalogue.storage.tables import CATALOGUES, ENTRIES, SHARDS
 
 Q = TypeVarTuple("Q")
 

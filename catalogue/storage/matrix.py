@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from jointplay.catalogue.plans.entry import Hypothesis, Recipe, Stratum
 from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.directory import CatalogueDirectory
-from jointplay.catalogue.storage.gathering import Gathered, Numbers, gather
-from jointplay.catalogue.storage.matrix_columns import Columns, MemoryColumns, hexadecimal
+from jointplay.catalogue.storage.gathering import Columns, Gathered, MemoryColumns, Numbers, gather, hexadecimal
 from jointplay.catalogue.storage.matrix_files import MappedColumns, write_matrix
 from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Guard, MatrixHeader, Ranges
 from jointplay.catalogue.storage.shard import OK, Shard

@@ -10,8 +10,7 @@ from typing import Any, Self, get_args
 
 import numpy as np
 
-from jointplay.catalogue.plans.entry import Hypothesis, Stratum
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import Hypothesis, Stratum, content_digest
 from jointplay.catalogue.plans.variants import LawChoice
 from jointplay.solver.arrays import BoolArray
 

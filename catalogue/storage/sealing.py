@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.catalogue.storage.directory import CatalogueDirectory
-from jointplay.catalogue.storage.manifest import Manifest
+from jointplay.catalogue.storage.manifest import Manifest, Seal, SealedShard
 from jointplay.catalogue.storage.matrix import FeatureMatrix
-from jointplay.catalogue.storage.seal import Seal, SealedShard
 from jointplay.catalogue.storage.shard import OK
 from jointplay.catalogue.storage.store import Catalogue
 

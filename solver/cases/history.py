@@ -93,7 +93,7 @@ class Settings:
         Give the samples before the end of the start-up transient too.
     settled : bool
         Start worn machines with the frame moving as the healthy machine's does after its transient, where there is
-        such a steady state and no `duration` is given (:mod:`jointplay.solver.simulation.settling`): the transient is
+        such a steady state and no `duration` is given (:mod:`jointplay.solver.simulation.simulate`): the transient is
         shorter.
     most_trials : int or None
         Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.

@@ -16,8 +16,7 @@ from jointplay.solver.equations.drive import travel_range
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.machines.joints import Contact, TurningJoint
-from jointplay.solver.machines.kept import keep_by_machine
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 #: Numbers by path, as a key of a cache.

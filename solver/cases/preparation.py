@@ -25,8 +25,7 @@ from jointplay.solver.cases.steps import (
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.errors import AssemblyError, MachineError, SettingsError
-from jointplay.solver.machines.kept import keep_by_machine
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 from jointplay.solver.machines.rules import restitution_remarks
 

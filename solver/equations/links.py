@@ -15,8 +15,7 @@ from jointplay.solver.arrays import FloatArray
 from jointplay.solver.equations.geometry import Complex
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.equations.numbers import contact_paths
-from jointplay.solver.machines.kept import keep_by_machine
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.compiler.compiled import inlined
+from jointplay.solver.compiler.native import inlined
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
 
 #: Outcome of a case; `RUNNING` before it has one.

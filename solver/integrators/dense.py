@@ -10,8 +10,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from jointplay.solver.arrays import FloatArray, IntArray
-from jointplay.solver.compiler.compiled import compiled, inlined
 from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.compiler.native import compiled, inlined
 from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.integrators.lanes import GROUP, PHASES
 

@@ -19,8 +19,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from jointplay.solver.arrays import FloatArray, IntArray
-from jointplay.solver.compiler.compiled import compiled
 from jointplay.solver.compiler.ir import LANES, Block
+from jointplay.solver.compiler.native import compiled
 from jointplay.solver.compiler.rows import Rows, work_rows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import remember

@@ -8,11 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from pydantic import ValidationError, ValidationInfo, model_validator
 
@@ -168,3 +168,27 @@ def machine_json_schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of a machine file."""
     schema = Machine.model_json_schema(mode="validation")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "jointplay machine file"}
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def keep_by_machine(most: int) -> Callable[[Function], Function]:
+    """Keep the last `most` results of a function of a machine and of other things that can be hashed.
+
+    Machines of the same content are equal in whatever order their files name links and joints, but equations written in
+    another order round otherwise. What is kept must not depend on which of them a process met first.
+    """
+
+    def decorated(function: Function) -> Function:
+        @lru_cache(maxsize=most)
+        def of(order: tuple[tuple[str, ...], ...], machine: Machine, *others: Any) -> Any:
+            return function(machine, *others)
+
+        def found(machine: Machine, *others: Any) -> Any:
+            return of((tuple(machine.links), tuple(machine.joints)), machine, *others)
+
+        found.__doc__ = function.__doc__
+        return cast(Function, found)
+
+    return decorated

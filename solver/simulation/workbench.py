@@ -20,7 +20,7 @@ from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation.adaptive_runs import TOLERANCES
+from jointplay.solver.simulation.runs import TOLERANCES
 from jointplay.solver.simulation.simulate import simulate_batch, start_of
 from jointplay.solver.spectra.harmonics import (
     find_comparable,

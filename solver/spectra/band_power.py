@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from jointplay.solver.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from jointplay.solver.compiler.compiled import compiled
+from jointplay.solver.compiler.native import compiled
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.spectra.bands import BandScheme
 from jointplay.solver.spectra.segments import Segmentation, revolution_segments

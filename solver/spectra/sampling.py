@@ -16,7 +16,7 @@ from functools import cache, partial
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.compiler.compiled import compiled
+from jointplay.solver.compiler.native import compiled
 
 #: Pass band ends, and stop band begins, at these parts of the sample rate: what folds lands above PASS.
 PASS, STOP = 0.4, 0.6

@@ -22,9 +22,8 @@ from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.directory import STALE, CatalogueDirectory
 from jointplay.catalogue.storage.index import Index
-from jointplay.catalogue.storage.leases import ChunkStatus, Leases
-from jointplay.catalogue.storage.locks import BuilderLock
-from jointplay.catalogue.storage.recovery import adopt
+from jointplay.catalogue.storage.leases import BuilderLock, ChunkStatus, Leases
+from jointplay.catalogue.storage.location import adopt
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.verify import verify
 
@@ -210,7 +209,7 @@ def test_builders_that_cut_the_plan_differently_store_each_case_once(tmp_path: P
 
 def test_build_waits_for_the_end_of_a_verify(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path, with_draws(1))
-    monkeypatch.setattr("jointplay.catalogue.storage.locks.WAIT", 0.1)
+    monkeypatch.setattr("jointplay.catalogue.storage.leases.WAIT", 0.1)
     with CatalogueDirectory(tmp_path).locked(), pytest.raises(CatalogueBusyError):
         quick_build(tmp_path)
     monkeypatch.undo()

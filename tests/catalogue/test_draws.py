@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jointplay.catalogue.plans.draws import Distribution, unit_draws
+from jointplay.catalogue.plans.plan_parts import Distribution, unit_draws
 
 
 @settings(max_examples=25, deadline=None)

@@ -15,8 +15,7 @@ from fake_simulator import MACHINE, PLAN, compute, diverges
 from jointplay.catalogue.building.build import Progress, build
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.plans.cases import entries_of
-from jointplay.catalogue.plans.entry import Entry, Hypothesis
-from jointplay.catalogue.plans.keys import content_digest
+from jointplay.catalogue.plans.entry import Entry, Hypothesis, content_digest
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.plans.variants import Variant
 from jointplay.catalogue.storage import matrix, matrix_header, store

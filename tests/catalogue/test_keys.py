@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointplay.catalogue.errors import KeyContentError
-from jointplay.catalogue.plans.keys import canonical_json, content_digest, entry_key, seed_from
+from jointplay.catalogue.plans.entry import canonical_json, content_digest, entry_key, seed_from
 
 plain = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -104,6 +104,6 @@ def test_the_machine_as_filed_is_no_variant() -> None:
 def test_keys_and_seeds_are_the_same_in_every_process() -> None:
     """Not so with Python's own hash, which is salted."""
     printed = "print(content_digest({'a': 0.1}), seed_from(1, 'A+F', (1e-5, 2e-5), 1.0))"
-    code = f"from jointplay.catalogue.plans.keys import *; {printed}"
+    code = f"from jointplay.catalogue.plans.entry import *; {printed}"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ})
     assert run.stdout.split() == [content_digest({"a": 0.1}), str(seed_from(1, "A+F", (1e-5, 2e-5), 1.0))]

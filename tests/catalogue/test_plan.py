@@ -16,8 +16,8 @@ from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Recipe
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import parse_plan, preset, preset_names
-from jointplay.catalogue.plans.plan_text import plan_lines
-from jointplay.catalogue.plans.ranges import STIFFNESS_SCATTER
+from jointplay.catalogue.plans.plan_check import plan_lines
+from jointplay.catalogue.plans.plan_parts import STIFFNESS_SCATTER
 from jointplay.catalogue.plans.variants import Variant
 from jointplay.solver.cases.groups import full_paths
 from jointplay.solver.cases.history import Case, Settings

@@ -10,8 +10,8 @@ import pytest
 from small_plans import QUICK_RETURN, draws, keys, plan_of, sizes_of
 
 from jointplay.catalogue.plans.cases import entries_of, travel
+from jointplay.catalogue.plans.plan_check import plan_lines
 from jointplay.catalogue.plans.plan_parts import NEXT_TO_NONE
-from jointplay.catalogue.plans.plan_text import plan_lines
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 

@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from jointplay.catalogue.plans.draws import Distribution
 from jointplay.catalogue.plans.parameters import MachineNumbers, Scatter
-from jointplay.catalogue.plans.ranges import default_laws, default_uncertain, default_wide
+from jointplay.catalogue.plans.plan_parts import Distribution, default_laws, default_uncertain, default_wide
 from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 

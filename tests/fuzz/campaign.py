@@ -16,7 +16,7 @@ from fuzz.judge import judge
 from fuzz.machines import scene
 from fuzz.uncompiled import uncompiled
 
-from jointplay.solver.simulation import adaptive_runs as runs
+from jointplay.solver.simulation import runs
 
 #: Trial steps in plain Python, some seconds.
 TRIALS = 3000

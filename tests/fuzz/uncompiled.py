@@ -20,12 +20,12 @@ from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.compiler.rows import Rows
 from jointplay.solver.equations.model import Model
-from jointplay.solver.integrators import adaptive, dense, dopri, lane_work, lanes
+from jointplay.solver.integrators import adaptive, dense, dopri, lanes
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.kernel import Kernel
 from jointplay.solver.integrators.lanes import GROUP, Lanes, Queue
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation import adaptive_runs as runs
+from jointplay.solver.simulation import runs
 
 Work = NDArray[np.float64]
 Values = list[float]
@@ -148,15 +148,14 @@ def uncompiled(trials: int) -> Iterator[None]:
         def put(module: Any, name: str, value: Any) -> None:
             patches.enter_context(mock.patch.object(module, name, value))
 
-        for module in (adaptive, lane_work, dense):
+        for module in (adaptive, dense):
             for name, value in list(vars(module).items()):
                 if hasattr(value, "py_func"):
                     put(module, name, value.py_func)
-        for module in (adaptive, lane_work, lanes, dense):
+        for module in (adaptive, lanes, dense):
             put(module, "LANES", 1)
         put(dopri, "Block", ScalarBlock)
         put(adaptive, "call", _call)
-        put(lane_work, "call", _call)
         put(dense, "_write_values", _write_values)
         put(dense, "_write_in_turn", _write_in_turn)
         put(dense, "_write_slopes", _write_slopes)

@@ -17,8 +17,7 @@ from jointplay.solver.equations.drive import prescribed_motion, repeating_freque
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from jointplay.solver.simulation.ensemble import simulate_ensemble
-from jointplay.solver.simulation.ensemble_result import Ensemble
+from jointplay.solver.simulation.ensemble import Ensemble, simulate_ensemble
 from jointplay.solver.simulation.tradeoff import measure
 
 

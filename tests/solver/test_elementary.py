@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointplay.solver.compiler import native
-from jointplay.solver.compiler.elementary import exponential, hyperbolic_tangent, logarithm, sine_cosine
+from jointplay.solver.compiler.emit import exponential, hyperbolic_tangent, logarithm, sine_cosine
 from jointplay.solver.compiler.ir import DECLARATIONS, LANES, Block
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, ...]]

@@ -17,8 +17,7 @@ from jointplay.solver.simulation import averages, blocks
 from jointplay.solver.simulation import ensemble as module
 from jointplay.solver.simulation.averages import decibels, overall, spread_db
 from jointplay.solver.simulation.blocks import BLOCK, Members
-from jointplay.solver.simulation.ensemble import simulate_ensemble
-from jointplay.solver.simulation.ensemble_result import Ensemble, EnsembleResult
+from jointplay.solver.simulation.ensemble import Ensemble, EnsembleResult, simulate_ensemble
 from jointplay.solver.simulation.simulate import simulate, start_of
 from jointplay.solver.spectra.harmonics import find_comparable
 from jointplay.solver.spectra.spectrum import order_levels

@@ -23,7 +23,7 @@ from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.steps import STEP_RULES
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from jointplay.solver.simulation.adaptive_runs import TOLERANCES
+from jointplay.solver.simulation.runs import TOLERANCES
 from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
@@ -112,11 +112,11 @@ def test_numbers_are_those_of_their_version(name: str) -> None:
     [
         (
             "fits",
-            "jointplay.solver.simulation.adaptive_runs.TOLERANCES",
+            "jointplay.solver.simulation.runs.TOLERANCES",
             {**TOLERANCES, "draft": 1.02 * TOLERANCES["draft"]},
         ),
-        ("worn, standard", "jointplay.solver.simulation.adaptive_runs.TOLERANCES", {**TOLERANCES, "standard": 0.98e-6}),
-        ("worn", "jointplay.solver.simulation.settling.SETTLED_PART", 0.5),
+        ("worn, standard", "jointplay.solver.simulation.runs.TOLERANCES", {**TOLERANCES, "standard": 0.98e-6}),
+        ("worn", "jointplay.solver.simulation.simulate.SETTLED_PART", 0.5),
         (
             "gill",
             "jointplay.solver.cases.preparation.STEP_RULES",

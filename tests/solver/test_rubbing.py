@@ -19,7 +19,7 @@ from jointplay.solver.integrators.kernel import kernel_code
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.account import account
-from jointplay.solver.simulation.adaptive_runs import how_it_ended
+from jointplay.solver.simulation.runs import how_it_ended
 from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 G = 9.81

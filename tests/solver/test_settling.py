@@ -16,12 +16,10 @@ from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
-from jointplay.solver.simulation import settling
-from jointplay.solver.simulation.adaptive_runs import adaptive_runs
-from jointplay.solver.simulation.gill_runs import gill_runs
-from jointplay.solver.simulation.settling import settle
-from jointplay.solver.simulation.simulate import simulate, simulate_batch, start_of
-from jointplay.solver.simulation.steady import healthy_revolution
+from jointplay.solver.simulation import simulate as module
+from jointplay.solver.simulation.averages import healthy_revolution
+from jointplay.solver.simulation.runs import adaptive_runs, gill_runs
+from jointplay.solver.simulation.simulate import settle, simulate, simulate_batch, start_of
 from jointplay.solver.spectra.harmonics import harmonic_levels, mean_difference_db
 
 WEAR = Fault({"B": 2e-4})
@@ -286,6 +284,6 @@ def test_started_as_drawn_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def open_joint(*_: object) -> None:
         raise AssemblyError("slider-crank", "joints.B", None, "does not close")
 
-    monkeypatch.setattr(settling, "start_with_frame", open_joint)
+    monkeypatch.setattr(module, "start_with_frame", open_joint)
     history = simulate(shipped_machine("slider-crank"), Case(WEAR), SHORT)
     assert "no settled start (slider-crank: joints.B: does not close)" in history.message

@@ -13,8 +13,8 @@ from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.simulation.averages import PHASES, healthy_revolution, starts_at
 from jointplay.solver.simulation.simulate import simulate, simulate_batch
-from jointplay.solver.simulation.steady import PHASES, healthy_revolution, starts_at
 from jointplay.solver.spectra.harmonics import harmonic_levels, mean_difference_db
 
 CASES = [("slider-crank", {"B": 2e-4}), ("quick-return", {"F": 2e-4}), ("four-bar", {"A": 1e-4})]

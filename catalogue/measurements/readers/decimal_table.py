@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.compiler.compiled import compiled
+from jointplay.solver.compiler.native import compiled
 
 BLANK, NEWLINE, PLUS, MINUS, POINT, ZERO, NINE, SMALL_E, LARGE_E = (ord(mark) for mark in " \n+-.09eE")
 #: Whole numbers up to 2^53 and powers of ten up to 10^22 are doubles, so that one operation with both is rounded once:

@@ -1,9 +1,12 @@
-"""Queues of prepared cases through a kernel under error control: recorded motion of some coordinates."""
+"""Prepared cases through a kernel, under error control or with fixed steps: recorded motion of some coordinates."""
 
 from __future__ import annotations
 
+import math
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,26 +14,81 @@ from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import Prepared, model_of
 from jointplay.solver.cases.rates import error_scales
+from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.model import MODELS_KEPT, Model
-from jointplay.solver.integrators import adaptive, control
-from jointplay.solver.integrators.kernel import Kernel, compile_adaptive
+from jointplay.solver.integrators import adaptive, control, gill
+from jointplay.solver.integrators.kernel import Kernel, compile_adaptive, compile_model
 from jointplay.solver.integrators.lanes import (
     BUSY,
     CASE,
     ENDED,
     FREE,
     NEXT,
+    PHASES,
     SLOTS,
     Queue,
     Records,
     empty_records,
     idle_lanes,
 )
-from jointplay.solver.machines.kept import keep_by_machine
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
-from jointplay.solver.simulation.recorded import OVERSAMPLING, Run, describe_failure, samples_of
 from jointplay.solver.spectra import sampling
+
+#: Recorded samples per sample asked for; at least 2 so that nothing folds below 0.4 of the sample rate.
+OVERSAMPLING = PHASES
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What was recorded of one case.
+
+    Attributes
+    ----------
+    case : Prepared
+    status : Status
+    message : str
+        For a status other than ok; else a remark on a joint that its friction holds, mostly empty.
+    z, a : (r, samples) arrays or None
+        Recorded coordinates and accelerations at the sample rate, where motion is wanted. Of a case that failed, the
+        samples before.
+    v : (r, OVERSAMPLING, head + k) array
+        Velocities at :data:`OVERSAMPLING` times the sample rate, by phase
+        (:func:`jointplay.solver.spectra.sampling.phases`).
+    samples : int
+        Velocities that there are.
+    memory : (m, samples) array or None
+        What contacts remember, at the sample rate, where motion is wanted.
+    final : (1 + 2 n + m,) array
+        Time, coordinates, velocities and memories at the end; of a case that is ok, those at the last sample of `v`.
+    step : float
+        s; the mean of an error-controlled run.
+    seconds : float
+        Processor time.
+    """
+
+    case: Prepared
+    status: Status
+    message: str
+    z: FloatArray | None
+    v: FloatArray
+    samples: int
+    a: FloatArray | None
+    memory: FloatArray | None
+    final: FloatArray
+    step: float
+    seconds: float
+
+
+def samples_of(case: Prepared, settings: Settings) -> int:
+    """Recorded samples: to the end, and what the filter needs beyond."""
+    return round(case.duration * settings.sample_rate) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
+
+
+def describe_failure(where: str, friction: str, advice: str) -> str:
+    """Message of a run that failed, beside its status: where, and joints that friction holds or else general advice."""
+    return f"{where}; {friction or f'try {advice}'}"
+
 
 #: Scaled error of a step that each level of accuracy allows, from measured harmonic errors: docs/measured/solver.md.
 TOLERANCES = {"draft": 1e-5, "standard": 1e-6, "reference": 1e-9}
@@ -154,3 +212,97 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: FloatArray, 
     return status, describe_failure(
         f"{what} at {reached:.6g} s", failure_remark(*end), "another tolerance, or `gill` with a small step"
     )
+
+
+def _round_number(count: int) -> int:
+    """Next of 1, 2, 3, 4, 6, 8, 12, 16, 24 ...: few different steps fill the lanes."""
+    power = 1 << max(0, count - 1).bit_length()
+    return 3 * power // 4 if power >= 4 and 3 * power // 4 >= count else power
+
+
+@keep_by_machine(64)
+def _gill_kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Kernel:
+    return compile_model(model_of(machine, joints, varying))
+
+
+def gill_runs(
+    machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
+    settings: Settings,
+) -> Iterator[Run]:  # fmt: skip
+    """Runge-Kutta-Gill with fixed steps.
+
+    Cases with equal steps run side by side: no result depends on which other cases are in the table.
+
+    Parameters
+    ----------
+    machine, model, varying
+        As :func:`jointplay.solver.cases.preparation.model_of`.
+    prepared : sequence of Prepared
+    recorded : sequence of int
+        Coordinates to record.
+    settings : Settings
+    """
+    kernel = _gill_kernel(machine, model.clearance_joints, varying)
+    equal: dict[int, list[Prepared]] = defaultdict(list)
+    for case in sorted(prepared, key=lambda case: case.duration):
+        steps = math.ceil(1 / (OVERSAMPLING * settings.sample_rate * case.longest_step) - 1e-9)
+        equal[_round_number(steps)].append(case)
+    for substeps, same in equal.items():
+        for first in range(0, len(same), LANES):
+            yield from _gill_group(model, kernel, same[first : first + LANES], recorded, substeps, settings)
+
+
+def _gill_group(
+    model: Model, kernel: Kernel, lanes: Sequence[Prepared], recorded: Sequence[int], substeps: int, settings: Settings
+) -> Iterator[Run]:
+    """Up to eight cases side by side; lanes left over repeat the last one."""
+    began = time.process_time()
+    rows, work = kernel.rows, kernel.work_array()
+    for lane in range(LANES):
+        case = lanes[min(lane, len(lanes) - 1)]
+        given = ((rows.z, case.z), (rows.v, case.v), (rows.parameters, case.vector), (rows.memory, case.memory))
+        for place, column in given:
+            work[place, lane] = column
+    rate = settings.sample_rate * OVERSAMPLING
+    h = 1 / (rate * substeps)
+    counts = [samples_of(case, settings) for case in lanes]
+    places = [*(place[i] for place in (rows.z, rows.v, rows.a) for i in recorded), *rows.memory]
+    record = np.array(places, dtype=np.int64)
+    out = np.zeros((LANES, len(record), max(counts)))
+    broken = np.zeros(LANES, dtype=np.int64)
+    finals = np.zeros((LANES, 2 + 2 * model.size))
+    wanted = np.array([counts[min(lane, len(lanes) - 1)] for lane in range(LANES)], dtype=np.int64)
+    begins = np.array([lanes[min(lane, len(lanes) - 1)].begin for lane in range(LANES)])
+    gill.integrate(
+        kernel.functions, work, kernel.first, begins, h, substeps, record, out, broken, wanted, finals
+    )  # fmt: skip
+    spent = (time.process_time() - began) / len(lanes)
+    for lane, case in enumerate(lanes):
+        status, reached = Status.OK, counts[lane]
+        end = (model, finals[lane, 1], *np.split(finals[lane, 2:], 2), case.vector)
+        if 0 <= broken[lane] < reached:
+            reached = int(broken[lane])
+            status = Status.JAMMED if finals[lane, 0] == gill.JAMMED else Status.DIVERGED
+        if status is Status.JAMMED:
+            message = jam_message(*end)
+        elif status is Status.DIVERGED:
+            where = f"left all bounds at {reached / rate:.6g} s with steps of {h:.3g} s"
+            message = describe_failure(where, failure_remark(*end), "a higher accuracy or a smaller step")
+        else:
+            message = hold_remark(*end)
+        z, v, a, memory = np.split(out[lane, :, :reached], [len(recorded) * i for i in (1, 2, 3)])
+        reduced = [motion[:, ::OVERSAMPLING] for motion in (z, a, memory)]
+        final = np.concatenate([finals[lane, 1:], memory[:, -1] if reached else case.memory])
+        yield Run(
+            case,
+            status,
+            message,
+            reduced[0],
+            sampling.phases(v, OVERSAMPLING),
+            v.shape[1],
+            reduced[1],
+            reduced[2],
+            final,
+            h,
+            spent,
+        )
