@@ -44,7 +44,7 @@ from jointplay.app.routes import (
 )
 from jointplay.app.scopes import API
 from jointplay.app.service import Service
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.keys import Keys
@@ -55,7 +55,7 @@ from jointplay.app.storage.webhooks import Webhooks
 STATIC = Path(__file__).parent / "static"
 
 
-def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastAPI:
+def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -> FastAPI:
     """Return the service as an ASGI application.
 
     Parameters
@@ -65,7 +65,7 @@ def create_app(settings: Settings | None = None, *, warm: bool = False) -> FastA
     warm : bool
         Whether workers start at once and load what they need, in the background, in place of with the first request.
     """
-    chosen = settings if settings is not None else Settings()
+    chosen = settings if settings is not None else ServiceSettings()
     metrics = Metrics()
 
     @asynccontextmanager

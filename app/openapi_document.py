@@ -6,12 +6,12 @@ import json
 import sys
 
 from jointplay.app.main import create_app
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 
 def main() -> None:
     """Print it."""
-    sys.stdout.write(json.dumps(create_app(Settings(keys="required")).openapi(), indent=1) + "\n")
+    sys.stdout.write(json.dumps(create_app(ServiceSettings(keys="required")).openapi(), indent=1) + "\n")
 
 
 if __name__ == "__main__":

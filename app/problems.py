@@ -25,7 +25,7 @@ PLAIN_TYPE = "about:blank"
 
 
 @dataclass(frozen=True)
-class Kind:
+class ProblemKind:
     """What a class of exception is called outside.
 
     Parameters
@@ -77,69 +77,75 @@ class Problem:
         return members
 
 
-TABLE: dict[type[Exception], Kind] = {
-    errors.AppError: Kind(500, "failure", "The service failed"),
-    errors.UnknownMachineError: Kind(404, "unknown-machine", "No such machine"),
-    errors.UnknownCatalogueError: Kind(404, "unknown-catalogue", "No such catalogue"),
-    errors.UnknownMeasurementError: Kind(404, "unknown-measurement", "No such measurement"),
-    errors.UnknownDiagnosisError: Kind(404, "unknown-diagnosis", "No such diagnosis"),
-    errors.UnknownBuildError: Kind(404, "unknown-build", "No such build"),
-    errors.BuildEndedError: Kind(409, "build-ended", "The build has ended already"),
-    errors.BuildOpenError: Kind(409, "build-open", "The build has not ended"),
-    errors.UnknownAssetError: Kind(404, "unknown-asset", "No such asset"),
-    errors.UnknownFindingError: Kind(404, "unknown-finding", "No such finding"),
-    errors.UnknownWebhookError: Kind(404, "unknown-webhook", "No such webhook"),
-    errors.UnknownPageError: Kind(404, "unknown-page", "No such page"),
-    errors.BadRequestError: Kind(400, "unreadable-request", "The request cannot be read"),
-    errors.BadFieldError: Kind(422, "invalid-field", "A field breaks a rule"),
-    errors.BadCursorError: Kind(400, "invalid-cursor", "The page cursor is not valid"),
-    errors.UploadTooLargeError: Kind(413, "too-large", "The upload is too large"),
-    errors.ShippedMachineError: Kind(409, "shipped-machine", "The machine ships with the program"),
-    errors.PreconditionError: Kind(412, "precondition", "A condition of the request does not hold"),
-    errors.KeyReusedError: Kind(422, "idempotency-key-reused", "The key was used for another request"),
-    errors.KeyInUseError: Kind(409, "idempotency-key-in-use", "The first request with this key is not answered yet"),
-    errors.NotAcceptableError: Kind(406, "not-acceptable", "No form that the client takes"),
-    errors.UnsupportedMediaError: Kind(415, "unsupported-media", "This type of body is not taken here"),
-    errors.BusyError: Kind(503, "busy", "All workers are busy"),
-    errors.DatabaseGoneError: Kind(503, "database-gone", "The database does not answer"),
-    errors.StorageFullError: Kind(507, "storage-full", "There is no space left"),
-    errors.TimeLimitError: Kind(504, "time-limit", "The computation took too long"),
-    errors.WorkerDiedError: Kind(500, "worker-died", "A worker process ended early"),
-    errors.UnauthorizedError: Kind(401, "unauthorized", "A key is needed"),
-    errors.ForbiddenError: Kind(403, "forbidden", "This is not allowed"),
-    errors.UnknownKeyError: Kind(404, "unknown-key", "No such key"),
-    errors.RateLimitedError: Kind(429, "too-many-requests", "Too many requests"),
-    errors.WrongHostError: Kind(421, "wrong-host", "This service has another name"),
-    errors.SlowRequestError: Kind(408, "slow-request", "The request did not arrive"),
-    errors.NotReadyError: Kind(503, "not-ready", "The service is not ready"),
-    errors.OutputError: Kind(422, "output", "The result cannot be written"),
-    errors.BackupError: Kind(422, "backup", "The backup cannot be made or brought back"),
-    errors.AddressError: Kind(500, "address", "The address cannot be used"),
-    errors.UnassembledError: Kind(422, "unassembled", "The machine cannot be assembled"),
-    errors.SimulationFailedError: Kind(500, "simulation-failed", "The simulation did not succeed"),
-    errors.IncompleteBuildError: Kind(500, "incomplete-build", "The catalogue is not complete"),
-    errors.DamagedCatalogueError: Kind(500, "damaged-catalogue", "The catalogue is damaged"),
-    solver_errors.SolverError: Kind(500, "solver", "The solver failed"),
-    solver_errors.MachineError: Kind(422, "machine", "The machine or fault breaks a rule"),
-    solver_errors.AssemblyError: Kind(422, "assembly", "The machine cannot be assembled"),
-    solver_errors.SettingsError: Kind(422, "settings", "The settings cannot be met"),
-    solver_errors.UnitError: Kind(422, "unit", "A number or its unit cannot be read"),
-    catalogue_errors.CatalogueError: Kind(500, "catalogue", "The catalogue failed"),
-    catalogue_errors.PlanError: Kind(422, "plan", "The plan breaks a rule"),
-    catalogue_errors.KeyContentError: Kind(422, "key-content", "A value has no canonical form"),
-    catalogue_errors.CatalogueFileError: Kind(500, "catalogue-file", "A file of the catalogue cannot be used"),
-    catalogue_errors.CatalogueMismatchError: Kind(409, "catalogue-mismatch", "The catalogue is of something else"),
-    catalogue_errors.CatalogueBusyError: Kind(409, "catalogue-busy", "The catalogue is being built", exit_status=1),
-    catalogue_errors.BuildError: Kind(500, "build", "The catalogue could not be built"),
-    catalogue_errors.SchedulerAddressError: Kind(422, "scheduler-address", "This is no address of a scheduler"),
-    catalogue_errors.MeasurementError: Kind(422, "measurement", "The measurement cannot be used"),
-    catalogue_errors.EntryNotFoundError: Kind(404, "unknown-entry", "No such entry"),
-    catalogue_errors.MatchingError: Kind(422, "matching", "The draws or features cannot be matched"),
-    catalogue_errors.DiagnosisError: Kind(422, "diagnosis", "The measurement cannot be diagnosed"),
+TABLE: dict[type[Exception], ProblemKind] = {
+    errors.AppError: ProblemKind(500, "failure", "The service failed"),
+    errors.UnknownMachineError: ProblemKind(404, "unknown-machine", "No such machine"),
+    errors.UnknownCatalogueError: ProblemKind(404, "unknown-catalogue", "No such catalogue"),
+    errors.UnknownMeasurementError: ProblemKind(404, "unknown-measurement", "No such measurement"),
+    errors.UnknownDiagnosisError: ProblemKind(404, "unknown-diagnosis", "No such diagnosis"),
+    errors.UnknownBuildError: ProblemKind(404, "unknown-build", "No such build"),
+    errors.BuildEndedError: ProblemKind(409, "build-ended", "The build has ended already"),
+    errors.BuildOpenError: ProblemKind(409, "build-open", "The build has not ended"),
+    errors.UnknownAssetError: ProblemKind(404, "unknown-asset", "No such asset"),
+    errors.UnknownFindingError: ProblemKind(404, "unknown-finding", "No such finding"),
+    errors.UnknownWebhookError: ProblemKind(404, "unknown-webhook", "No such webhook"),
+    errors.UnknownPageError: ProblemKind(404, "unknown-page", "No such page"),
+    errors.BadRequestError: ProblemKind(400, "unreadable-request", "The request cannot be read"),
+    errors.BadFieldError: ProblemKind(422, "invalid-field", "A field breaks a rule"),
+    errors.BadCursorError: ProblemKind(400, "invalid-cursor", "The page cursor is not valid"),
+    errors.UploadTooLargeError: ProblemKind(413, "too-large", "The upload is too large"),
+    errors.ShippedMachineError: ProblemKind(409, "shipped-machine", "The machine ships with the program"),
+    errors.PreconditionError: ProblemKind(412, "precondition", "A condition of the request does not hold"),
+    errors.KeyReusedError: ProblemKind(422, "idempotency-key-reused", "The key was used for another request"),
+    errors.KeyInUseError: ProblemKind(
+        409, "idempotency-key-in-use", "The first request with this key is not answered yet"
+    ),
+    errors.NotAcceptableError: ProblemKind(406, "not-acceptable", "No form that the client takes"),
+    errors.UnsupportedMediaError: ProblemKind(415, "unsupported-media", "This type of body is not taken here"),
+    errors.BusyError: ProblemKind(503, "busy", "All workers are busy"),
+    errors.DatabaseGoneError: ProblemKind(503, "database-gone", "The database does not answer"),
+    errors.StorageFullError: ProblemKind(507, "storage-full", "There is no space left"),
+    errors.TimeLimitError: ProblemKind(504, "time-limit", "The computation took too long"),
+    errors.WorkerDiedError: ProblemKind(500, "worker-died", "A worker process ended early"),
+    errors.UnauthorizedError: ProblemKind(401, "unauthorized", "A key is needed"),
+    errors.ForbiddenError: ProblemKind(403, "forbidden", "This is not allowed"),
+    errors.UnknownKeyError: ProblemKind(404, "unknown-key", "No such key"),
+    errors.RateLimitedError: ProblemKind(429, "too-many-requests", "Too many requests"),
+    errors.WrongHostError: ProblemKind(421, "wrong-host", "This service has another name"),
+    errors.SlowRequestError: ProblemKind(408, "slow-request", "The request did not arrive"),
+    errors.NotReadyError: ProblemKind(503, "not-ready", "The service is not ready"),
+    errors.OutputError: ProblemKind(422, "output", "The result cannot be written"),
+    errors.BackupError: ProblemKind(422, "backup", "The backup cannot be made or brought back"),
+    errors.AddressError: ProblemKind(500, "address", "The address cannot be used"),
+    errors.UnassembledError: ProblemKind(422, "unassembled", "The machine cannot be assembled"),
+    errors.SimulationFailedError: ProblemKind(500, "simulation-failed", "The simulation did not succeed"),
+    errors.IncompleteBuildError: ProblemKind(500, "incomplete-build", "The catalogue is not complete"),
+    errors.DamagedCatalogueError: ProblemKind(500, "damaged-catalogue", "The catalogue is damaged"),
+    solver_errors.SolverError: ProblemKind(500, "solver", "The solver failed"),
+    solver_errors.MachineError: ProblemKind(422, "machine", "The machine or fault breaks a rule"),
+    solver_errors.AssemblyError: ProblemKind(422, "assembly", "The machine cannot be assembled"),
+    solver_errors.SettingsError: ProblemKind(422, "settings", "The settings cannot be met"),
+    solver_errors.UnitError: ProblemKind(422, "unit", "A number or its unit cannot be read"),
+    catalogue_errors.CatalogueError: ProblemKind(500, "catalogue", "The catalogue failed"),
+    catalogue_errors.PlanError: ProblemKind(422, "plan", "The plan breaks a rule"),
+    catalogue_errors.KeyContentError: ProblemKind(422, "key-content", "A value has no canonical form"),
+    catalogue_errors.CatalogueFileError: ProblemKind(500, "catalogue-file", "A file of the catalogue cannot be used"),
+    catalogue_errors.CatalogueMismatchError: ProblemKind(
+        409, "catalogue-mismatch", "The catalogue is of something else"
+    ),
+    catalogue_errors.CatalogueBusyError: ProblemKind(
+        409, "catalogue-busy", "The catalogue is being built", exit_status=1
+    ),
+    catalogue_errors.BuildError: ProblemKind(500, "build", "The catalogue could not be built"),
+    catalogue_errors.SchedulerAddressError: ProblemKind(422, "scheduler-address", "This is no address of a scheduler"),
+    catalogue_errors.MeasurementError: ProblemKind(422, "measurement", "The measurement cannot be used"),
+    catalogue_errors.EntryNotFoundError: ProblemKind(404, "unknown-entry", "No such entry"),
+    catalogue_errors.MatchingError: ProblemKind(422, "matching", "The draws or features cannot be matched"),
+    catalogue_errors.DiagnosisError: ProblemKind(422, "diagnosis", "The measurement cannot be diagnosed"),
 }
 
 
-def kind_of(error: BaseException) -> Kind | None:
+def kind_of(error: BaseException) -> ProblemKind | None:
     """Return the row of an exception's class or of the nearest class it derives from; ``None`` if there is none."""
     for cls in type(error).__mro__:
         if cls in TABLE:

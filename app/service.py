@@ -17,7 +17,7 @@ from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
 from jointplay.app.schemas.resources import DiagnosisRequest
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
@@ -47,14 +47,14 @@ class Asked:
 
     offer: Offer
     asset: AssetRow | None
-    question: tasks.Question
+    question: tasks.DiagnosisTask
 
 
 @dataclass(frozen=True)
 class Service:
     """The parts of a running service; made by the application factory, found at ``request.app.state``."""
 
-    settings: Settings
+    settings: ServiceSettings
     store: Store
     shelf: CatalogueShelf
     pool: WorkerPool
@@ -160,7 +160,7 @@ class Service:
         baseline = None if asset is None else self.baseline_of(asset, request.measurement)
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
-        question = tasks.Question(*place, speed, request.effort, request.mode, mapping, prior, baseline)
+        question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baseline)
         return Asked(offer, asset, question)
 
     def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Diagnosis) -> NewDiagnosis:

@@ -20,7 +20,7 @@ SECRETS = "JOINTPLAY_SECRETS"
 """Names a folder whose files hold settings, such as ``jointplay_database``."""
 
 
-class Settings(BaseSettings):
+class ServiceSettings(BaseSettings):
     """What the service may be told from outside; every field has a working default.
 
     A field ``time_limit_s`` is read from ``JOINTPLAY_TIME_LIMIT_S``, or from a file ``jointplay_time_limit_s`` in the

@@ -31,7 +31,7 @@ from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import Plan, parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.location import IndexLocation
-from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.catalogue.storage.shard import OK, CaseOutcome
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -53,11 +53,11 @@ def _spectrum(scheme: BandScheme) -> tuple[NDArray[np.complex64], NDArray[np.flo
     return power, generator.random((bands, 3)).astype(np.float32), cyclic
 
 
-def made_up(chunk: Chunk) -> tuple[Outcome, ...]:
+def made_up(chunk: Chunk) -> tuple[CaseOutcome, ...]:
     """Spectra of the right size, different from case to case, at once."""
     power, spread, cyclic = _spectrum(chunk.recipe.scheme)
     return tuple(
-        Outcome(OK, "", 60.0, 0.25, 4, 0.0, power * np.float32(1 + int(entry.key[:4], 16)), spread, cyclic)
+        CaseOutcome(OK, "", 60.0, 0.25, 4, 0.0, power * np.float32(1 + int(entry.key[:4], 16)), spread, cyclic)
         for entry in chunk.entries
     )
 

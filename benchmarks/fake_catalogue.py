@@ -25,7 +25,7 @@ from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
 from jointplay.catalogue.storage.hdf5 import encode_shard
 from jointplay.catalogue.storage.manifest import Manifest
 from jointplay.catalogue.storage.sealing import seal
-from jointplay.catalogue.storage.shard import OK, Outcome, Shard
+from jointplay.catalogue.storage.shard import OK, CaseOutcome, Shard
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine, shipped_machine
 
@@ -82,7 +82,7 @@ def shards(machine: Machine, manifest: Manifest, plan: Plan, entries: int, seed:
             spread = np.full((bands, 3), 1.0, np.float32)
             cyclic = np.zeros((len(header.recipe.scheme.third_octave_groups()) - 1, 2, 3, 3), np.complex64)
             outcomes = [
-                Outcome(OK, "", case.parameters["drive.speed"], 1.0, 3, 0.0, power[i], spread, cyclic)
+                CaseOutcome(OK, "", case.parameters["drive.speed"], 1.0, 3, 0.0, power[i], spread, cyclic)
                 for i, case in enumerate(cases)
             ]
             for law in dict.fromkeys(case.variant.law for case in cases):

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.app.tables import table
-from jointplay.catalogue.matching.calibration import kept_apart
+from jointplay.catalogue.matching.calibration import split_held_out
 from jointplay.catalogue.matching.classifier import seen_by_all_sensors
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import TrainingSet
@@ -43,16 +43,16 @@ SAMPLES = 1000
 def worn_of(draws: TrainingSet) -> FloatArray:
     """Return which joints are worn (n, joints) in each draw."""
     kinds = np.array([[joint in known.joints for joint in draws.joints] for known in draws.hypotheses], np.float64)
-    return np.asarray(kinds[draws.stacked()[1]])
+    return np.asarray(kinds[draws.stack()[1]])
 
 
 def of_product(catalogue: Catalogue, sensing: Sensing, watched: NDArray[np.bool_], held: TrainingSet) -> FloatArray:
     """Return the product's P(worn) (m, joints)."""
     learning = Learning.of("trusted")
     network = NetworkShelf.of(catalogue).get(sensing, learning, None)
-    model = library_of(catalogue).fitted(Observed(sensing, np.empty(0), watched), learning, network)
+    model = library_of(catalogue).fit(Observed(sensing, np.empty(0), watched), learning, network)
     prior = np.array([draws.prior for draws in held.hypotheses])
-    posterior = model.posterior(held.stacked()[0]) / prior
+    posterior = model.posterior(held.stack()[0]) / prior
     member = np.array([[joint in known.joints for joint in held.joints] for known in held.hypotheses], np.float64)
     return np.asarray(posterior / posterior.sum(axis=1, keepdims=True) @ member)
 
@@ -70,7 +70,7 @@ def of_referee(catalogue: Catalogue, learned: TrainingSet, held: TrainingSet) ->
     entries = np.concatenate([draws.entry for draws in learned.hypotheses])
     clearance = matrix.clearance(entries)[:, columns]
     least = np.array([clearance[worn > 0.5, j].min() for j, worn in enumerate(worn_of(learned).T)])
-    features, seen = learned.stacked()[0], held.stacked()[0]
+    features, seen = learned.stack()[0], held.stack()[0]
     centre, scale = features.mean(axis=0), features.std(axis=0) + 1e-6
     theta = torch.tensor(np.log(np.maximum(clearance, LEAST_PLAY)), dtype=torch.float32)
     x, asked = (torch.tensor((each - centre) / scale, dtype=torch.float32) for each in (features, seen))
@@ -108,7 +108,7 @@ def main() -> int:
     low = np.arange(sensing.bands) < FEATURE_ORDERS
     watched = np.repeat(low, len(sensing.channels))
     learning = Learning.of("trusted")
-    learned, held = kept_apart(
+    learned, held = split_held_out(
         training_set(catalogue.matrix, sensing, watched, replace(learning, most=learning.reach, rows=1200))
     )
     worn = worn_of(held)

@@ -39,11 +39,11 @@ def command(folder: Path, catalogues: Path | None, data: Path | None, no_catalog
 
 def place_of(catalogues: Path | None, data: Path | None) -> Place:
     """Return where a service keeps what it keeps, from options and environment."""
-    from jointplay.app.settings import Settings
+    from jointplay.app.settings import ServiceSettings
     from jointplay.app.storage.backup import Place
 
     given: dict[str, Any] = {"catalogues": catalogues, "data": data}
-    settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    settings = ServiceSettings(**{name: value for name, value in given.items() if value is not None})
     return Place(settings.data, settings.catalogues, settings.database)
 
 

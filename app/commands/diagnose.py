@@ -11,7 +11,7 @@ import click
 from jointplay.app import words
 from jointplay.app.commands.parameters import (
     Pairs,
-    Quantity,
+    QuantityOption,
     each_once,
     existing_catalogue,
     file_options,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
 )
 @click.option(
-    "--speed", type=Quantity("ANGULAR_SPEED"), help='Drive speed, such as "600 rpm"; estimated when not given.'
+    "--speed", type=QuantityOption("ANGULAR_SPEED"), help='Drive speed, such as "600 rpm"; estimated when not given.'
 )
 @click.option(
     "--effort",

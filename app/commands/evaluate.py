@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jointplay.app.commands.parameters import Names, Quantity, existing_catalogue, json_option, print_json, refuse_given
+from jointplay.app.commands.parameters import (
+    Names,
+    QuantityOption,
+    existing_catalogue,
+    json_option,
+    print_json,
+    refuse_given,
+)
 from jointplay.app.commands.progress import ProgressLine
 from jointplay.catalogue.building.executors import count_processors
 
@@ -37,7 +44,7 @@ PROTOCOLS = (
 )
 @click.option(
     "--noise",
-    type=Quantity("ACCELERATION", positive=False),
+    type=QuantityOption("ACCELERATION", positive=False),
     metavar='"0.1 m/s2"',
     help="Noise (rms) in place of the protocol's: of the frame in x and y, theta in proportion; of each sensor where "
     "the protocol has it there.",

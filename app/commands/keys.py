@@ -94,11 +94,11 @@ def revoke(identity: str, data: Path | None, as_json: bool) -> None:
 @contextmanager
 def keys_of(data: Path | None) -> Iterator[Keys]:
     """Open the keys of a service's database, for the time of a ``with`` block."""
-    from jointplay.app.settings import Settings
+    from jointplay.app.settings import ServiceSettings
     from jointplay.app.storage.keys import Keys
     from jointplay.app.storage.store import Store
 
-    settings = Settings() if data is None else Settings(data=data)
+    settings = ServiceSettings() if data is None else ServiceSettings(data=data)
     store = Store(settings.data, settings.database)
     try:
         yield Keys(store.database)

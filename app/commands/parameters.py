@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jointplay.solver.machines.units import Dimension
 
 
-class Quantity(click.ParamType[float]):
+class QuantityOption(click.ParamType[float]):
     """A number with a unit, such as "600 rpm", as SI; a bare number is SI already.
 
     Parameters
@@ -75,7 +75,7 @@ def drive_speed(machine: Machine, text: str | None) -> dict[str, float]:
     if isinstance(getattr(drive, "speed", None), tuple):
         rule = f"the drive of {machine.name} runs up by a table: change that in its file"
         raise click.BadParameter(f"{text}: {rule}", param_hint="--speed")
-    quantity = Quantity("ANGULAR_SPEED" if drive.kind == "rotation" else "SPEED", positive=False)
+    quantity = QuantityOption("ANGULAR_SPEED" if drive.kind == "rotation" else "SPEED", positive=False)
     try:
         return {"drive.speed": quantity.convert(text, None, None)}
     except click.BadParameter as error:
@@ -202,7 +202,7 @@ def file_options(command: Callable[..., None]) -> Callable[..., None]:
         elif each.choices:
             kind = click.Choice(list(each.choices))
         elif each.name == "sample_rate":
-            kind = Quantity("FREQUENCY")
+            kind = QuantityOption("FREQUENCY")
         more = ' "*" for all columns; may be repeated.' if each.by_column else ""
         option = click.option(
             f"--{each.option}", each.name, type=kind, multiple=bool(each.by_column), help=f"{each.says}{more}"

@@ -15,7 +15,7 @@ import click
 from jointplay.app.errors import AddressError
 
 if TYPE_CHECKING:
-    from jointplay.app.settings import Settings
+    from jointplay.app.settings import ServiceSettings
 
 log = logging.getLogger(__name__)
 
@@ -53,12 +53,12 @@ def command(
 
     from jointplay.app.logs import LogSettings, configure
     from jointplay.app.main import create_app
-    from jointplay.app.settings import Settings
+    from jointplay.app.settings import ServiceSettings
 
     given: dict[str, Any] = {"catalogues": catalogues, "data": data, "workers": workers}
     given["keys"] = "off" if no_keys else None
     try:
-        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+        settings = ServiceSettings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
         first = error.errors()[0]
         raise click.UsageError(f"JOINTPLAY_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}") from None
@@ -101,7 +101,7 @@ def command(
         raise click.exceptions.Exit(1)
 
 
-def say(settings: Settings, text: str) -> None:
+def say(settings: ServiceSettings, text: str) -> None:
     """Tell whoever started the service something; where the log is JSON, as a line of it."""
     if settings.log_format == "json":
         log.info(text)
@@ -117,7 +117,7 @@ def loopback(host: str) -> bool:
         return False
 
 
-def answering(settings: Settings, host: str) -> Settings:
+def answering(settings: ServiceSettings, host: str) -> ServiceSettings:
     """Return settings under which a service answers to the address that it listens at, besides the names they hold."""
     try:
         every = ipaddress.ip_address(host).is_unspecified

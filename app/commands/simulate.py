@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from jointplay.app.commands.parameters import Decibels, Quantity, drive_speed, json_option, print_json
+from jointplay.app.commands.parameters import Decibels, QuantityOption, drive_speed, json_option, print_json
 
 if TYPE_CHECKING:
     from jointplay.app.figures.simulation_file import SimulationFile
@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 @click.argument("machine")
 @click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
 @click.option("--speed", help='Drive speed instead of the file\'s: "600 rpm", or "0.1 m/s" of a sliding drive.')
-@click.option("--duration", type=Quantity("TIME"), help="Length of the histories; by rule from transient and speed.")
 @click.option(
-    "--sample-rate", type=Quantity("FREQUENCY"), default="20 kHz", show_default=True, help="Of the histories."
+    "--duration", type=QuantityOption("TIME"), help="Length of the histories; by rule from transient and speed."
+)
+@click.option(
+    "--sample-rate", type=QuantityOption("FREQUENCY"), default="20 kHz", show_default=True, help="Of the histories."
 )
 @click.option(
     "--accuracy",
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     type=click.Choice(["adaptive", "gill"]),
     help="Error-controlled steps [default], or Runge-Kutta-Gill with fixed ones.",
 )
-@click.option("--step", type=Quantity("TIME"), help="Longest step of gill, in place of --accuracy.")
+@click.option("--step", type=QuantityOption("TIME"), help="Longest step of gill, in place of --accuracy.")
 @click.option("--starts", type=click.IntRange(2, 1000), help="Average over so many starts; spectra only (.h5, .npz).")
 @click.option(
     "--starts-by",

@@ -17,7 +17,7 @@ from jointplay.catalogue.evaluation.sweep import Sweep
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jointplay.catalogue.evaluation.sweep import Point, Sweep
+    from jointplay.catalogue.evaluation.sweep import Sweep, SweepPoint
 
 
 def report(found: Study | Sweep) -> str:
@@ -317,7 +317,7 @@ def draw_counts(axes: Axes, study: Study) -> None:
 
 def draw_trade(axes: Axes, sweep: Sweep, what: str) -> None:
     """Draw the share of wrong first hypotheses, or the clearance error, over the cost of the catalogue."""
-    lines: dict[tuple[str, str, str, str], list[Point]] = defaultdict(list)
+    lines: dict[tuple[str, str, str, str], list[SweepPoint]] = defaultdict(list)
     for point in sweep.points:
         lines[point.accuracy, point.setup.method, point.setup.effort, point.setup.mode].append(point)
     for place, (names, points) in enumerate(lines.items()):

@@ -19,7 +19,7 @@ from starlette.types import Scope as Connection
 from jointplay.app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
 from jointplay.app.http.handlers import answer, is_fragment, is_page, path_of, problem_from
 from jointplay.app.scopes import READING, scope_of
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 if TYPE_CHECKING:
     from jointplay.app.storage.keys import Key, Keys
@@ -76,7 +76,7 @@ class Gate:
         `keys`, `hosts`, `rate_limit_per_s`, `rate_burst` are used.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp, settings: ServiceSettings) -> None:
         self._app = app
         self._hosts = settings.allowed_hosts
         self._keyed = settings.keys == "required"

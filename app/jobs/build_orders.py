@@ -69,7 +69,7 @@ def placed(
         raise BadFieldError(f"catalogue: {catalogue}: {rule}", field="catalogue")
     layout = CatalogueDirectory(folder / catalogue)
     if layout.manifest.is_file():
-        Manifest.read(layout).check_accepts(machine, plan.resolved(machine), Path(catalogue))
+        Manifest.read(layout).check_accepts(machine, plan.resolve(machine), Path(catalogue))
     content = json.loads(machine.canonical_json())
     return queue.add(content, plan.content, plan.hash, catalogue, workers)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jointplay.app.jobs.summaries import summary_of
-from jointplay.app.jobs.workers import Outcome, attempt
+from jointplay.app.jobs.workers import WorkerOutcome, attempt
 from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Question:
+class DiagnosisTask:
     """What a recording is compared with, and how.
 
     Parameters
@@ -73,7 +73,7 @@ def diagnose(
     path: str,
     name: str,
     told: Told,
-    question: Question,
+    question: DiagnosisTask,
 ) -> Diagnosis:
     """Diagnose a recording.
 
@@ -87,7 +87,9 @@ def diagnose(
     return diagnosed(read(path, name, told), question)
 
 
-def summarise_and_diagnose(path: str, name: str, told: Told, question: Question) -> tuple[dict[str, Any], Outcome]:
+def summarise_and_diagnose(
+    path: str, name: str, told: Told, question: DiagnosisTask
+) -> tuple[dict[str, Any], WorkerOutcome]:
     """Do what :func:`summarise` and then :func:`diagnose` do, and read the recording once.
 
     Returns
@@ -101,7 +103,7 @@ def summarise_and_diagnose(path: str, name: str, told: Told, question: Question)
     return summary_of(measurement), attempt(diagnosed, (measurement, question))
 
 
-def diagnosed(measurement: Recording | MeasuredSpectrum, question: Question) -> Diagnosis:
+def diagnosed(measurement: Recording | MeasuredSpectrum, question: DiagnosisTask) -> Diagnosis:
     """Diagnose what was read."""
     from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
     from jointplay.catalogue.matching.prior import Prior
@@ -145,7 +147,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     Parameters
     ----------
     catalogues : sequence of (str, str)
-        Folders and stamps, as in :class:`Question`.
+        Folders and stamps, as in :class:`DiagnosisTask`.
     """
     import jointplay.catalogue.diagnosing.diagnosis
     import jointplay.catalogue.measurements.measured_spectrum  # noqa: F401, loaded to be there when it is needed

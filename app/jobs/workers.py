@@ -33,7 +33,7 @@ class TaskFailedError(Exception):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class WorkerOutcome:
     """What comes back from a worker: a value or a problem."""
 
     value: Any = None
@@ -65,21 +65,21 @@ def prepare(log_settings: LogSettings) -> None:
     become_worker()
 
 
-def attempt(task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+def attempt(task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:
     """Run a task in the worker and send its exception back as a problem, because not every exception can be sent."""
     log.debug("task %s begins", task.__name__)
     try:
-        return Outcome(value=task(*args))
+        return WorkerOutcome(value=task(*args))
     except Exception as error:
         problem = problem_of(error)
         if problem.status >= 500:
             log.exception("task %s failed", task.__name__)
-        return Outcome(problem=problem)
+        return WorkerOutcome(problem=problem)
     finally:
         log.debug("task %s has ended", task.__name__)
 
 
-def attempt_for(request: str | None, task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+def attempt_for(request: str | None, task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:
     """Run a task for the request of an id."""
     with logs.of_request(request):
         return attempt(task, args)
@@ -230,7 +230,7 @@ class WorkerPool:
             end(worker)
 
 
-async def run_in(worker: OneProcess, task: Callable[..., Any], args: tuple[Any, ...]) -> Outcome:
+async def run_in(worker: OneProcess, task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:
     """Run one task in a process, for the request that this is about."""
     return await asyncio.wrap_future(worker.submit(attempt_for, logs.request_id(), task, args))
 

@@ -15,7 +15,7 @@ from xml.sax.saxutils import escape
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from jointplay.app.reports.content import JOINT_COLUMNS, Named, Report
-from jointplay.app.reports.figures import Figures
+from jointplay.app.reports.figures import ReportFigures
 
 REGULAR, BOLD, OBLIQUE = "DejaVuSans", "DejaVuSans-Bold", "DejaVuSans-Oblique"
 MM = 72 / 25.4
@@ -29,7 +29,7 @@ SIDES = {"worn": "#c2570c", "in_order": "#1d7a46", "changed": "#6b4fa0", "unknow
 _lock = threading.Lock()  # the library keeps fonts and styles for the whole process
 
 
-def pdf(report: Report, figures: Figures) -> bytes:
+def pdf(report: Report, figures: ReportFigures) -> bytes:
     """Return the bytes of the document; what would need a second page is made smaller.
 
     Parameters
@@ -56,7 +56,7 @@ def pdf(report: Report, figures: Figures) -> bytes:
     return target.getvalue()
 
 
-def content(report: Report, figures: Figures, wide: float) -> list[Any]:
+def content(report: Report, figures: ReportFigures, wide: float) -> list[Any]:
     """Return the parts of the page from top to bottom."""
     half = (wide - GUTTER) / 2
     left = [
@@ -214,7 +214,7 @@ def fonts() -> None:
 TEMPLATES = Path(__file__).parent.parent / "templates" / "report"
 
 
-def html(report: Report, figures: Figures) -> str:
+def html(report: Report, figures: ReportFigures) -> str:
     """Return the page.
 
     Parameters

@@ -34,7 +34,7 @@ CAPTION = (
 
 
 @dataclass(frozen=True)
-class Figures:
+class ReportFigures:
     """The figures of a report, each one SVG element, and what is said below the spectra."""
 
     mechanism: str
@@ -42,12 +42,12 @@ class Figures:
     caption: str
 
 
-def figures_of(row: DiagnosisRow) -> Figures:
+def figures_of(row: DiagnosisRow) -> ReportFigures:
     """Return the figures of a stored diagnosis."""
     machine = parse_machine(row.machine)
     channels = comparisons(row.answer)
     more = len(channels) - SHOWN_SPECTRA
-    return Figures(
+    return ReportFigures(
         mechanism(machine, row.answer.joint_probabilities),
         tuple(spectrum(each) for each in channels[:SHOWN_SPECTRA]),
         f"{CAPTION} Not drawn: {more} more, which are in the answer itself." if more > 0 else CAPTION,

@@ -14,7 +14,7 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
 from jointplay.app.reports.content import Report, report_of
 from jointplay.app.reports.documents import html, pdf, policy
-from jointplay.app.reports.figures import Figures, figures_of
+from jointplay.app.reports.figures import ReportFigures, figures_of
 from jointplay.app.service import Service, of_request
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
@@ -55,7 +55,7 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
     return answer
 
 
-def found(service: Service, key: str) -> tuple[Report, Figures]:
+def found(service: Service, key: str) -> tuple[Report, ReportFigures]:
     """Return what the report of a stored diagnosis says and shows."""
     row = service.store.diagnosis(key)
     return report_of(row, service.store.measurement(row.measurement), row.request.get("asset")), figures_of(row)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from jointplay.catalogue.building.chunk import Chunk, Compute, chunked, simulate_chunk
+from jointplay.catalogue.building.chunk import Chunk, Compute, cut_chunks, simulate_chunk
 from jointplay.catalogue.building.executors import Executor, InProcess, LocalProcesses
 from jointplay.catalogue.building.scheduling import Scheduler, Tally
 from jointplay.catalogue.errors import CatalogueFileError
@@ -161,7 +161,7 @@ def build(
         The machine cannot be assembled, or the solver refuses a parameter or a setting of the plan.
     """
     started = time.monotonic()
-    plan = plan.resolved(machine)
+    plan = plan.resolve(machine)
     wanted = entries_of(plan, machine)
     check_assembly(machine)
     layout = CatalogueDirectory(Path(directory))
@@ -172,8 +172,8 @@ def build(
         if lock.alone:
             layout.remove_temporaries()
         manifest, is_new = _manifest(layout, machine, plan)
-        location = IndexLocation.settled(layout, index, alone=lock.alone)
-        every = chunked(machine, manifest.recipe, wanted, chunk_size)
+        location = IndexLocation.choose(layout, index, alone=lock.alone)
+        every = cut_chunks(machine, manifest.recipe, wanted, chunk_size)
         if is_new:
             manifest.write(layout)
         adopted = 0

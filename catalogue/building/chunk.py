@@ -15,7 +15,7 @@ import numpy as np
 
 from jointplay.catalogue.plans.entry import Entry, Recipe, content_digest
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
-from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.catalogue.storage.shard import OK, CaseOutcome
 from jointplay.solver.arrays import AnyComplexArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.steps import Accuracy
@@ -87,11 +87,11 @@ FINER: Accuracy = "standard"
 SLACK_REVOLUTIONS = 0.01
 """Simulated beyond the recipe's, so that rounding to samples and to fast transforms costs no window of the estimate."""
 
-Compute = Callable[[Chunk], tuple[Outcome, ...]]
+Compute = Callable[[Chunk], tuple[CaseOutcome, ...]]
 """What a worker does with a chunk: one outcome a case, in the order of the cases. A module's function, picklable."""
 
 
-def chunked(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: int) -> list[Chunk]:
+def cut_chunks(machine: Machine, recipe: Recipe, entries: Iterable[Entry], size: int) -> list[Chunk]:
     """Cut cases into chunks.
 
     Parameters
@@ -126,7 +126,7 @@ def _machine(content: str) -> Machine:
     return parse_machine(content, "machine of the catalogue")
 
 
-def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
+def simulate_chunk(chunk: Chunk) -> tuple[CaseOutcome, ...]:
     """Simulate the cases of a chunk and estimate their spectra in bands.
 
     Raises
@@ -135,7 +135,7 @@ def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
         A parameter or a setting that the solver refuses. What goes wrong numerically is the status of an outcome.
     """
     guarded = [i for i, entry in enumerate(chunk.entries) if entry.guarded and chunk.recipe.accuracy != FINER]
-    found = _simulated(chunk, guarded)
+    found = _simulate(chunk, guarded)
     outcomes = found[: len(chunk.entries)]
     for i, finer in zip(guarded, found[len(chunk.entries) :], strict=True):
         power, seconds = outcomes[i].power, outcomes[i].seconds + finer.seconds
@@ -144,7 +144,7 @@ def simulate_chunk(chunk: Chunk) -> tuple[Outcome, ...]:
     return tuple(outcomes)
 
 
-def _simulated(chunk: Chunk, guarded: Sequence[int]) -> list[Outcome]:
+def _simulate(chunk: Chunk, guarded: Sequence[int]) -> list[CaseOutcome]:
     """All cases, then the guarded ones more finely: one queue, for a few cases would leave most lanes empty."""
     recipe, entries = chunk.recipe, [*chunk.entries, *(chunk.entries[i] for i in guarded)]
     accuracies = [recipe.accuracy] * len(chunk.entries) + [FINER] * len(guarded)
@@ -157,11 +157,11 @@ def _simulated(chunk: Chunk, guarded: Sequence[int]) -> list[Outcome]:
     return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]
 
 
-def _outcome(history: History, recipe: Recipe) -> Outcome:
+def _outcome(history: History, recipe: Recipe) -> CaseOutcome:
     message = " ".join(history.message.split())
 
-    def failed(status: str, message: str) -> Outcome:
-        return Outcome(status, message, history.drive_speed, history.transient, 0, history.seconds)
+    def failed(status: str, message: str) -> CaseOutcome:
+        return CaseOutcome(status, message, history.drive_speed, history.transient, 0, history.seconds)
 
     if history.status is not Status.OK:
         return failed(history.status.value, message)
@@ -179,7 +179,7 @@ def _outcome(history: History, recipe: Recipe) -> Outcome:
     power = bands.power.astype(np.complex64)
     if not (np.isfinite(power).all() and np.isfinite(bands.spread_db).all()):
         return failed("not_finite", "a band power is beyond the range of single precision")
-    return Outcome(
+    return CaseOutcome(
         OK,
         message,
         history.drive_speed,

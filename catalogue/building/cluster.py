@@ -70,7 +70,7 @@ class DaskCluster:
         tell: Callable[[str], None] | None = None,
     ) -> None:
         check_address(address)
-        self._distributed: Any = _distributed()
+        self._distributed: Any = _import_distributed()
         self._address, self._wait = address, wait
         self._threads, self._asked, self._seen = 0, 0.0, time.monotonic()
         self._tell = tell or (lambda said: None)
@@ -78,7 +78,7 @@ class DaskCluster:
         self._connect(first_wait)
         if not self._client.nthreads():
             self._tell(f"waiting for a worker of the scheduler {address}, up to {wait:.0f} s")
-        with self._explained(wait):
+        with self._explain(wait):
             self._client.wait_for_workers(1, timeout=wait)
 
     @property
@@ -141,11 +141,11 @@ class DaskCluster:
             self._tell(f"waiting for the scheduler {self._address}, which is gone, up to {wait:.0f} s")
             self.close()
             self._client = None
-        with self._explained(wait):
+        with self._explain(wait):
             self._client = self._distributed.Client(self._address, timeout=wait, set_as_default=False)
 
     @contextlib.contextmanager
-    def _explained(self, wait: float) -> Iterator[None]:
+    def _explain(self, wait: float) -> Iterator[None]:
         try:
             yield
         except (TimeoutError, OSError):
@@ -179,7 +179,7 @@ def check_address(address: str) -> None:
     SchedulerAddressError
         It has no port, or a protocol that this computer does not know.
     """
-    comm = _distributed().comm
+    comm = _import_distributed().comm
     try:
         scheme, place = comm.parse_address(address)
         comm.registry.get_backend(scheme)
@@ -191,7 +191,7 @@ def check_address(address: str) -> None:
         raise SchedulerAddressError(address, rule)
 
 
-def _distributed() -> Any:
+def _import_distributed() -> Any:
     try:
         import distributed
     except ImportError:

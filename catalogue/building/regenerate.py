@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointplay.catalogue.building.chunk import Chunk, Compute, chunked, simulate_chunk
+from jointplay.catalogue.building.chunk import Chunk, Compute, cut_chunks, simulate_chunk
 from jointplay.catalogue.building.executors import Executor, InProcess, LocalProcesses
 from jointplay.catalogue.errors import CatalogueMismatchError
 from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.storage.cross_power import pack
 from jointplay.catalogue.storage.feature_bands import LEAST_POWER
 from jointplay.catalogue.storage.manifest import package_versions, this_platform
-from jointplay.catalogue.storage.shard import Outcome
+from jointplay.catalogue.storage.shard import CaseOutcome
 from jointplay.catalogue.storage.store import Catalogue
 
 TOLERANCE_DB = 1.0
@@ -132,11 +132,11 @@ def regenerate(
     every = catalogue.matrix.every_row
     rows = np.sort(np.random.default_rng(seed).choice(every, min(sample, len(every)), replace=False))
     stored = {entry.key: (entry, outcome) for entry, outcome in catalogue.cases(rows)}
-    chunks = chunked(catalogue.machine, catalogue.recipe, [entry for entry, _ in stored.values()], _CHUNK)
+    chunks = cut_chunks(catalogue.machine, catalogue.recipe, [entry for entry, _ in stored.values()], _CHUNK)
     executor: Executor = LocalProcesses(workers) if workers > 0 else InProcess()
-    now: dict[str, Outcome] = {}
+    now: dict[str, CaseOutcome] = {}
     try:
-        for chunk, outcomes in _computed(chunks, executor, compute):
+        for chunk, outcomes in _compute(chunks, executor, compute):
             now |= {entry.key: outcome for entry, outcome in zip(chunk.entries, outcomes, strict=True)}
             if progress is not None:
                 progress(len(now), len(stored))
@@ -144,17 +144,17 @@ def regenerate(
         executor.close(at_once=True)
     cuts = catalogue.matrix.cuts
     return RegenerateReport(
-        cases=tuple(_compared(entry, outcome, now[key], cuts) for key, (entry, outcome) in stored.items()),
+        cases=tuple(_compare(entry, outcome, now[key], cuts) for key, (entry, outcome) in stored.items()),
         same_program=dict(manifest.versions) == package_versions() and manifest.platform == this_platform(),
         seconds=time.monotonic() - started,
     )
 
 
-def _computed(
+def _compute(
     chunks: Sequence[Chunk], executor: Executor, compute: Compute
-) -> Iterator[tuple[Chunk, tuple[Outcome, ...]]]:
+) -> Iterator[tuple[Chunk, tuple[CaseOutcome, ...]]]:
     """Chunks and what became of them, in the order in which they are done."""
-    flying: dict[Future[tuple[Outcome, ...]], Chunk] = {}
+    flying: dict[Future[tuple[CaseOutcome, ...]], Chunk] = {}
     left = list(reversed(chunks))
     while left or flying:
         while left and len(flying) < executor.capacity:
@@ -164,7 +164,7 @@ def _computed(
             yield flying.pop(future), future.result()
 
 
-def _compared(entry: Entry, stored: Outcome, now: Outcome, cuts: tuple[int, ...]) -> Compared:
+def _compare(entry: Entry, stored: CaseOutcome, now: CaseOutcome, cuts: tuple[int, ...]) -> Compared:
     difference = 0.0
     same = (stored.status, stored.message, stored.drive_speed, stored.transient, stored.segments) == (
         now.status,

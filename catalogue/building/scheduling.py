@@ -24,7 +24,7 @@ from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, s
 from jointplay.catalogue.storage.hdf5 import encode_shard
 from jointplay.catalogue.storage.index import EntriesPresentError, Index
 from jointplay.catalogue.storage.leases import ChunkStatus
-from jointplay.catalogue.storage.shard import OK, Outcome, Shard, ShardHeader
+from jointplay.catalogue.storage.shard import OK, CaseOutcome, Shard, ShardHeader
 from jointplay.solver.errors import SolverError
 
 
@@ -44,7 +44,7 @@ class Work:
     """
 
     chunk: Chunk
-    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    outcomes: dict[str, CaseOutcome] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -198,8 +198,8 @@ class Scheduler:
         """
         self._open.extend(chunks)
         self._tell()
-        measured = partial(_measured, self._compute)
-        flying: dict[Future[tuple[tuple[Outcome, ...], float]], Task] = {}
+        measured = partial(_measure, self._compute)
+        flying: dict[Future[tuple[tuple[CaseOutcome, ...], float]], Task] = {}
         with self._alive():
             while self._open or self._again or self._elsewhere or flying:
                 for task in self._next(executor.capacity - len(flying)):
@@ -245,14 +245,14 @@ class Scheduler:
             if status is ChunkStatus.PENDING:
                 self._open.append(found)
                 continue
-            known = self._index.known([entry.key for entry in found.entries])
+            known = self._index.find_known([entry.key for entry in found.entries])
             self._tally.others += len(known)
             self._tally.failed += sum(status != OK for status in known.values())
             missing = [entry.key for entry in found.entries if entry.key not in known]
             self._tally.lost |= dict.fromkeys(missing, "another builder could not compute it")
             self._tell()
 
-    def _take(self, task: Task, future: Future[tuple[tuple[Outcome, ...], float]], executor: Executor) -> None:
+    def _take(self, task: Task, future: Future[tuple[tuple[CaseOutcome, ...], float]], executor: Executor) -> None:
         error = future.exception()
         if error is None:
             outcomes, seconds = future.result()
@@ -340,7 +340,7 @@ class Scheduler:
         heart.join()
 
 
-def _measured(compute: Compute, chunk: Chunk) -> tuple[tuple[Outcome, ...], float]:
+def _measure(compute: Compute, chunk: Chunk) -> tuple[tuple[CaseOutcome, ...], float]:
     """At a worker: what comes of a chunk, and its processor time [s], compilation and estimates included."""
     began = time.thread_time()
     outcomes = compute(chunk)

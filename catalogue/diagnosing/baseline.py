@@ -37,7 +37,7 @@ FAR_OFF = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class BaselineFit:
     """What was fitted, and how well.
 
     Parameters
@@ -56,7 +56,7 @@ class Fit:
     p_after: float
 
 
-def fitted_numbers(levels: OrderLevels, model: HealthyMachine, known: LevelStatistics, steps: int) -> Fit:
+def fit_numbers(levels: OrderLevels, model: HealthyMachine, known: LevelStatistics, steps: int) -> BaselineFit:
     """Fit numbers of the machine, and gains, to the levels of a recording.
 
     Parameters
@@ -89,11 +89,11 @@ def fitted_numbers(levels: OrderLevels, model: HealthyMachine, known: LevelStati
     # Levels jump where a number moves a resonance across an order: single ones must not decide where to begin.
     order = np.argsort(np.minimum(np.square(misfit), FAR_OFF**2).sum(axis=1))
     starts = [np.concatenate([points[index], np.zeros(levels.sensors)]) for index in order[:STARTS]]
-    problem = _Problem(levels, model, offset, used, weight, believed)
-    found, motion, residual = min((problem.solved(start, steps) for start in starts), key=problem.cost)
+    problem = _FitProblem(levels, model, offset, used, weight, believed)
+    found, motion, residual = min((problem.solve(start, steps) for start in starts), key=problem.cost)
     jacobian = _jacobian(levels, motion, found[count:])[used]
     first = (levels.measured - nominal - offset)[used]
-    return Fit(
+    return BaselineFit(
         found=found,
         scatter=np.sqrt(np.diag(np.linalg.inv(jacobian.T @ weight @ jacobian + np.diag(believed**-2)))),
         p_before=known.p_value(float(first @ weight @ first), used, np.zeros_like(noise)),
@@ -118,7 +118,7 @@ _Point = tuple[FloatArray, Motion, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _FitProblem:
     """Least squares with what was believed before (Levenberg 1944, Marquardt 1963)."""
 
     levels: OrderLevels
@@ -140,7 +140,7 @@ class _Problem:
         predicted = self.levels.of_motion(motion.power, np.exp(found[count:])) + self.offset
         return found, motion, (self.levels.measured - predicted)[self.used]
 
-    def solved(self, start: FloatArray, steps: int) -> _Point:
+    def solve(self, start: FloatArray, steps: int) -> _Point:
         """Go downhill from here."""
         here, damping = self.at(start), 0.0
         for _ in range(steps):
@@ -225,7 +225,7 @@ class Baseline:
         """Whether a healthy machine explains the recording; nothing of the baseline is used otherwise."""
         return self.p_after >= UNEXPLAINED
 
-    def corrected(self, prepared: PreparedMeasurement, machine: Machine) -> PreparedMeasurement:
+    def correct(self, prepared: PreparedMeasurement, machine: Machine) -> PreparedMeasurement:
         """Return a recording by the same sensors as if gains, frame and supports were what they should be.
 
         Parameters
@@ -312,10 +312,10 @@ def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: 
     if known is None:
         raise DiagnosisError(f"catalogue {catalogue.path}: holds too few machines that are healthy")
     model = HealthyMachine(catalogue, quantities(catalogue.machine), prepared.drive_speed)
-    return _answer(levels, model, fitted_numbers(levels, model, known, steps))
+    return _answer(levels, model, fit_numbers(levels, model, known, steps))
 
 
-def _answer(levels: OrderLevels, model: HealthyMachine, fit: Fit) -> Baseline:
+def _answer(levels: OrderLevels, model: HealthyMachine, fit: BaselineFit) -> Baseline:
     count = len(model.quantities)
     estimates = [
         FittedNumber(factor=math.exp(x), scatter=float(sd)) for x, sd in zip(fit.found, fit.scatter, strict=True)
@@ -365,7 +365,7 @@ class KnownMachine:
         rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
         return self.baseline.weights(matrix.numbers(paths), rows)
 
-    def shown(self) -> BaselineShown:
+    def describe(self) -> BaselineShown:
         """Return it as the answer shows it."""
         found = self.baseline
         return BaselineShown(

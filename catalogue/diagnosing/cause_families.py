@@ -54,10 +54,10 @@ class Family(Protocol):
     def oddity(self, numbers: FloatArray) -> FloatArray:
         """Squared distances (n,) from what such changes usually have, in standard deviations."""
 
-    def changed(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
+    def change(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
         """Cross-powers (n, K, 3, 3) after a change, of those before (K, 3, 3)."""
 
-    def added(self, numbers: FloatArray) -> ComplexArray:
+    def add(self, numbers: FloatArray) -> ComplexArray:
         """Cross-powers (n, K, 3, 3) of what is added to the motion, by itself; zero where nothing is."""
 
 
@@ -91,12 +91,12 @@ class _Forces:
     def oddity(self, numbers: FloatArray) -> FloatArray:
         return np.zeros(len(numbers))
 
-    def changed(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
+    def change(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
         # Powers are mean squares, twice |amplitude|^2.
         new = np.tensordot(numbers, self.basis, 1)
         return np.asarray(power - power_of(self.motion) + power_of(self.motion + new), np.complex128)
 
-    def added(self, numbers: FloatArray) -> ComplexArray:
+    def add(self, numbers: FloatArray) -> ComplexArray:
         return power_of(np.asarray(np.tensordot(numbers, self.basis, 1), np.complex128))
 
 
@@ -134,12 +134,12 @@ class _Factor:
     def oddity(self, numbers: FloatArray) -> FloatArray:
         return np.asarray((numbers[:, 1] - self.usual * numbers[:, 0]) / SECOND_FACTOR) ** 2
 
-    def changed(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
+    def change(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
         more = np.exp(numbers) - 1.0
         passed = np.linalg.inv(self.own + np.tensordot(more, np.array(self.parts), 1)) @ self.own
         return np.asarray(passed @ power @ passed.conj().swapaxes(-1, -2), np.complex128)
 
-    def added(self, numbers: FloatArray) -> ComplexArray:
+    def add(self, numbers: FloatArray) -> ComplexArray:
         return np.zeros((len(numbers), FEATURE_ORDERS, 3, 3), np.complex128)
 
 
@@ -181,7 +181,7 @@ class IdealFrame:
         frequency = np.arange(1.0, FEATURE_ORDERS + 1.0) * (abs(speed) / (2.0 * math.pi))
         own = accelerance(machine, {}, frequency)
         inverse = np.asarray(np.linalg.inv(own), np.complex128)
-        return cls(machine, speed, frequency, own, inverse, _moved(own, inertial, speed)[0], wrenches)
+        return cls(machine, speed, frequency, own, inverse, _move(own, inertial, speed)[0], wrenches)
 
     def with_numbers(self, numbers: dict[str, float]) -> ComplexArray:
         """Accelerance (K, 3, 3) of a frame and supports of other numbers."""
@@ -193,7 +193,7 @@ def power_of(motion: ComplexArray) -> ComplexArray:
     return np.asarray(2.0 * motion[..., :, None] * motion[..., None, :].conj(), np.complex128)
 
 
-def _moved(accelerance: ComplexArray, wrench: Wrench, speed: float) -> ComplexArray:
+def _move(accelerance: ComplexArray, wrench: Wrench, speed: float) -> ComplexArray:
     """Motions (p, K, 3) of a frame by wrenches."""
     return np.asarray((accelerance @ wrench.at(speed)[..., None])[..., 0], np.complex128)
 
@@ -209,7 +209,7 @@ def families_of(model: IdealFrame) -> Iterator[Family]:
         yield _Factor.of(name, stiffness, model, partial(_mounts, machine, group))
     yield _Factor.of(f"mass of {machine.frame}", mass, model, partial(_frame, machine))
     for family in model.wrenches:
-        yield _Forces(family, model.motion, _moved(model.accelerance, family.wrench, model.speed))
+        yield _Forces(family, model.motion, _move(model.accelerance, family.wrench, model.speed))
 
 
 def _mounts(machine: Machine, group: Sequence[int], factor: float, damping: float) -> dict[str, float]:
@@ -287,7 +287,7 @@ class Misfit:
         by_gain = _by_gain(levels, power)[used]
         gains = by_gain @ by_gain.T * GAIN_SCATTER**2
         away = (levels.measured - known.mean)[used]
-        strange = _seen(levels, power - power_of(model.motion))
+        strange = _observe(levels, power - power_of(model.motion))
         before = levels.of_motion(power)
         return cls(known, used, before, away, gains, known.covariance(used) + gains, strange)
 
@@ -314,8 +314,8 @@ class Misfit:
         list of (n,) array
             Squared, and by how much larger (ln) the determinant of the covariance is than without a change.
         """
-        changed = np.concatenate([family.changed(self.known.power, numbers) for family, numbers in members])
-        added = np.concatenate([family.added(numbers) for family, numbers in members])
+        changed = np.concatenate([family.change(self.known.power, numbers) for family, numbers in members])
+        added = np.concatenate([family.add(numbers) for family, numbers in members])
         found = np.split(self._distance(changed, added), np.cumsum([len(numbers) for _, numbers in members])[:-1])
         if not odd:
             return found
@@ -327,7 +327,7 @@ class Misfit:
         shift = (after - self.before)[:, used]
         left = self.away - shift
         # What the ideal machine does not explain of the motion meets what is added at a phase that nobody knows.
-        meeting = 2.0 * DECIBELS**2 * self.strange * _seen(levels, added) * 10.0 ** (-0.2 * after)
+        meeting = 2.0 * DECIBELS**2 * self.strange * _observe(levels, added) * 10.0 ** (-0.2 * after)
         less_sure = (STRANGE_DB * np.minimum(1.0, self.strange * 10.0 ** (-0.1 * self.before))) ** 2
         more = (SHIFT_ERROR * shift) ** 2 + (meeting + less_sure)[:, used]
         # One decomposition of the covariance, with what is left as a further row, makes both terms.
@@ -343,7 +343,7 @@ class Misfit:
         return np.asarray(np.sum(root[:, size, :size] ** 2, axis=1) + determinant - own)
 
 
-def _seen(levels: OrderLevels, power: AnyComplexArray) -> FloatArray:
+def _observe(levels: OrderLevels, power: AnyComplexArray) -> FloatArray:
     """What the sensors see (..., m) of a motion's cross-powers (..., K, 3, 3), without noise, at least nothing."""
     return np.asarray(np.maximum(10.0 ** (0.1 * levels.of_motion(power)) - levels.noise, 0.0))
 

@@ -114,9 +114,9 @@ def name_causes(
     for label, rows in (("healthy", None), *worn):
         known = class_statistics(catalogue, levels, label, rows)
         if known is not None:
-            scored += _scored(known, model, families, least)
+            scored += _score(known, model, families, least)
     best = max(scored, key=lambda each: each.evidence, default=None)
-    return () if best is not None and best.is_small and not small else _ranked(scored)
+    return () if best is not None and best.is_small and not small else _rank(scored)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class _Scored:
         return bool(np.linalg.norm(self.numbers) < np.linalg.norm(self.family.starts, axis=1).min())
 
 
-def _scored(
+def _score(
     known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float
 ) -> Iterator[_Scored]:
     """Score every family, and no change at all, for some machines of the catalogue."""
@@ -172,7 +172,7 @@ def _scored(
         yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named)
 
 
-def _ranked(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
+def _rank(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
     """Causes that are named, by probability; of those of one name the best counts."""
     best: dict[str, _Scored] = {}
     for each in scored:

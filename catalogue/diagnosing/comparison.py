@@ -30,7 +30,7 @@ def exact_sensing(prepared: PreparedMeasurement) -> Sensing:
     )
 
 
-def measured_features(prepared: PreparedMeasurement, sensing: Sensing) -> FloatArray:
+def features_of(prepared: PreparedMeasurement, sensing: Sensing) -> FloatArray:
     """Return the feature vector (d,) of a recording, its noise filled up to that of `sensing`."""
     missing = np.maximum(sensing.noise - prepared.group_noise, 0.0)
     cross: ComplexArray | None = None
@@ -44,7 +44,7 @@ def measured_features(prepared: PreparedMeasurement, sensing: Sensing) -> FloatA
     return found
 
 
-def watched(prepared: PreparedMeasurement) -> BoolArray:
+def watched_levels(prepared: PreparedMeasurement) -> BoolArray:
     """Return which levels (l,) are single orders low enough to show foreign forces."""
     axes = prepared.axes
     return np.array([axis.single_order and axis.low_order < WATCHED_ORDERS for axis in axes], dtype=bool)

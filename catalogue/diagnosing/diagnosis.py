@@ -25,7 +25,7 @@ from jointplay.catalogue.diagnosing.answer import (
 )
 from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from jointplay.catalogue.diagnosing.separation import suggest
 from jointplay.catalogue.diagnosing.synthesis import Recorded, refine
@@ -34,7 +34,7 @@ from jointplay.catalogue.diagnosing.verdict import (
     evidence,
     find_causes,
     hypothesis_shown,
-    judged,
+    judge,
     needs_cause,
     number_warnings,
     rival_of,
@@ -216,7 +216,7 @@ def answer(
     library = library or library_of(catalogue)
     weights = None
     if known:
-        prepared = known.baseline.corrected(prepared, catalogue.machine)
+        prepared = known.baseline.correct(prepared, catalogue.machine)
         # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
         if all(step.name != "suspension" for step in prepared.steps):
             weights = known.weights(catalogue)
@@ -226,14 +226,14 @@ def answer(
     if not prepared.flaws and (question.effort != "fast" or needs_cause(result)):
         with one_thread():
             causes = find_causes(prepared, catalogue, result)
-    p_value, verdict = judged(result, question.coverage, causes, prepared.flaws)
+    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws)
     if causes and causes[0].suspension:
         # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
         seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
         other_sensing, other_feature, other = look(seen, None)
         if (other.trusted_p_value or 0.0) > (result.trusted_p_value or 0.0) and not needs_cause(other):
             prepared, sensing, feature, result = seen, other_sensing, other_feature, other
-            p_value, verdict = judged(other, question.coverage)
+            p_value, verdict = judge(other, question.coverage)
             verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough":
@@ -253,7 +253,7 @@ def answer(
             )
             result = refined.result
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
-            p_value, verdict = judged(result, question.coverage)
+            p_value, verdict = judge(result, question.coverage)
     candidates = result.set(question.coverage)
     warnings = [
         *prepared.warnings,
@@ -322,7 +322,7 @@ def answer(
         "widened": candidates.widened,
         "goodness_of_fit": GoodnessOfFit(p_value=p_value),
         "evidence": evidence(prepared, result.best, feature[: sensing.noise.size], rival_of(result)),
-        "baseline": known.shown() if known else None,
+        "baseline": known.describe() if known else None,
         "suggestions": suggestions,
         "warnings": tuple(dict.fromkeys(warnings)),
         "provenance": provenance,
@@ -343,11 +343,11 @@ def _match(
 ) -> tuple[Sensing, FloatArray, MatchResult]:
     """How a recording is seen, its features, and what the catalogue says of them."""
     sensing = exact_sensing(prepared)
-    feature = measured_features(prepared, sensing)
+    feature = features_of(prepared, sensing)
     result = library.answer(
         sensing,
         feature,
-        watched(prepared),
+        watched_levels(prepared),
         question.effort,
         question.mode,
         speed=prepared.drive_speed,
@@ -355,7 +355,7 @@ def _match(
         without=without,
         most=most,
     )
-    return sensing, feature, question.prior.applied(result, len(catalogue.matrix.joints))
+    return sensing, feature, question.prior.apply(result, len(catalogue.matrix.joints))
 
 
 def _digest(content: object) -> str:

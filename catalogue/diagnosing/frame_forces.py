@@ -71,13 +71,13 @@ class Revolution:
         """Wrench (n, 3) of inertia and weight on the frame, masses of some links times a factor."""
         return self._inertial(self.place, self.angle, factors or {})
 
-    def rippled(self, order: int, sine: float, cosine: float) -> FloatArray:
+    def with_ripple(self, order: int, sine: float, cosine: float) -> FloatArray:
         """Wrench (n, 3) with a ripple [rad] of the drive angle."""
         at = 2.0 * math.pi * np.arange(SAMPLES) / SAMPLES
         late = sine * np.sin(order * at) + cosine * np.cos(order * at)
         shift = np.sign(self.speed) * late
-        place = np.stack([_shifted(self.place[..., axis], shift) for axis in (0, 1)], axis=-1)
-        angle = _shifted(self.angle, shift) + self.turns * shift[:, None]
+        place = np.stack([_shift(self.place[..., axis], shift) for axis in (0, 1)], axis=-1)
+        angle = _shift(self.angle, shift) + self.turns * shift[:, None]
         return self._inertial(place, angle, {})
 
     def force(
@@ -112,9 +112,9 @@ class Revolution:
         """Velocity (n,) of a link's centre of gravity along a direction, m/s; of its angle where that is (0, 0)."""
         index = self.links.index(link)
         if direction == (0.0, 0.0):
-            turning = _derived(self.angle[:, index], abs(self.speed)) + self.turns[index] * abs(self.speed)
+            turning = _differentiate(self.angle[:, index], abs(self.speed)) + self.turns[index] * abs(self.speed)
             return np.asarray(turning, dtype=np.float64)
-        return _derived(self.place[:, index] @ np.array(direction), abs(self.speed))
+        return _differentiate(self.place[:, index] @ np.array(direction), abs(self.speed))
 
     def _inertial(self, place: FloatArray, angle: FloatArray, factors: dict[str, float]) -> FloatArray:
         total = np.zeros((SAMPLES, 3))
@@ -122,7 +122,7 @@ class Revolution:
             body, factor = self.machine.links[name], factors.get(name, 1.0)
             mass, inertia = factor * (body.mass or 0.0), factor * (body.inertia or 0.0)
             motion = np.concatenate([place[:, index], angle[:, index, None]], axis=1)
-            acceleration = _derived(_derived(motion, abs(self.speed)), abs(self.speed))
+            acceleration = _differentiate(_differentiate(motion, abs(self.speed)), abs(self.speed))
             push = -mass * acceleration[:, :2]
             push[:, 1] -= mass * (self.machine.gravity or 0.0)
             total += self._wrench(place[:, index], push, -inertia * acceleration[:, 2])
@@ -173,7 +173,7 @@ def wrench_orders(wrench: FloatArray, orders: int) -> ComplexArray:
     return found
 
 
-def _derived(values: FloatArray, speed: float) -> FloatArray:
+def _differentiate(values: FloatArray, speed: float) -> FloatArray:
     """Derivative in time of values (n, ...) over one revolution at a speed, rad/s."""
     spectrum = np.fft.rfft(values, axis=0)
     harmonic = 1j * speed * np.arange(len(spectrum)).reshape(-1, *(1,) * (values.ndim - 1))
@@ -181,7 +181,7 @@ def _derived(values: FloatArray, speed: float) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum * harmonic, len(values), axis=0), dtype=np.float64)
 
 
-def _shifted(values: FloatArray, shift: FloatArray) -> FloatArray:
+def _shift(values: FloatArray, shift: FloatArray) -> FloatArray:
     """Values (n, k) over one revolution, taken at angles later by a shift (n,), rad."""
     spectrum = np.fft.rfft(values, axis=0) / len(values)
     at = 2.0 * math.pi * np.arange(len(values)) / len(values) + shift
@@ -289,13 +289,13 @@ def _over(revolution: Revolution) -> Iterator[_Over]:
         yield f"mass of {link}", "x mass", np.array(MASSES)[:, None] - 1.0, more[None], 1.0
     yield from _unbalances(revolution)
     yield from _loads(revolution)
-    starts = _turned(RIPPLES)
+    starts = _turn(RIPPLES)
     for order in RIPPLE_ORDERS:
-        two = [revolution.rippled(order, *each) - own for each in ((SMALL_RIPPLE, 0.0), (0.0, SMALL_RIPPLE))]
+        two = [revolution.with_ripple(order, *each) - own for each in ((SMALL_RIPPLE, 0.0), (0.0, SMALL_RIPPLE))]
         yield f"ripple of the drive, order {order}", "rad", starts, np.array(two) / SMALL_RIPPLE, 0.0
 
 
-def _turned(sizes: Sequence[float]) -> FloatArray:
+def _turn(sizes: Sequence[float]) -> FloatArray:
     """Sine and cosine parts (n, 2) of every size with every phase."""
     return np.array([[size * math.sin(phase), size * math.cos(phase)] for size in sizes for phase in PHASES])
 
@@ -317,7 +317,7 @@ def _unbalances(revolution: Revolution) -> Iterator[_Over]:
     length = max(math.dist(joint.at, at) for at in others)
     product = length * sum(machine.links[name].mass or 0.0 for name in revolution.links)
     two = [revolution.rotating(joint.at, 1.0, phase) for phase in (0.0, 0.5 * math.pi)]
-    yield "unbalance", "kg m", product * _turned(UNBALANCES), np.array(two), 0.0
+    yield "unbalance", "kg m", product * _turn(UNBALANCES), np.array(two), 0.0
 
 
 def _loads(revolution: Revolution) -> Iterator[_Over]:

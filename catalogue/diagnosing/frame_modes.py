@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import expit
 
 from jointplay.catalogue.diagnosing.causes import LEAST_GAIN, NamedCause
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -99,7 +99,7 @@ def find_mode(prepared: PreparedMeasurement, catalogue: Catalogue) -> NamedCause
     kinds = [_levels(catalogue, rows, sensing, edges) for rows in _kinds(catalogue)]
     if not kinds:
         return None
-    measured = measured_features(prepared, sensing)[: sensing.noise.size]
+    measured = features_of(prepared, sensing)[: sensing.noise.size]
     nearest = max(kinds, key=lambda kind: kind.likelihood(measured))
     found = mode_of(nearest, measured, edges[: sensing.bands + 1])
     if found is None:

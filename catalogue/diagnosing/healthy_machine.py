@@ -23,7 +23,7 @@ from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, band_matrix
 
 
 @dataclass(frozen=True)
-class Quantity:
+class TunedQuantity:
     """One number that may be off, or several that are off together.
 
     Parameters
@@ -52,7 +52,7 @@ STIFFNESS_SCATTER = 0.3
 DAMPING_SCATTER = 0.5
 
 
-def quantities(machine: Machine) -> tuple[Quantity, ...]:
+def quantities(machine: Machine) -> tuple[TunedQuantity, ...]:
     """What can be corrected in a machine; supports have one common factor each for stiffness in x, in y, and damping.
 
     A common factor, not one for each mount: a single loose mount is a fault, and a baseline must not hide it.
@@ -62,7 +62,7 @@ def quantities(machine: Machine) -> tuple[Quantity, ...]:
     for name in ("mass", "inertia"):
         path = f"links.{machine.frame}.{name}"
         if numbers.get(path):
-            found.append(Quantity(f"frame.{name}", {path: numbers[path]}, MASS_SCATTER))
+            found.append(TunedQuantity(f"frame.{name}", {path: numbers[path]}, MASS_SCATTER))
     mounts = [index for index, support in enumerate(machine.supports) if isinstance(support, Mount)]
     others = [index for index in range(len(machine.supports)) if index not in mounts]
     groups = {
@@ -77,7 +77,7 @@ def quantities(machine: Machine) -> tuple[Quantity, ...]:
     for name, (paths, scatter) in groups.items():
         there = {path: numbers[path] for path in paths if numbers.get(path)}
         if there:
-            found.append(Quantity(name, there, scatter))
+            found.append(TunedQuantity(name, there, scatter))
     return tuple(found)
 
 
@@ -116,7 +116,7 @@ class HealthyMachine:
         rad/s; its sign is that of the machine file.
     """
 
-    def __init__(self, catalogue: Catalogue, quantities: Sequence[Quantity], drive_speed: float) -> None:
+    def __init__(self, catalogue: Catalogue, quantities: Sequence[TunedQuantity], drive_speed: float) -> None:
         self.quantities = tuple(quantities)
         self.simulations = 0
         self._catalogue = catalogue

@@ -23,7 +23,7 @@ from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensors import free_motions
-from jointplay.catalogue.storage.feature_bands import LEAST_POWER, joined
+from jointplay.catalogue.storage.feature_bands import LEAST_POWER, join_bands
 from jointplay.catalogue.storage.matrix import FeatureMatrix
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
@@ -80,7 +80,7 @@ def suggest(
     contenders = [match for match in result.hypotheses[:CONTENDERS] if match.probability >= LEAST_PROBABILITY]
     if len(contenders) < 2:
         contenders = list(result.hypotheses[:2])
-    question = _Question(catalogue, prepared, tuple(contenders))
+    question = _Separation(catalogue, prepared, tuple(contenders))
     if len(contenders) < 2 or not question.answerable(prepared.drive_speed):
         return ()
     now = question.squared_distances(exact_sensing(prepared), prepared.drive_speed)
@@ -101,7 +101,7 @@ def suggest(
 
 
 @dataclass(frozen=True, eq=False)
-class _Question:
+class _Separation:
     """Which of these hypotheses is it?"""
 
     catalogue: Catalogue
@@ -146,7 +146,7 @@ class _Question:
             features.append(drawn)
             cases.append(entry)
         pairs = itertools.combinations(range(len(features)), 2)
-        return np.array([_held_out(features[i], cases[i], features[j], cases[j]) for i, j in pairs])
+        return np.array([_separate_held_out(features[i], cases[i], features[j], cases[j]) for i, j in pairs])
 
     def error(self, squared: FloatArray) -> float:
         """Share of machines taken for another one, pairs weighed by how likely both of them are."""
@@ -170,7 +170,7 @@ class _Question:
         )
 
 
-def _held_out(first: FloatArray, first_case: IntArray, second: FloatArray, second_case: IntArray) -> float:
+def _separate_held_out(first: FloatArray, first_case: IntArray, second: FloatArray, second_case: IntArray) -> float:
     """Squared separation along Fisher's direction, learned and measured on different entries.
 
     The error is counted, with borders a little blurred so that few rows give a smooth number: levels of rattling joints
@@ -228,7 +228,7 @@ def _sensing(prepared: PreparedMeasurement, machine: Machine, more: FloatArray) 
     noise = own @ (channels**2).T
     if sensors.rigid_body and inverse is not None:
         noise = noise + common
-    noise = np.maximum(joined(noise, prepared.cuts), LEAST_POWER)
+    noise = np.maximum(join_bands(noise, prepared.cuts), LEAST_POWER)
     return Sensing(transform, channels, prepared.cuts, noise, prepared.group_degrees_of_freedom, sensors.phases)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from jointplay.catalogue.building.chunk import chunked, simulate_chunk
+from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
 from jointplay.catalogue.diagnosing.answer import Mode
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import compose
@@ -22,9 +22,9 @@ from jointplay.catalogue.matching.matcher import (
     ClearanceEstimate,
     HypothesisMatch,
     MatchResult,
-    ranked,
+    rank,
 )
-from jointplay.catalogue.matching.observation import Sensing, grouped
+from jointplay.catalogue.matching.observation import Sensing, group
 from jointplay.catalogue.matching.population import Population, weigh
 from jointplay.catalogue.plans.entry import Entry, Stratum, seed_from
 from jointplay.catalogue.storage.cross_power import pack
@@ -130,15 +130,15 @@ def refine(
         The same for the same arguments.
     """
     if result.best.probability > CERTAIN and len(candidates) <= 1:
-        return _unchanged(result, f"certain already: {result.best.label} has more than {CERTAIN:g}")
+        return _leave_unchanged(result, f"certain already: {result.best.label} has more than {CERTAIN:g}")
     tried = [each for each in result.hypotheses if each.probability >= LEAST][:HYPOTHESES]
     if len(tried) < 2:
-        return _unchanged(result, "only one hypothesis is probable at all")
+        return _leave_unchanged(result, "only one hypothesis is probable at all")
     searches = [_Search.of(recorded, catalogue, match, mode) for match in tried]
     generations = max(2, cases // (SIZE * len(searches)))
     for _ in range(generations):
         _simulate(recorded, catalogue, searches)
-    refined, judged = _combined(recorded, result, searches)
+    refined, judged = _combine(recorded, result, searches)
     changed = refined.best.label != result.best.label
     count = sum(len(search.scores) for search in searches)
     names = ", ".join(search.match.label for search in searches)
@@ -148,7 +148,7 @@ def refine(
     return Refined(refined, count, generations, changed, said)
 
 
-def _unchanged(result: MatchResult, reason: str) -> Refined:
+def _leave_unchanged(result: MatchResult, reason: str) -> Refined:
     return Refined(result, 0, 0, False, reason)
 
 
@@ -209,7 +209,7 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
     drawn: list[tuple[_Search, Entry, float]] = []
     for search in searches:
         elite = [search.cases[place] for place in search.best(ELITE)]
-        for parent, clearances, parameters, importance in search.population.drawn(elite, SIZE, search.generator):
+        for parent, clearances, parameters, importance in search.population.draw(elite, SIZE, search.generator):
             speed = np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed)
             case = Entry.of(
                 catalogue.machine,
@@ -224,7 +224,7 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
             )
             drawn.append((search, case, importance))
     found = {}
-    for chunk in chunked(catalogue.machine, catalogue.recipe, [case for _, case, _ in drawn], len(drawn)):
+    for chunk in cut_chunks(catalogue.machine, catalogue.recipe, [case for _, case, _ in drawn], len(drawn)):
         for entry, outcome in zip(chunk.entries, simulate_chunk(chunk), strict=True):
             found[entry.key] = outcome
     for search, case, importance in drawn:
@@ -242,7 +242,7 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
 def _score(recorded: Recorded, power: np.ndarray) -> tuple[float, FloatArray]:
     """Log density of the recording given one simulated case, and that case's levels (d,)."""
     sensing = recorded.sensing
-    clean, noise = sensing.powers(grouped(pack(power[None]), sensing.cuts))[0][0], sensing.noise
+    clean, noise = sensing.powers(group(pack(power[None]), sensing.cuts))[0][0], sensing.noise
     levels = compose((clean + noise)[None], None)[0]
     cells = 0.5 * sensing.degrees_of_freedom[:, None]
     # Of a level in dB, from the relative variance of the power (see catalogue.observation.observe).
@@ -253,7 +253,7 @@ def _score(recorded: Recorded, power: np.ndarray) -> tuple[float, FloatArray]:
     return float(-0.5 * np.sum((nu + 1.0) * np.log1p(z / nu) + np.log(variance))), levels
 
 
-def _combined(recorded: Recorded, result: MatchResult, searches: Sequence[_Search]) -> tuple[MatchResult, str]:
+def _combine(recorded: Recorded, result: MatchResult, searches: Sequence[_Search]) -> tuple[MatchResult, str]:
     """Share the probability of the simulated hypotheses out anew, and say how far their samples can be believed.
 
     What a hypothesis has from the catalogue counts times the mean weight of its sample. Nothing changes where no sample
@@ -274,16 +274,16 @@ def _combined(recorded: Recorded, result: MatchResult, searches: Sequence[_Searc
     share = softmax(before + means, axis=1).mean(axis=0)
     total = sum(search.match.probability for search in searches)
     anew: Mapping[str, HypothesisMatch] = {
-        search.match.label: _refitted(recorded, search, places, each.weights, float(total * part))
+        search.match.label: _refit(recorded, search, places, each.weights, float(total * part))
         for search, places, each, part in zip(searches, sampled, weighed, share, strict=True)
     }
     matches = [anew.get(match.label, match) for match in result.hypotheses]
     effective, k = min(each.effective for each in weighed), max(each.k for each in weighed)
     said = f", effective sample size {effective:.0f} and Pareto k {k:.2f} at temperature {temperature:.3g}"
-    return replace(result, hypotheses=ranked(matches).hypotheses), said
+    return replace(result, hypotheses=rank(matches).hypotheses), said
 
 
-def _refitted(
+def _refit(
     recorded: Recorded,
     search: _Search,
     places: Sequence[int],

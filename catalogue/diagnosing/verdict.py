@@ -41,7 +41,7 @@ def needs_cause(result: MatchResult) -> bool:
     return result.trusted_p_value is not None and result.trusted_p_value < CHANGED_BELOW
 
 
-def judged(
+def judge(
     result: MatchResult,
     coverage: float,
     causes: Sequence[NamedCause] = (),
@@ -56,7 +56,7 @@ def judged(
     order either. What is neither nearly surely worn, nor in order rather than not, is unknown where the machine is
     doubted. So is what sensors say that are not what the file says of them.
     """
-    p_value = result.explained(coverage)
+    p_value = result.p_value_within(coverage)
     if flaws:
         return p_value, "unknown"
     explained = p_value >= UNKNOWN_BELOW and bool(result.set(coverage).labels)

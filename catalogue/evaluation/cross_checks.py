@@ -21,8 +21,8 @@ from jointplay.catalogue.evaluation.nearest_entry import (
 )
 from jointplay.catalogue.matching.calibration import fit_temperature, folds, probabilities, row_weights
 from jointplay.catalogue.matching.conformal import Conformal
-from jointplay.catalogue.matching.learning import Learning, Spectra
-from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet, ranked
+from jointplay.catalogue.matching.learning import Learning, SpectraSource
+from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet, rank
 from jointplay.catalogue.matching.model_library import Effort, ModelLibrary, Observed
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.extensions import entry_points_of
@@ -66,7 +66,7 @@ class MethodLibrary(ModelLibrary):
     method : Matcher
     """
 
-    def __init__(self, matrix: Spectra, method: Matcher) -> None:
+    def __init__(self, matrix: SpectraSource, method: Matcher) -> None:
         super().__init__(matrix)
         self.name, self.version, self._method = method.name, method.version, method
         self._fitted: dict[str, FittedMatcher] = {}
@@ -117,7 +117,7 @@ class ClassifierMatcher:
             raise MatchingError(f"method {self.name}: has no predict_proba: a matcher must give probabilities")
         entries = NearestEntry().fit(training)
         learned, held = next(folds(training, FOLDS))
-        features, index = learned.stacked()
+        features, index = learned.stack()
         share = row_weights(index) * len(index)
         classifier, log_share = clone(self.classifier), np.zeros(len(learned.hypotheses))
         if has_fit_parameter(classifier, "sample_weight"):
@@ -139,7 +139,7 @@ class ClassifierMatcher:
             errors.append(error_quantiles(apart.log_clearance - found))
         kept = (classifier, log_share, tuple(regressors), tuple(errors))
         bare = FittedClassifier(entries, *kept, 1.0, entries.conformal)
-        held_features, truth = held.stacked()
+        held_features, truth = held.stack()
         evidence, weights = bare.log_evidence(held_features), row_weights(truth)
         temperature = fit_temperature(evidence, truth, weights, between=(0.05, 8.0))
         fitted = replace(bare, temperature=temperature)
@@ -205,7 +205,7 @@ class FittedClassifier:
             if self.regressors[h] is not None:
                 value = np.ravel(self.regressors[h].predict(feature[None, :]))
                 matches[-1] = replace(matches[-1], clearances=estimates(match.joints, value, self.errors[h]))
-        return ranked(matches, self.conformal)
+        return rank(matches, self.conformal)
 
 
 def extra_trees(trees: int = 300) -> ClassifierMatcher:
@@ -232,12 +232,12 @@ def as_matcher(method: Any, name: str) -> Matcher:
     return found
 
 
-def _made(point: EntryPoint) -> Matcher:
+def _make(point: EntryPoint) -> Matcher:
     return as_matcher(point.load()(), point.name)
 
 
 METHODS: Mapping[str, Callable[[], Matcher] | None] = {
-    **{name: partial(_made, method) for name, method in entry_points_of("matchers").items()},
+    **{name: partial(_make, method) for name, method in entry_points_of("matchers").items()},
     OWN: None,
     "cosine": cosine_entry,
     "nearest": NearestEntry,

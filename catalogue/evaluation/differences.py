@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jointplay.catalogue.diagnosing.frame_forces import Revolution
-from jointplay.catalogue.evaluation.truth import Response, Truth, contact_of, drawn_contacts
+from jointplay.catalogue.evaluation.truth import Response, Truth, contact_of, draw_contacts
 from jointplay.catalogue.plans.entry import seed_from
 from jointplay.catalogue.plans.parameters import MachineNumbers, nominal_drive_speed
 from jointplay.catalogue.plans.variants import Variant, output_load
@@ -54,7 +54,7 @@ def _law(truth: Truth, draws: np.random.Generator) -> Truth:
     law = str(draws.choice(sorted(LAWS)))
     machine = _with_law(truth.machine, law)
     kept = {path: value for path, value in truth.parameters.items() if not _of_normal_force(path)}
-    return replace(truth, machine=machine, parameters=kept | drawn_contacts(machine, truth.joints, 0.6, draws))
+    return replace(truth, machine=machine, parameters=kept | draw_contacts(machine, truth.joints, 0.6, draws))
 
 
 def _of_normal_force(path: str) -> bool:
@@ -271,10 +271,10 @@ def _with_unbalance(machine: Machine, share: float) -> Machine:
     return _machine(tree, machine)
 
 
-Vector = tuple[float, float]
+Components = tuple[float, float]
 
 
-def _output(machine: Machine) -> tuple[str, Vector, tuple[Vector, Vector]]:
+def _output(machine: Machine) -> tuple[str, Components, tuple[Components, Components]]:
     """The link that does the work, the point it is loaded at, and the directions along and across its way.
 
     That is the link that slides on the frame; else the one that turns on the frame and is not driven, at the joint
@@ -299,7 +299,7 @@ def _output(machine: Machine) -> tuple[str, Vector, tuple[Vector, Vector]]:
 
 
 @lru_cache(maxsize=64)
-def _with_load(machine: Machine, link: str, at: Vector, name: str, value: tuple[Any, ...]) -> Machine:
+def _with_load(machine: Machine, link: str, at: Components, name: str, value: tuple[Any, ...]) -> Machine:
     tree = json.loads(machine.canonical_json())
     tree["loads"] = [*tree["loads"], {"link": link, "at": list(at), name: value}]
     return _machine(tree, machine)

@@ -183,7 +183,7 @@ def credibility_of(truth: Truth, result: MatchResult, fits: Mapping[str, FloatAr
     for match, count in zip(matches, counts, strict=True):
         worn = {estimate.joint: estimate for estimate in match.clearances}
         columns = [
-            _drawn(worn[joint], generator.uniform(size=count))
+            _draw(worn[joint], generator.uniform(size=count))
             if joint in worn
             else np.log(generator.choice(fits[joint], size=count))
             for joint in joints
@@ -197,7 +197,7 @@ def credibility_of(truth: Truth, result: MatchResult, fits: Mapping[str, FloatAr
     return float(np.mean(away < np.sum((true - point) ** 2)))
 
 
-def _drawn(estimate: ClearanceEstimate, uniform: FloatArray) -> FloatArray:
+def _draw(estimate: ClearanceEstimate, uniform: FloatArray) -> FloatArray:
     """Draws (n,) of ln(clearance), by the probability (n,) of a smaller one."""
     reach = (np.log(estimate.low) - 1.0, np.log(estimate.high) + 1.0)
     low, high = (estimate.course[0][0], estimate.course[0][-1]) if estimate.course else reach
@@ -227,7 +227,7 @@ def joint_figures(answers: Sequence[Sequence[JointAnswer]], credibilities: Seque
         ranks=_uniformity([joint.rank for joint in joints]),
         credibilities=_uniformity(credibilities),
         limit_ratio=limit_ratio(joints),
-        limits=len(_limited(joints)),
+        limits=len(_select_limited(joints)),
     )
 
 
@@ -238,7 +238,9 @@ def limit_ratio(joints: Sequence[JointAnswer]) -> float | None:
     with the multiple, in whatever way (isotonic regression): limits of many joints together follow no one curve. None
     where it does not pass 95 % among the multiples that there are, or only among the last few.
     """
-    limited = sorted((joint.clearance_um / limit, joint.p_worn >= SEEN_ABOVE) for joint, limit in _limited(joints))
+    limited = sorted(
+        (joint.clearance_um / limit, joint.p_worn >= SEEN_ABOVE) for joint, limit in _select_limited(joints)
+    )
     if not limited:
         return None
     share = isotonic_regression([float(seen) for _, seen in limited]).x
@@ -246,7 +248,7 @@ def limit_ratio(joints: Sequence[JointAnswer]) -> float | None:
     return limited[first][0] if 0 < first <= len(limited) - LEAST_BEYOND else None
 
 
-def _limited(joints: Sequence[JointAnswer]) -> list[tuple[JointAnswer, float]]:
+def _select_limited(joints: Sequence[JointAnswer]) -> list[tuple[JointAnswer, float]]:
     return [
         (joint, joint.detectable_from_um) for joint in joints if joint.worn and joint.detectable_from_um is not None
     ]

@@ -153,7 +153,7 @@ class JointScore:
 
 
 @dataclass(frozen=True)
-class Figures:
+class FiguresOfMerit:
     """Figures of merit over a set of recordings; None where there is nothing to count.
 
     Parameters
@@ -251,7 +251,7 @@ def figures(
     joints_of: Mapping[str, frozenset[str]],
     listed: Sequence[Answered] = (),
     largest_um: float = math.inf,
-) -> Figures:
+) -> FiguresOfMerit:
     """Return the figures of some answers.
 
     Parameters
@@ -280,7 +280,7 @@ def figures(
     errors, inside = clearance_errors(answers)
     seconds = [answer.seconds for answer in answers]
     beyond = [joint for answer in answers for joint in answer.joints if joint.worn and joint.clearance_um > largest_um]
-    return Figures(
+    return FiguresOfMerit(
         count=len(answers),
         top1=_mean(place == 0),
         top2=_mean(place <= 1),
@@ -299,8 +299,8 @@ def figures(
         in_order=_mean([answer.verdict == "in_order" for answer in answers]),
         wrong_verdict=_mean([answer.verdict == ("in_order" if answer.worn else "worn") for answer in answers]),
         auroc_deciding=auroc([-answer.p_value for answer in answers], [-answer.p_value for answer in listed]),
-        auroc_trusted=auroc(_trusted(answers), _trusted(listed)),
-        rejected=rejected([answer.p_value for answer in answers], [answer.p_value for answer in listed]),
+        auroc_trusted=auroc(_select_trusted(answers), _select_trusted(listed)),
+        rejected=count_rejected([answer.p_value for answer in answers], [answer.p_value for answer in listed]),
         joints=joint_scores(answers),
         labels=labels,
         columns=columns,
@@ -358,7 +358,7 @@ def joint_scores(answers: Sequence[Answered]) -> tuple[JointScore, ...]:
     return tuple(scores)
 
 
-def _trusted(answers: Sequence[Answered]) -> list[float]:
+def _select_trusted(answers: Sequence[Answered]) -> list[float]:
     return [-answer.trusted_p_value for answer in answers if answer.trusted_p_value is not None]
 
 
@@ -383,7 +383,7 @@ def auroc(positive: Sequence[float], negative: Sequence[float]) -> float | None:
     return float((ranks[:n].sum() - 0.5 * n * (n + 1)) / (n * len(negative)))
 
 
-def rejected(foreign: Sequence[float], listed: Sequence[float], false_alarms: float = 0.05) -> float | None:
+def count_rejected(foreign: Sequence[float], listed: Sequence[float], false_alarms: float = 0.05) -> float | None:
     """Return the share of p-values below the highest limit that at most the share `false_alarms` of `listed` is below.
 
     None without any. Values that are tied at the limit are not below it.

@@ -16,11 +16,11 @@ from jointplay.catalogue.matching.calibration import Tail, fit_temperature, fold
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.matcher import (
     ClearanceEstimate,
-    Draws,
+    DrawnFeatures,
     HypothesisMatch,
     MatchResult,
     TrainingSet,
-    ranked,
+    rank,
 )
 from jointplay.solver.arrays import FloatArray, IntArray
 
@@ -113,7 +113,7 @@ class NearestEntry:
         distances: list[list[FloatArray]] = [[] for _ in range(count)]
         errors: list[list[FloatArray]] = [[] for _ in range(count)]
         for learned, held in folds(training, FOLDS):
-            features, index = held.stacked()
+            features, index = held.stack()
             near, which = _nearest(self.metric, learned, features)
             evidence.append(-0.5 * near**2)
             truth.append(index)
@@ -232,10 +232,10 @@ class FittedEntries:
                     _spread(draws, row),
                 )
             )
-        return ranked(matches, self.conformal)
+        return rank(matches, self.conformal)
 
 
-def _spread(draws: Draws, row: int) -> FloatArray:
+def _spread(draws: DrawnFeatures, row: int) -> FloatArray:
     """Return how far levels scatter at one clearance, by the draws of about the same one."""
     if not draws.log_clearance.shape[1]:
         whole: FloatArray = draws.features.std(axis=0)

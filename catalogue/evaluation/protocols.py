@@ -13,13 +13,13 @@ import numpy as np
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.differences import DIFFERENCES
 from jointplay.catalogue.evaluation.spoiling import SPOILINGS
-from jointplay.catalogue.evaluation.truth import Truth, drawn_contacts
+from jointplay.catalogue.evaluation.truth import Truth, draw_contacts
 from jointplay.catalogue.plans.entry import Hypothesis, seed_from
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 
-Kind = Literal["listed", "healthy", "singles", "pairs", "triples", "sets"]
+ProtocolKind = Literal["listed", "healthy", "singles", "pairs", "triples", "sets"]
 
 LEAST_REVOLUTIONS = 5.0
 """Length of a recording in drive revolutions, at least."""
@@ -72,7 +72,7 @@ class Protocol:
     """
 
     name: str
-    kind: Kind = "listed"
+    kind: ProtocolKind = "listed"
     differences: tuple[str, ...] = ()
     spoiling: str = ""
     foreign: bool = False
@@ -255,7 +255,7 @@ def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: Protocol, see
     }
     speed = nominal_drive_speed(machine) * (1.0 + float(draws.uniform(-protocol.speed, protocol.speed)))
     friction = {f"joints.{joint}.contact.friction": float(draws.uniform(*protocol.friction)) for joint in joints}
-    parameters = {"drive.speed": speed, **friction, **drawn_contacts(machine, joints, protocol.scatter, draws)}
+    parameters = {"drive.speed": speed, **friction, **draw_contacts(machine, joints, protocol.scatter, draws)}
     return Truth(
         hypothesis=hypothesis,
         machine=machine,

@@ -59,7 +59,7 @@ class Recordings:
         """
         missing: dict[Machine, list[int]] = defaultdict(list)
         for index, truth in enumerate(truths):
-            kept = self._kept(self.key(protocol, truth))
+            kept = self._recall(self.key(protocol, truth))
             if kept is None:
                 missing[truth.machine].append(index)
             else:
@@ -98,7 +98,7 @@ class Recordings:
         assert self.folder is not None
         return self.folder / f"{key}.npy"
 
-    def _kept(self, key: str) -> FloatArray | None:
+    def _recall(self, key: str) -> FloatArray | None:
         if self.folder is None or not self._path(key).exists():
             return None
         try:

@@ -123,7 +123,7 @@ def _shocks(truth: Truth, draws: np.random.Generator) -> Truth:
         times=tuple(np.sort(draws.uniform(0.02, 0.98, count)).tolist()),
         sizes=tuple((sizes / sizes.max()).tolist()),
         width=float(draws.uniform(0.002, 0.006)),
-        wrench=_drawn_wrench(truth.machine, draws),
+        wrench=_draw_wrench(truth.machine, draws),
         peak=math.exp(draws.uniform(math.log(5.0), math.log(20.0))),
     )
     return replace(truth, disturbance=blows)
@@ -155,7 +155,7 @@ def _bursts(truth: Truth, draws: np.random.Generator) -> Truth:
         first=float(draws.uniform(0.0, every)),
         frequency=float(draws.uniform(1200.0, 3500.0)),
         damping=float(draws.uniform(0.02, 0.05)),
-        wrench=_drawn_wrench(truth.machine, draws),
+        wrench=_draw_wrench(truth.machine, draws),
         rms=_loudness(draws),
     )
     return replace(truth, disturbance=bursts)
@@ -166,12 +166,12 @@ def _clipping(truth: Truth, draws: np.random.Generator) -> Truth:
     return replace(truth, flaw=Clipped(math.exp(draws.uniform(math.log(0.001), math.log(0.02)))))
 
 
-def _swapped(truth: Truth, draws: np.random.Generator) -> Truth:
+def _swap(truth: Truth, draws: np.random.Generator) -> Truth:
     """Two sensors that changed places."""
     return replace(truth, flaw=FlawedSensors(_some_sensors(truth, 2, draws), "swapped"))
 
 
-def _inverted(truth: Truth, draws: np.random.Generator) -> Truth:
+def _invert(truth: Truth, draws: np.random.Generator) -> Truth:
     """A sensor the wrong way round."""
     return replace(truth, flaw=FlawedSensors(_some_sensors(truth, 1, draws), "inverted"))
 
@@ -184,15 +184,15 @@ def _dead(truth: Truth, draws: np.random.Generator) -> Truth:
 
 def _short_gap(truth: Truth, draws: np.random.Generator) -> Truth:
     """25 ms without samples."""
-    return replace(truth, flaw=_drawn_gap(SHORT_GAP, draws))
+    return replace(truth, flaw=_draw_gap(SHORT_GAP, draws))
 
 
 def _long_gap(truth: Truth, draws: np.random.Generator) -> Truth:
     """Half a second without samples."""
-    return replace(truth, flaw=_drawn_gap(LONG_GAP, draws))
+    return replace(truth, flaw=_draw_gap(LONG_GAP, draws))
 
 
-def _drawn_gap(seconds: float, draws: np.random.Generator) -> DropOut:
+def _draw_gap(seconds: float, draws: np.random.Generator) -> DropOut:
     filled: tuple[Literal["held", "zero", "nan"], ...] = ("held", "zero", "nan")
     return DropOut(float(draws.uniform(0.1, 0.8)), seconds, filled[int(draws.integers(len(filled)))])
 
@@ -201,7 +201,7 @@ def _with_tones(
     truth: Truth, frequencies: tuple[float, ...], sizes: tuple[float, ...], draws: np.random.Generator
 ) -> Truth:
     phases = tuple(draws.uniform(0.0, 2.0 * math.pi, len(sizes)).tolist())
-    wrench = _drawn_wrench(truth.machine, draws)
+    wrench = _draw_wrench(truth.machine, draws)
     return replace(truth, disturbance=Tones(frequencies, sizes, phases, wrench, _loudness(draws)))
 
 
@@ -210,7 +210,7 @@ def _loudness(draws: np.random.Generator) -> float:
     return math.exp(draws.uniform(math.log(0.3), math.log(1.0)))
 
 
-def _drawn_wrench(machine: Machine, draws: np.random.Generator) -> Wrench:
+def _draw_wrench(machine: Machine, draws: np.random.Generator) -> Wrench:
     """A unit force of any direction at a point of the frame that lies no further out than its sensors."""
     angle = float(draws.uniform(0.0, 2.0 * math.pi))
     cg = machine.links[machine.frame].cg
@@ -240,8 +240,8 @@ SPOILINGS: Mapping[str, Spoiling] = {
     "gear-mesh": _gear_mesh,
     "bursts": _bursts,
     "clipping": _clipping,
-    "swapped": _swapped,
-    "inverted": _inverted,
+    "swapped": _swap,
+    "inverted": _invert,
     "dead": _dead,
     "short-gap": _short_gap,
     "long-gap": _long_gap,

@@ -16,7 +16,7 @@ from jointplay.catalogue.diagnosing.joint_states import plays_of_fits
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.evaluation.cross_checks import METHODS, OWN, Matcher, MethodLibrary, as_matcher
 from jointplay.catalogue.evaluation.differences import with_differences
-from jointplay.catalogue.evaluation.metrics import Answered, Figures, figures
+from jointplay.catalogue.evaluation.metrics import Answered, FiguresOfMerit, figures
 from jointplay.catalogue.evaluation.protocols import Protocol, draw_truth, protocols_of
 from jointplay.catalogue.evaluation.recordings import TOGETHER, Recordings, hidden, recorded
 from jointplay.catalogue.evaluation.spoiling import with_spoiling
@@ -63,7 +63,7 @@ class Row:
     setup: Setup
     failed: int
     refused: int
-    figures: Figures
+    figures: FiguresOfMerit
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from jointplay import solver
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.evaluation.metrics import Figures
+from jointplay.catalogue.evaluation.metrics import FiguresOfMerit
 from jointplay.catalogue.evaluation.protocols import Protocol, protocols_of
 from jointplay.catalogue.evaluation.recordings import Recordings
 from jointplay.catalogue.evaluation.study import Setup, evaluate
@@ -27,7 +27,7 @@ from jointplay.solver.cases.steps import Accuracy
 
 
 @dataclass(frozen=True)
-class Point:
+class SweepPoint:
     """One catalogue and one setup.
 
     Parameters
@@ -49,7 +49,7 @@ class Point:
     entries: int
     build_seconds: float
     setup: Setup
-    figures: Figures
+    figures: FiguresOfMerit
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Sweep:
     protocol: Protocol
     seed: int
     count: int
-    points: tuple[Point, ...]
+    points: tuple[SweepPoint, ...]
 
     def content(self) -> dict[str, object]:
         """Return everything as plain data, for JSON."""
@@ -122,10 +122,10 @@ def trade_off(
     largest = max(int(np.sum(catalogue.entries.hypothesis == label)) for label in catalogue.hypotheses)
     sizes = sorted({min(each, largest) for each in draws})
     total, done = len(sizes) * len(accuracies) * count, 0
-    points: list[Point] = []
+    points: list[SweepPoint] = []
     with tempfile.TemporaryDirectory(prefix="jointplay-sweep-") as scratch:
         for accuracy in accuracies:
-            known = _built(catalogue, cast(Accuracy, accuracy), folder or Path(scratch), workers)
+            known = _build(catalogue, cast(Accuracy, accuracy), folder or Path(scratch), workers)
             each = _seconds_a_case(known)
             counts = {label: int(np.sum(known.entries.hypothesis == label)) for label in known.hypotheses}
             for most in sizes:
@@ -148,12 +148,13 @@ def trade_off(
                 taken = {label: min(most, counts[label]) for label in counts}
                 seconds = sum(each[label] * count for label, count in taken.items())
                 points += [
-                    Point(accuracy, most, sum(taken.values()), seconds, row.setup, row.figures) for row in study.rows
+                    SweepPoint(accuracy, most, sum(taken.values()), seconds, row.setup, row.figures)
+                    for row in study.rows
                 ]
     return Sweep(catalogue.machine.name, conditions, seed, count, tuple(points))
 
 
-def _built(catalogue: Catalogue, accuracy: Accuracy, folder: Path, workers: int) -> Catalogue:
+def _build(catalogue: Catalogue, accuracy: Accuracy, folder: Path, workers: int) -> Catalogue:
     """The catalogue itself, or one of the same plan with another accuracy."""
     if catalogue.recipe.accuracy == accuracy:
         return catalogue

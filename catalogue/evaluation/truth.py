@@ -57,14 +57,14 @@ RINGS_FOR = 2.0
 beginning."""
 
 
-class Disturbance(Protocol):
+class ForeignForce(Protocol):
     """What shakes the frame besides its machine."""
 
     def of(self, machine: Machine, sample_rate: float, signal: FloatArray) -> FloatArray:
         """Return what ideal sensors report of it (n, s), m/s2, beside a signal (n, s) of the machine."""
 
 
-class Flaw(Protocol):
+class RecorderFlaw(Protocol):
     """What is wrong with sensors or the recorder."""
 
     @property
@@ -136,7 +136,7 @@ class Blows:
             after = t - at * t[-1]
             within = (after >= 0.0) & (after < self.width)
             force += np.where(within, size * np.sin(math.pi * after / self.width), 0.0)
-        sensed = _moved(machine, sample_rate, np.outer(force, self.wrench)) @ transform_of(machine).T
+        sensed = _move(machine, sample_rate, np.outer(force, self.wrench)) @ transform_of(machine).T
         return _as_loud(sensed, self.peak * _rms(signal), lambda each: float(np.abs(each).max()))
 
 
@@ -174,7 +174,7 @@ class Bursts:
             first = math.ceil(start * sample_rate)
             after = t[first : first + lasting] - start
             force[first : first + lasting] += np.exp(-self.damping * circular * after) * np.sin(circular * after)
-        sensed = _moved(machine, sample_rate, np.outer(force, self.wrench)) @ transform_of(machine).T
+        sensed = _move(machine, sample_rate, np.outer(force, self.wrench)) @ transform_of(machine).T
         return _as_loud(sensed, self.rms * _rms(signal), _rms)
 
 
@@ -187,7 +187,7 @@ def transform_of(machine: Machine) -> FloatArray:
     )
 
 
-def _moved(machine: Machine, sample_rate: float, wrench: FloatArray) -> FloatArray:
+def _move(machine: Machine, sample_rate: float, wrench: FloatArray) -> FloatArray:
     """Acceleration (n, 3) of the frame under a wrench (n, 3), at rest before."""
     count = len(wrench)
     padded = count + round(RINGS_FOR * sample_rate)
@@ -259,8 +259,8 @@ class Truth:
     gains: tuple[float, ...] = ()
     seed: int = 0
     causes: tuple[str, ...] = ()
-    disturbance: Disturbance | None = None
-    flaw: Flaw | None = None
+    disturbance: ForeignForce | None = None
+    flaw: RecorderFlaw | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -268,7 +268,7 @@ class Truth:
         return tuple(self.clearances)
 
 
-def drawn_contacts(
+def draw_contacts(
     machine: Machine, joints: Sequence[str], scatter: float, draws: np.random.Generator
 ) -> dict[str, float]:
     """Draw the numbers of the contact law in every joint, by path: log-normal factors, uniform restitutions."""

@@ -18,7 +18,7 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 from jointplay.catalogue.errors import DiagnosisError, MatchingError
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
-from jointplay.catalogue.matching.matcher import Draws, MatchResult, TrainingSet
+from jointplay.catalogue.matching.matcher import DrawnFeatures, MatchResult, TrainingSet
 from jointplay.catalogue.matching.network import FULL_BAND
 from jointplay.catalogue.matching.network_shelf import own_sensing
 from jointplay.catalogue.matching.observation import Sensing
@@ -111,7 +111,7 @@ class ClearanceClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return [self.matcher_.match(row) for row in validate_data(self, X, reset=False, dtype=np.float64)]
 
 
-def _draws(label: object, features: FloatArray, known: FloatArray, cases: IntArray, prior: float) -> Draws:
+def _draws(label: object, features: FloatArray, known: FloatArray, cases: IntArray, prior: float) -> DrawnFeatures:
     given = np.isfinite(known)
     worn = given.all(axis=0)
     if (given.any(axis=0) != worn).any():
@@ -119,7 +119,7 @@ def _draws(label: object, features: FloatArray, known: FloatArray, cases: IntArr
     if (known[:, worn] <= 0.0).any():
         raise MatchingError(f"hypothesis {label}: clearances must be greater than 0, or NaN where a joint is in order")
     joints = tuple(str(column) for column in np.flatnonzero(worn))
-    return Draws(str(label), joints, features, np.log(known[:, worn]), cases, prior)
+    return DrawnFeatures(str(label), joints, features, np.log(known[:, worn]), cases, prior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class Rows:
         """
         sensing = seen_by_all_sensors(catalogue, noise, seconds)
         training = training_set(catalogue.matrix, sensing, np.zeros(sensing.noise.size, bool), Learning.of("trusted"))
-        features, index = training.stacked()
+        features, index = training.stack()
         return cls(
             features[:, : training.plain],
             np.array(training.labels)[index],

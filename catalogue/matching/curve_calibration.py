@@ -18,7 +18,7 @@ from jointplay.catalogue.matching.calibration import (
     row_weights,
 )
 from jointplay.catalogue.matching.conformal import Conformal
-from jointplay.catalogue.matching.curves import CurveModel, averaged
+from jointplay.catalogue.matching.curves import CurveModel, average
 from jointplay.catalogue.matching.matcher import TrainingSet
 from jointplay.catalogue.matching.network import Opinion
 from jointplay.catalogue.matching.sightings import Sightings
@@ -56,7 +56,7 @@ class Calibration:
     sightings: Sightings | None = None
 
 
-def calibrated(
+def calibrate(
     pairs: Iterable[tuple[CurveModel, TrainingSet]], opinion: Opinion | None = None, witness: Opinion | None = None
 ) -> Calibration:
     """Calibrate on pairs of what was learned and what was held out of it, by the network of an opinion, too.
@@ -72,7 +72,7 @@ def calibrated(
     doubts: list[list[FloatArray]] = []
     own: dict[int, list[tuple[FloatArray, IntArray]]] = {}
     for model, held in pairs:
-        features, index = held.stacked()
+        features, index = held.stack()
         whitened = features @ model.projection
         columns = []
         distances = distances or [[] for _ in held.hypotheses]
@@ -80,7 +80,7 @@ def calibrated(
         doubts = doubts or [[] for _ in held.hypotheses]
         for h, draws in enumerate(held.hypotheses):
             likelihood = model.log_likelihood(whitened, h)
-            columns.append(averaged(likelihood))
+            columns.append(average(likelihood))
             curve = likelihood[index == h]
             distance, order = model.curves[h].surprise(
                 draws.features, curve.argmax(axis=1).astype(np.int64), model.watched

@@ -211,7 +211,7 @@ def fit_tube(
     residual = features - fine[grid.index(log_clearance)]
     pooled = (residual * shares[:, None]).T @ residual / n
     spread = cases * float(np.sum(shares)) ** 2 / (n * float(np.sum(shares**2)))
-    target = _mixed(pooled, np.diag(np.diag(pooled)), spread / (spread + d))
+    target = _mix(pooled, np.diag(np.diag(pooled)), spread / (spread + d))
     anchors = len(grid.anchors)
     whitener = np.empty((anchors, d, d))
     log_determinant = np.empty(anchors)
@@ -223,7 +223,7 @@ def fit_tube(
         effective = cases / (n * float(np.sum(weight[point] ** 2)))
         unbiased = max(0.3, 1.0 - (1.0 + k) / max(effective, 1.0))
         local = (left * weight[point, rows, None]).T @ left / unbiased
-        shrunk = _mixed(local, target, effective / (effective + d))
+        shrunk = _mix(local, target, effective / (effective + d))
         shrunk[np.diag_indices(d)] += ridge * float(np.mean(np.diag(shrunk))) + 1e-9
         factor = cholesky(shrunk, lower=True, check_finite=False)
         whitener[anchor] = solve_triangular(factor, identity, lower=True, check_finite=False)
@@ -232,7 +232,7 @@ def fit_tube(
     return Tube(fine, whitener, log_determinant, variance, grid.nearest)
 
 
-def _mixed(covariance: FloatArray, target: FloatArray, keep: float) -> FloatArray:
+def _mix(covariance: FloatArray, target: FloatArray, keep: float) -> FloatArray:
     mixed: FloatArray = keep * covariance + (1.0 - keep) * target
     return mixed
 
@@ -323,11 +323,11 @@ class CurveModel:
     def log_evidences(self, features: FloatArray) -> FloatArray:
         """Return the log evidence (m, hypotheses) of features (m, d), priors left out."""
         whitened = features @ self.projection
-        columns = [averaged(self.log_likelihood(whitened, h)) for h in range(len(self.curves))]
+        columns = [average(self.log_likelihood(whitened, h)) for h in range(len(self.curves))]
         return np.stack(columns, axis=1)
 
 
-def averaged(likelihood: FloatArray) -> FloatArray:
+def average(likelihood: FloatArray) -> FloatArray:
     """Average a log likelihood (m, f) over a log-uniform clearance: (m,)."""
     evidence: FloatArray = log_sum_exp(likelihood) - np.log(likelihood.shape[1])
     return evidence

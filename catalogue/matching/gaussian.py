@@ -13,10 +13,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from jointplay.catalogue.errors import MatchingError
-from jointplay.catalogue.matching.calibration import combined, folds, kept_apart, probabilities, row_weights
-from jointplay.catalogue.matching.curve_calibration import Calibration, calibrated
-from jointplay.catalogue.matching.curves import ClearanceGrid, Curve, CurveModel, averaged, fit_tube, log_sum_exp
-from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, TrainingSet, ranked
+from jointplay.catalogue.matching.calibration import combine, folds, probabilities, row_weights, split_held_out
+from jointplay.catalogue.matching.curve_calibration import Calibration, calibrate
+from jointplay.catalogue.matching.curves import ClearanceGrid, Curve, CurveModel, average, fit_tube, log_sum_exp
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, TrainingSet, rank
 from jointplay.catalogue.matching.network import Opinion
 from jointplay.solver.arrays import FloatArray, IntArray
 
@@ -117,11 +117,11 @@ def fit_gaussian(
             )
     smoothing = FEW if training.cases < FEW_CASES else MANY
     if training.cases >= SPLIT_CASES:
-        learned, held = kept_apart(training)
+        learned, held = split_held_out(training)
         model = _learned(learned, smoothing, projection)
-        return FittedGaussian(model, calibrated([(model, held)], opinion, witness), opinion, witness)
+        return FittedGaussian(model, calibrate([(model, held)], opinion, witness), opinion, witness)
     pairs = ((_learned(learned, smoothing, projection), held) for learned, held in folds(training, FOLDS))
-    calibration = calibrated(pairs)
+    calibration = calibrate(pairs)
     return FittedGaussian(_learned(training, smoothing, projection), calibration)
 
 
@@ -160,7 +160,7 @@ def _discriminant(training: TrainingSet, smoothing: Smoothing) -> FloatArray:
 
     Whitening: the directions in which hypotheses and clearances differ most, in units of their scatter.
     """
-    features, hypothesis = training.stacked()
+    features, hypothesis = training.stack()
     features = features[:, : training.plain]
     share = row_weights(hypothesis)
     overall = share @ features
@@ -250,7 +250,7 @@ class FittedGaussian:
         block = feature[None, :]
         whitened = block @ self.model.projection
         likelihoods = [self.model.log_likelihood(whitened, h) for h in range(len(self.model.curves))]
-        evidence = np.array([averaged(each) for each in likelihoods])
+        evidence = np.array([average(each) for each in likelihoods])
         posterior = self._probabilities(evidence.T, block)[0]
         doubt = 0.0 if self.witness is None else float(self.witness.doubts(block)[0])
         matches = []
@@ -258,13 +258,13 @@ class FittedGaussian:
             best = likelihoods[h].argmax(axis=1).astype(np.int64)
             distance, order = curve.surprise(block, best, self.model.watched)
             predicted = curve.full.mean[best[0]]
-            p_value = combined(
+            p_value = combine(
                 self.calibration.distances[h].p_value(float(distance[0])),
                 self.calibration.orders[h].p_value(float(order[0])),
                 BROADBAND_SHARE,
             )
             if self.witness is not None:
-                p_value = combined(self.calibration.doubts[h].p_value(doubt), p_value, STRATA_SHARE)
+                p_value = combine(self.calibration.doubts[h].p_value(doubt), p_value, STRATA_SHARE)
             matches.append(
                 HypothesisMatch(
                     curve.label,
@@ -277,7 +277,7 @@ class FittedGaussian:
                     curve.full.spread_at(best)[0],
                 )
             )
-        return ranked(matches, self.calibration.conformal, self.calibration.sightings)
+        return rank(matches, self.calibration.conformal, self.calibration.sightings)
 
     def _clearances(self, curve: Curve, likelihood: FloatArray) -> tuple[ClearanceEstimate, ...]:
         axes = curve.grid.axes

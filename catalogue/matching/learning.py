@@ -11,7 +11,7 @@ from typing import Literal, Protocol, Self
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.matcher import Draws, Mode, TrainingSet
+from jointplay.catalogue.matching.matcher import DrawnFeatures, Mode, TrainingSet
 from jointplay.catalogue.matching.observation import Discrepancy, PackedArray, Sensing, observe
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.transfer import RandomTransfer
@@ -19,7 +19,7 @@ from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 
-class Spectra(Protocol):
+class SpectraSource(Protocol):
     """What is learned from: :class:`jointplay.catalogue.storage.matrix.FeatureMatrix`, or anything that answers like
     it.
     """
@@ -66,7 +66,7 @@ class Spectra(Protocol):
         """Radial clearances of rows, (m, joints), m."""
 
 
-def band_widths(spectra: Spectra) -> FloatArray:
+def band_widths(spectra: SpectraSource) -> FloatArray:
     """Return the widths (G,) of the feature bands at the machine's own drive speed, Hz."""
     widths: FloatArray = np.diff(spectra.edges) * abs(spectra.nominal_speed) / (2.0 * np.pi)
     return widths
@@ -127,7 +127,7 @@ class Learning:
         return cls(mode, robust, rows=800, without=without, most=seen, reach=reach)
 
 
-def rows_of(matrix: Spectra, label: str, learning: Learning, speed: float | None = None) -> IntArray:
+def rows_of(matrix: SpectraSource, label: str, learning: Learning, speed: float | None = None) -> IntArray:
     """Return the rows of a hypothesis that are learned from, at the stored speed next to `speed` (rad/s)."""
     trusted = matrix.rows(label, "trusted", draws=learning.most, speed=speed)
     if learning.mode == "trusted":
@@ -139,7 +139,7 @@ def rows_of(matrix: Spectra, label: str, learning: Learning, speed: float | None
 
 
 def training_set(
-    matrix: Spectra,
+    matrix: SpectraSource,
     sensing: Sensing,
     watched: BoolArray,
     learning: Learning,
@@ -189,11 +189,11 @@ def training_set(
         weight = None if weights is None else weights[chosen[entry]]
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
         prior = Prior().weight(known.joints, len(matrix.joints), most)
-        sets.append(Draws(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))
+        sets.append(DrawnFeatures(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))
     return TrainingSet(tuple(sets), watched, sensing.plain_count)
 
 
-def _log_clearance(matrix: Spectra, joints: Sequence[str], rows: IntArray) -> FloatArray:
+def _log_clearance(matrix: SpectraSource, joints: Sequence[str], rows: IntArray) -> FloatArray:
     columns = [matrix.joints.index(joint) for joint in joints]
     found: FloatArray = np.log(matrix.clearance(rows)[:, columns])
     return found

@@ -29,7 +29,7 @@ Mode = Literal["trusted", "robust"]
 
 
 @dataclass(frozen=True, eq=False)
-class Draws:
+class DrawnFeatures:
     """Feature vectors of one hypothesis, as the sensors would report them.
 
     Parameters
@@ -86,9 +86,9 @@ class Draws:
         """Number of different simulated cases behind the rows."""
         return len(np.unique(self.entry))
 
-    def rows(self, keep: BoolArray) -> Draws:
+    def rows(self, keep: BoolArray) -> DrawnFeatures:
         """Return the same hypothesis with only the rows where `keep` is true."""
-        return Draws(
+        return DrawnFeatures(
             self.label,
             self.joints,
             self.features[keep],
@@ -120,7 +120,7 @@ class TrainingSet:
         is a network's to hear. All unless given.
     """
 
-    hypotheses: tuple[Draws, ...]
+    hypotheses: tuple[DrawnFeatures, ...]
     watched: BoolArray
     plain: int | None = None
 
@@ -171,7 +171,7 @@ class TrainingSet:
             begin = end
         return found
 
-    def stacked(self) -> tuple[FloatArray, IntArray]:
+    def stack(self) -> tuple[FloatArray, IntArray]:
         """Return features of all rows (n, d) and the hypothesis index of each row (n,)."""
         features = np.concatenate([draws.features for draws in self.hypotheses])
         index = np.repeat(np.arange(len(self.hypotheses)), [len(draws.features) for draws in self.hypotheses])
@@ -279,9 +279,9 @@ class MatchResult:
     @property
     def p_value(self) -> float:
         """P-value of the best fitting hypothesis of the 95 % set: whether any likely cause explains the measurement."""
-        return self.explained(0.95)
+        return self.p_value_within(0.95)
 
-    def explained(self, coverage: float) -> float:
+    def p_value_within(self, coverage: float) -> float:
         """Return the largest p-value in the set of a coverage; that of the first hypothesis where the set is empty."""
         likely = self.set(coverage).labels
         values = [match.p_value for match in self.hypotheses if match.label in likely]
@@ -315,7 +315,7 @@ class MatchResult:
         return tuple(chosen)
 
 
-def ranked(
+def rank(
     matches: Sequence[HypothesisMatch], conformal: Conformal | None = None, sightings: Sightings | None = None
 ) -> MatchResult:
     """Sort hypotheses by falling probability; equal ones keep their order."""

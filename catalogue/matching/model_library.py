@@ -18,13 +18,13 @@ from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
-from jointplay.catalogue.matching.learning import Learning, Spectra, band_widths, training_set
+from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, training_set
 from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
-from jointplay.catalogue.matching.modelfile import as_read, read_model, write_model, written
+from jointplay.catalogue.matching.modelfile import as_read, read_model, time_written, write_model
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
-from jointplay.catalogue.matching.observation import Sensing, rounded_sensing
-from jointplay.catalogue.matching.refit import Refit, blended, merged
+from jointplay.catalogue.matching.observation import Sensing, round_sensing
+from jointplay.catalogue.matching.refit import Refit, blend, merge
 from jointplay.catalogue.plans.entry import content_digest
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray
@@ -66,14 +66,14 @@ class ModelLibrary:
     version = str(MATCHER_VERSION)
 
     def __init__(
-        self, matrix: Spectra, folder: Path | None = None, networks: NetworkShelf | None = None, *, size: int = 16
+        self, matrix: SpectraSource, folder: Path | None = None, networks: NetworkShelf | None = None, *, size: int = 16
     ) -> None:
         self._matrix, self._folder, self._networks = matrix, folder, networks
         self._lock = threading.Lock()
         self._known: LRUCache[str, FittedGaussian] = LRUCache(size)
 
     @property
-    def matrix(self) -> Spectra:
+    def matrix(self) -> SpectraSource:
         """What its models are fitted to."""
         return self._matrix
 
@@ -135,9 +135,9 @@ class ModelLibrary:
             if mode == "trusted" or trusted.p_value >= DOUBTED_BELOW:
                 return replace(trusted, trusted_p_value=trusted.p_value)
             robust = self.match(observed, effort, Learning.of("robust", without=without, most=most))
-        return blended(trusted, robust)
+        return blend(trusted, robust)
 
-    def fitted(
+    def fit(
         self,
         observed: Observed,
         learning: Learning,
@@ -194,7 +194,7 @@ class ModelLibrary:
         """
         if self._folder is None:
             return 0
-        files = sorted(self._folder.glob(f"{self._state}-*.npz"), key=written, reverse=True)
+        files = sorted(self._folder.glob(f"{self._state}-*.npz"), key=time_written, reverse=True)
         most = min(most, int(self._known.maxsize))
         found = [(file.stem, read_model(self._folder, file.stem)) for file in files[:most]]
         with self._lock:
@@ -220,7 +220,7 @@ class ModelLibrary:
                 strata = self._networks.get(sensing, replace(learning, subject="strata"), speed)
             if network is None and self._networks.applies(sensing, learning, speed):
                 notes = (*notes, "the catalogue's networks are not trained yet: building it again does that")
-        model = self.fitted(coarse, learning, network, strata)
+        model = self.fit(coarse, learning, network, strata)
         asked = model.opinion.network.digest if model.opinion else None
         looked_up = replace(model.match(coarse.feature), mode=learning.mode, notes=notes, network=asked)
         if effort == "fast":
@@ -228,11 +228,11 @@ class ModelLibrary:
         refit = Refit(
             self._matrix, model, learning, speed, weights, network if asked else None, strata if model.witness else None
         )
-        return merged(looked_up, refit.match(sensing, observed.feature, observed.watched, looked_up))
+        return merge(looked_up, refit.match(sensing, observed.feature, observed.watched, looked_up))
 
     def coarse(self, observed: Observed) -> Observed:
         """Return a recording with noise filled up to the next step, so that few models serve all recordings."""
-        sensing = rounded_sensing(observed.sensing, band_widths(self._matrix), NOISE_STEP_DB)
+        sensing = round_sensing(observed.sensing, band_widths(self._matrix), NOISE_STEP_DB)
         missing = np.maximum(sensing.noise - observed.sensing.noise, 0.0)
         lifted: FloatArray = with_more_noise(observed.feature[None, :], missing, sensing.alike)[0]
         return replace(observed, sensing=sensing, feature=lifted)

@@ -42,7 +42,7 @@ def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
         _write(folder, key, model)
     except CatalogueFileError:
         return False
-    for file in sorted(folder.glob("*.npz"), key=written)[:-KEPT]:
+    for file in sorted(folder.glob("*.npz"), key=time_written)[:-KEPT]:
         file.unlink(missing_ok=True)
     return True
 
@@ -71,7 +71,7 @@ def _write(folder: Path, key: str, model: FittedGaussian | Network) -> None:
     publish(folder / f"{key}.npz", content.getvalue())
 
 
-def written(file: Path) -> tuple[float, str]:
+def time_written(file: Path) -> tuple[float, str]:
     """When a file was written, 0 if it is gone by now, and its name: sorts files by age."""
     try:
         return file.stat().st_mtime, file.name
@@ -98,7 +98,7 @@ def _read(folder: Path, key: str) -> Any:
         tree = json.loads(arrays["tree"].tobytes())
         if tree["format"] != FORMAT or tree["key"] != key:
             return None
-        return _restored(tree["model"], arrays)
+        return _restore(tree["model"], arrays)
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
         return None
 
@@ -106,7 +106,7 @@ def _read(folder: Path, key: str) -> Any:
 def as_read(model: FittedGaussian) -> FittedGaussian:
     """Return the model as it comes out of a file: order of numbers in memory decides the last digit of their sums."""
     arrays: dict[str, np.ndarray[Any, Any]] = {}
-    again = _restored(_plain(model, arrays), arrays)
+    again = _restore(_plain(model, arrays), arrays)
     assert isinstance(again, FittedGaussian)
     return again
 
@@ -125,12 +125,12 @@ def _plain(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
     return value
 
 
-def _restored(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+def _restore(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
     if isinstance(value, list):
-        return tuple(_restored(item, arrays) for item in value)
+        return tuple(_restore(item, arrays) for item in value)
     if isinstance(value, dict) and "array" in value:
         return arrays[value["array"]]
     if isinstance(value, dict):
-        content = {name: _restored(item, arrays) for name, item in value["fields"].items()}
+        content = {name: _restore(item, arrays) for name, item in value["fields"].items()}
         return _TYPES[value["type"]](**content)
     return value

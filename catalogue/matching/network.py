@@ -22,9 +22,9 @@ from scipy.linalg import block_diag
 from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
-from jointplay.catalogue.matching.calibration import held_out
+from jointplay.catalogue.matching.calibration import hold_out
 from jointplay.catalogue.matching.coherence import with_more_noise
-from jointplay.catalogue.matching.learning import Learning, Spectra, rows_of
+from jointplay.catalogue.matching.learning import Learning, SpectraSource, rows_of
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 from jointplay.solver.arrays import FloatArray, IntArray
@@ -195,12 +195,12 @@ class NetworkTraining:
     strata_epochs: tuple[int, ...] = (2, 2)
     least_cases: int = 180
 
-    def enough(self, matrix: Spectra, learning: Learning, speed: float | None) -> bool:
+    def enough(self, matrix: SpectraSource, learning: Learning, speed: float | None) -> bool:
         """Whether there are cases enough: of worn joints to learn from, of every hypothesis to calibrate on."""
         counts = []
         classes = _classes(matrix, learning, speed)
         for known, rows in classes:
-            apart = int(np.sum(held_out(rows)))
+            apart = int(np.sum(hold_out(rows)))
             if min(apart, len(rows) - apart) < LEAST_ON_EITHER_SIDE:
                 return False
             if known.joints:
@@ -209,7 +209,7 @@ class NetworkTraining:
 
     def train(
         self,
-        matrix: Spectra,
+        matrix: SpectraSource,
         sensing: Sensing,
         learning: Learning,
         *,
@@ -249,7 +249,7 @@ class NetworkTraining:
             inputs /= scale
             if cases < FEW_CASES:
                 inputs = inputs.astype(np.float64)
-            classifier = self._fitted(inputs, index, penalty, epochs, lambda s: tell(self.blocks + 10 * s, total))
+            classifier = self._fit(inputs, index, penalty, epochs, lambda s: tell(self.blocks + 10 * s, total))
         labels = tuple(known.label for known in matrix.hypotheses if known.label not in learning.without)
         if learning.subject == "strata":
             labels = (AS_FILED, DIFFERS)
@@ -262,7 +262,7 @@ class NetworkTraining:
 
     def _recordings(
         self,
-        matrix: Spectra,
+        matrix: SpectraSource,
         sensing: Sensing,
         learning: Learning,
         pools: Sequence[Sequence[IntArray]],
@@ -299,7 +299,7 @@ class NetworkTraining:
         mean = float(np.mean(own_db))
         return np.concatenate(inputs), np.concatenate(index), (quiet_db + mean, loud_db + mean)
 
-    def _fitted(
+    def _fit(
         self,
         inputs: FloatArray,
         index: IntArray,
@@ -332,19 +332,19 @@ class NetworkTraining:
         return weights, biases
 
 
-def _pools(matrix: Spectra, learning: Learning, speed: float | None) -> list[list[IntArray]]:
+def _pools(matrix: SpectraSource, learning: Learning, speed: float | None) -> list[list[IntArray]]:
     """Rows of each class that recordings are made of by turns.
 
     Machines whose own data differ show what a fault looks like whatever they are: every other block is of them.
     """
     learning = replace(learning, most=learning.reach)
     return [
-        [rows[~held_out(rows)] for _, rows in _classes(matrix, each, speed)]
+        [rows[~hold_out(rows)] for _, rows in _classes(matrix, each, speed)]
         for each in (learning, replace(learning, mode="robust"))
     ]
 
 
-def _classes(matrix: Spectra, learning: Learning, speed: float | None) -> list[tuple[Hypothesis, IntArray]]:
+def _classes(matrix: SpectraSource, learning: Learning, speed: float | None) -> list[tuple[Hypothesis, IntArray]]:
     """Rows of each class: a hypothesis; or of machines as filed and of others by turns, for each hypothesis."""
     found = []
     for known in matrix.hypotheses:

@@ -15,7 +15,7 @@ import numpy as np
 
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import CatalogueFileError
-from jointplay.catalogue.matching.learning import Learning, Spectra
+from jointplay.catalogue.matching.learning import Learning, SpectraSource
 from jointplay.catalogue.matching.matcher import Mode
 from jointplay.catalogue.matching.modelfile import read_network, write_network
 from jointplay.catalogue.matching.network import Network, NetworkTraining
@@ -46,7 +46,7 @@ class NetworkShelf:
     """
 
     def __init__(
-        self, matrix: Spectra, own: Sensing | None, folder: Path | None, training: NetworkTraining | None = None
+        self, matrix: SpectraSource, own: Sensing | None, folder: Path | None, training: NetworkTraining | None = None
     ) -> None:
         self._matrix, self._folder, self._training = matrix, folder, training or NetworkTraining()
         self._own = own
@@ -74,7 +74,7 @@ class NetworkShelf:
             for each in (learning, replace(learning, subject="strata")) if mode == "trusted" else (learning,):
                 for factor in self._matrix.speeds:
                     speed = factor * self._matrix.nominal_speed
-                    if self._applies(each, speed) and self._found(self._key(each, speed)) is None:
+                    if self._applies(each, speed) and self._find(self._key(each, speed)) is None:
                         yield each, speed
 
     def train(
@@ -127,9 +127,9 @@ class NetworkShelf:
         """
         if not self.applies(sensing, learning, speed):
             return None
-        return self._found(self._key(learning, speed))
+        return self._find(self._key(learning, speed))
 
-    def _found(self, key: str) -> Network | None:
+    def _find(self, key: str) -> Network | None:
         with self._lock:
             if key not in self._known and self._folder is not None:
                 kept = read_network(self._folder, key)

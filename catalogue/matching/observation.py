@@ -242,13 +242,13 @@ class Sensing:
         return compose(power, cross, self.cyclic.from_crank(cyclic / scale) * scale)
 
 
-def grouped(packed: PackedArray, cuts: tuple[int, ...]) -> PackedArray:
+def group(packed: PackedArray, cuts: tuple[int, ...]) -> PackedArray:
     """Join stored bands (n, B, 9) into feature bands (n, G, 9)."""
     joined: PackedArray = np.add.reduceat(packed[:, : cuts[-1]], cuts[:-1], axis=1)
     return joined
 
 
-def rounded_up(values: FloatArray, step_db: float) -> FloatArray:
+def round_up(values: FloatArray, step_db: float) -> FloatArray:
     """Round powers up to whole steps of decibels.
 
     Parameters
@@ -264,7 +264,7 @@ def rounded_up(values: FloatArray, step_db: float) -> FloatArray:
     return rounded
 
 
-def rounded_sensing(sensing: Sensing, width: FloatArray, step_db: float) -> Sensing:
+def round_sensing(sensing: Sensing, width: FloatArray, step_db: float) -> Sensing:
     """Return the sensing that stands for all recordings of about this noise and length.
 
     The level of each channel's noise is rounded up to whole steps; its course over the bands, relative to white noise,
@@ -280,11 +280,11 @@ def rounded_sensing(sensing: Sensing, width: FloatArray, step_db: float) -> Sens
     """
     width = width[: sensing.bands]
     seconds = float(np.median(sensing.degrees_of_freedom / (2.0 * width)))
-    shorter = 1.0 / float(rounded_up(np.array(1.0 / seconds), step_db))
+    shorter = 1.0 / float(round_up(np.array(1.0 / seconds), step_db))
     density = sensing.noise / width[:, None]
     level = np.median(density, axis=0)
-    course = rounded_up(density / level / 10.0**0.05, 2.0 * step_db)
-    noise = rounded_up(level, step_db) * course * width[:, None]
+    course = round_up(density / level / 10.0**0.05, 2.0 * step_db)
+    noise = round_up(level, step_db) * course * width[:, None]
     return replace(sensing, noise=noise, degrees_of_freedom=2.0 * np.maximum(1.0, shorter * width))
 
 

@@ -18,7 +18,7 @@ from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.plans.parameters import DRIVE_SPEED
 from jointplay.solver.arrays import BoolArray, FloatArray
 
-Kind = tuple[object, ...]
+CaseKind = tuple[object, ...]
 
 INFLATION = 1.2
 """Factor on the spread of the best cases: they are few, and the best one may lie beyond them."""
@@ -75,19 +75,19 @@ class Population:
         Cases of the first generation.
     """
 
-    spaces: Mapping[Kind, _Space]
+    spaces: Mapping[CaseKind, _Space]
     start: tuple[Entry, ...]
 
     @classmethod
     def of(cls, entries: Sequence[Entry], start: Sequence[Entry]) -> Population:
         """Make it of a catalogue's entries of a hypothesis, beginning with some of them."""
-        kinds: dict[Kind, list[Entry]] = defaultdict(list)
+        kinds: dict[CaseKind, list[Entry]] = defaultdict(list)
         for entry in entries:
             kinds[_kind(entry)].append(entry)
         spaces = {kind: _Space.of(each, len(each) / len(entries)) for kind, each in kinds.items()}
         return cls(spaces, tuple(start))
 
-    def drawn(
+    def draw(
         self, elite: Sequence[Entry], size: int, generator: np.random.Generator
     ) -> Iterator[tuple[Entry, tuple[float, ...], dict[str, float], float]]:
         """Yield new cases: a case of their kind, clearances (m), numbers by path, and an importance.
@@ -113,7 +113,7 @@ class Population:
             for entry in self.start[:size]:
                 yield entry, entry.clearances, dict(entry.parameters), 0.0
             return
-        kinds: dict[Kind, list[Entry]] = defaultdict(list)
+        kinds: dict[CaseKind, list[Entry]] = defaultdict(list)
         for entry in elite:
             kinds[_kind(entry)].append(entry)
         shares = np.cumsum([len(each) for each in kinds.values()]) * size / len(elite)
@@ -136,7 +136,7 @@ class Population:
                 yield parents[0], clearances, parameters, constant + 0.5 * float(normal @ normal)
 
 
-def _kind(entry: Entry) -> Kind:
+def _kind(entry: Entry) -> CaseKind:
     return entry.variant, entry.stratum, entry.joints, tuple(sorted(entry.parameters))
 
 
@@ -213,14 +213,14 @@ def weigh(samples: list[FloatArray]) -> tuple[list[Weighed], float]:
     found: list[Weighed] = []
     temperature = TEMPERATURES[-1]
     for temperature in TEMPERATURES:
-        found = [_weighed(each / temperature) for each in samples]
+        found = [_weigh(each / temperature) for each in samples]
         least = [min(LEAST_EFFECTIVE, 0.5 * len(each)) for each in samples]
         if all(w.effective >= enough for w, enough in zip(found, least, strict=True)):
             break
     return found, temperature
 
 
-def _weighed(log_weights: FloatArray) -> Weighed:
+def _weigh(log_weights: FloatArray) -> Weighed:
     total = float(logsumexp(log_weights))
     weights = np.exp(log_weights - total)
     return Weighed(weights, total - float(np.log(len(weights))), effective_size(weights), pareto_k(log_weights))

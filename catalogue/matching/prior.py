@@ -80,7 +80,7 @@ class Prior:
         weights = [self.another**more for more in range(min(most, count))]
         return tuple(weight / sum(weights) for weight in weights)
 
-    def applied(self, result: MatchResult, count: int) -> MatchResult:
+    def apply(self, result: MatchResult, count: int) -> MatchResult:
         """Return an answer that was found with the usual prior as it is with this one; `count` joints may wear."""
         usual = Prior()
         if self == usual:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
-from jointplay.catalogue.matching.learning import Learning, Spectra, band_widths, rows_of, training_set
-from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, ranked
+from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, rows_of, training_set
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
@@ -47,7 +47,7 @@ class Refit:
         That says whether the machine differs from its file.
     """
 
-    matrix: Spectra
+    matrix: SpectraSource
     model: FittedGaussian
     learning: Learning
     speed: float | None = None
@@ -83,7 +83,7 @@ class Refit:
         return rows[np.sort(order)]
 
 
-def merged(first: MatchResult, refitted: MatchResult) -> MatchResult:
+def merge(first: MatchResult, refitted: MatchResult) -> MatchResult:
     """Put a refitted answer in the place of what it refits; the other hypotheses keep their probabilities.
 
     Both fits saw other noise and held out other draws, so their geometric mean is better than either: log-loss 0.090
@@ -98,7 +98,7 @@ def merged(first: MatchResult, refitted: MatchResult) -> MatchResult:
         for match in first.hypotheses
     ]
     # What can be seen of a joint is known of all hypotheses, not only of those that were refitted.
-    found = ranked(matches, refitted.conformal, first.sightings)
+    found = rank(matches, refitted.conformal, first.sightings)
     return replace(found, mode=first.mode, notes=first.notes, network=first.network)
 
 
@@ -119,7 +119,7 @@ def weight_as_filed(p_value: float) -> float:
     return odds / (1.0 + odds)
 
 
-def blended(trusted: MatchResult, robust: MatchResult) -> MatchResult:
+def blend(trusted: MatchResult, robust: MatchResult) -> MatchResult:
     """Return the answer of both modes, each with the probability that its machine is the recording's.
 
     Sets, clearances and levels of a hypothesis are those of the mode that says more for it; a recording is explained as
@@ -135,7 +135,7 @@ def blended(trusted: MatchResult, robust: MatchResult) -> MatchResult:
         matches.append(replace(said, probability=first + second, p_value=max(own.p_value, match.p_value)))
     leading = trusted if weight >= 0.5 else robust
     return replace(
-        ranked(matches, leading.conformal, leading.sightings),
+        rank(matches, leading.conformal, leading.sightings),
         mode=leading.mode,
         trusted_p_value=trusted.p_value,
         notes=tuple(dict.fromkeys((*trusted.notes, *robust.notes))),

@@ -120,7 +120,7 @@ def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
         A path of `uncertain` that the machine does not have or cannot vary; a set with a joint that it does not
         have; a machine without a constant drive speed.
     """
-    plan = plan.resolved(machine)
+    plan = plan.resolve(machine)
     strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
     for stratum in strata:
         check_drawable(machine, frozenset(plan.spread(machine, stratum)))

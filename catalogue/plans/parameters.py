@@ -68,7 +68,7 @@ def load_order(path: str) -> int | None:
 
 
 @dataclass(frozen=True)
-class Target:
+class ParameterTarget:
     """One number that a path of a plan stands for: its path in the machine file, its value there, its share."""
 
     path: str
@@ -95,7 +95,7 @@ class MachineNumbers:
         self.turning = tuple(sorted(machine.turning_joints))
         self.by_path: dict[str, float] = dict(_numbers(machine.model_dump(), ""))
 
-    def targets(self, path: str) -> tuple[Target, ...]:
+    def targets(self, path: str) -> tuple[ParameterTarget, ...]:
         """The numbers that `path` of a plan stands for.
 
         Raises
@@ -108,7 +108,7 @@ class MachineNumbers:
             short = [*SHARED, "frame.mass", "frame.inertia", *_SUPPORTS, LOAD, "ripple.1.sin", "ripple.1.cos"]
             rule = f"is not a number of machine {self._name}{nearest(path, [*short, *self.by_path])}"
             raise PlanError("plan", f"uncertain.{path}", None, rule)
-        return tuple(Target(full, self.by_path[full], share) for full, share in listed)
+        return tuple(ParameterTarget(full, self.by_path[full], share) for full, share in listed)
 
     def nominal(self, path: str) -> float:
         """The value of a number in the machine file, of several that a short path means the first; 0 without any."""
@@ -197,7 +197,7 @@ class Scatter:
     ) -> None:
         skipped = set(left_out)
         self._speed = numbers.by_path[DRIVE_SPEED]
-        self._drawn: list[tuple[int, Distribution, Target]] = []
+        self._drawn: list[tuple[int, Distribution, ParameterTarget]] = []
         first = 0
         for path in sorted(spread):
             # A joint's column is its own in every variant, whatever numbers its contact law and the other joints have.

@@ -18,7 +18,7 @@ from jointplay.catalogue.plans.plan_parts import (
     Bands,
     ClearanceRange,
     Distribution,
-    Draws,
+    DrawCounts,
     Fits,
     Wide,
     default_laws,
@@ -85,7 +85,7 @@ class Plan(Part):
     name: Title = "unnamed"
     hypotheses: tuple[Family, ...] = ("healthy", "singles")
     sets: tuple[Annotated[tuple[Name, ...], Field(min_length=1)], ...] = ()
-    draws: Draws = Draws()
+    draws: DrawCounts = DrawCounts()
     clearance: ClearanceRange = ClearanceRange()
     fits: Fits = Fits()
     uncertain: Annotated[Mapping[str, Distribution] | None, Auto] = None
@@ -148,7 +148,7 @@ class Plan(Part):
             nominal_drive_speed=speed,
         )
 
-    def resolved(self, machine: Machine) -> Plan:
+    def resolve(self, machine: Machine) -> Plan:
         """The plan with what it leaves to the machine ("auto") written out; what a catalogue stores."""
         laws = self.law_weights(machine)
         wide = self.wide
@@ -159,7 +159,7 @@ class Plan(Part):
 
     def difference(self, other: Plan, machine: Machine) -> str:
         """What is drawn differently in two plans for a machine, so that their draws do not mix; empty if nothing is."""
-        ours, theirs = self.resolved(machine), other.resolved(machine)
+        ours, theirs = self.resolve(machine), other.resolve(machine)
         if ours.clearance != theirs.clearance:
             return "clearance"
         if ours.fits != theirs.fits:
@@ -180,7 +180,7 @@ class Plan(Part):
 
     def spread(self, machine: Machine, stratum: Stratum) -> dict[str, Distribution]:
         """What is uncertain in a stratum, by path."""
-        plan = self.resolved(machine)
+        plan = self.resolve(machine)
         assert plan.uncertain is not None
         assert plan.wide.uncertain is not None
         return {**plan.uncertain, **plan.wide.uncertain} if stratum == "wide" else dict(plan.uncertain)

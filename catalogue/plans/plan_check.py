@@ -5,11 +5,11 @@ from __future__ import annotations
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
-from jointplay.catalogue.plans.plan_parts import Draws
+from jointplay.catalogue.plans.plan_parts import DrawCounts
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
-_ONCE = Draws(healthy=1, single=1, pair=1, larger=1)
+_ONCE = DrawCounts(healthy=1, single=1, pair=1, larger=1)
 
 
 def check_plan(plan: Plan, machine: Machine, source: str = "plan") -> None:
@@ -28,14 +28,14 @@ def check_plan(plan: Plan, machine: Machine, source: str = "plan") -> None:
         As :func:`jointplay.catalogue.plans.cases.entries_of`, with all of it: file, dotted path in the plan, what
         stands there, rule.
     """
-    plan = plan.resolved(machine)
+    plan = plan.resolve(machine)
     try:
         entries_of(plan.model_copy(update={"draws": _ONCE}), machine)
     except PlanError as error:
-        raise _placed(error, plan, source) from None
+        raise _place(error, plan, source) from None
 
 
-def _placed(error: PlanError, plan: Plan, source: str) -> PlanError:
+def _place(error: PlanError, plan: Plan, source: str) -> PlanError:
     """The error where it is in the plan; a wide draw takes a number from either of two lists."""
     path, value = error.path, error.value
     drawn = path.removeprefix("uncertain.")
@@ -64,7 +64,7 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
     PlanError
         The plan does not fit the machine.
     """
-    plan = plan.resolved(machine)
+    plan = plan.resolve(machine)
     recipe = plan.recipe(machine)
     kinds: dict[str, list[str]] = {}
     cases = {"trusted": 0, "wide": 0}
@@ -88,10 +88,10 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
         f"(one alone to {plan.clearance.beyond:g} times that), fits {_fits(plan, machine)}, next to none in "
         f"{100 * plan.fits.tight:g} % of them, none at all in {100 * plan.fits.silent:g} % of the machines",
         f"contact laws: {laws}",
-        f"uncertain: {_listed(plan, machine, wide=False)}",
+        f"uncertain: {_list_cases(plan, machine, wide=False)}",
     ]
     if plan.wide.draws:
-        lines.append(f"uncertain in the wide draws, too: {_listed(plan, machine, wide=True)}")
+        lines.append(f"uncertain in the wide draws, too: {_list_cases(plan, machine, wide=True)}")
     if plan.speeds != (1.0,):
         lines.append(f"speeds: {', '.join(f'x {speed:g}' for speed in plan.speeds)}")
     guard = f"; one draw in {plan.guard} again at standard" if plan.guard and plan.accuracy != "standard" else ""
@@ -100,7 +100,7 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _listed(plan: Plan, machine: Machine, *, wide: bool) -> str:
+def _list_cases(plan: Plan, machine: Machine, *, wide: bool) -> str:
     trusted = plan.spread(machine, "trusted")
     shown = trusted
     if wide:

@@ -191,7 +191,7 @@ class Fits(Part):
         return self
 
 
-class Draws(Part):
+class DrawCounts(Part):
     """Number of draws of each hypothesis, by kind: healthy, one worn joint, two, a set of more."""
 
     healthy: Count = 192
@@ -237,7 +237,7 @@ DAMPING_SCATTER = 0.4
 TOLERANCE = {"mass": 0.025, "inertia": 0.03, "stiffness": 0.05, "damping": 0.15}
 
 #: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
-HYSTERESIS = (0.3, 30.0)
+HYSTERESIS_RANGE = (0.3, 30.0)
 
 #: Speed ripple of an order, relative; the low orders of drives that are too weak, 6 and 12 of motors with three phases.
 RIPPLE = (1e-4, 1e-2)
@@ -284,7 +284,7 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     if "linear" in known:
         found["contact.damping"] = Distribution(lognormal=DAMPING_SCATTER)
     if "hertz" in known:
-        found["contact.hysteresis"] = Distribution(loguniform=HYSTERESIS)
+        found["contact.hysteresis"] = Distribution(loguniform=HYSTERESIS_RANGE)
     asked = [contact.restitution for contact in contacts if contact.restitution is not None]
     if asked:
         low, high = max(0.05, min(asked) - 0.25), min(1.0, max(asked) + 0.25)

@@ -17,7 +17,7 @@ LawChoice = Literal["own", "linear", "hertz"]
 EQUAL_PENETRATION = 40e-6
 """Penetration [m] at which a fitted law is as stiff as the one it stands for (docs/reference/plan.md)."""
 
-HYSTERESIS = 3.0
+USUAL_HYSTERESIS = 3.0
 """Hysteresis [s/m] of a Hertzian contact that stands for a linear one."""
 
 DAMPING_RATIO = 0.1
@@ -156,7 +156,7 @@ def _contact(machine: Machine, joint: TurningJoint, law: LawChoice) -> Contact:
     friction = {"friction": own.friction, "viscous": own.viscous, "friction_velocity": own.friction_velocity}
     if law == "hertz":
         secant = own.stiffness * EQUAL_PENETRATION ** ((own.exponent or 1.0) - 1.5)
-        return Contact(law="hertz", stiffness=secant, hysteresis=HYSTERESIS, **friction)
+        return Contact(law="hertz", stiffness=secant, hysteresis=USUAL_HYSTERESIS, **friction)
     stiffness = own.stiffness * EQUAL_PENETRATION ** ((own.exponent or 1.0) - 1.0)
     mass = min(machine.links[link].mass or 1.0 for link in joint.links)
     return Contact(stiffness=stiffness, damping=2 * DAMPING_RATIO * math.sqrt(stiffness * mass), **friction)

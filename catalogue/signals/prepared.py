@@ -23,7 +23,7 @@ from jointplay.catalogue.signals.hum import SteadyLine
 from jointplay.catalogue.signals.noise import NoiseFloor
 from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
 from jointplay.catalogue.signals.sensors import SensorMap
-from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, joined
+from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, join_bands
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.spectra.band_power import BandMatrix, transform_power
 from jointplay.solver.spectra.bands import BandScheme
@@ -147,23 +147,23 @@ class PreparedMeasurement:
     def group_power(self) -> FloatArray:
         """Power in each feature band, (G, c), noise included."""
         auto = np.ascontiguousarray(np.diagonal(self.power, axis1=-2, axis2=-1).real)
-        return joined(auto, self.cuts)
+        return join_bands(auto, self.cuts)
 
     @property
     def group_noise(self) -> FloatArray:
         """Noise power in each feature band, (G, c)."""
-        return np.maximum(joined(self.noise_power, self.cuts), LEAST_POWER)
+        return np.maximum(join_bands(self.noise_power, self.cuts), LEAST_POWER)
 
     @property
     def group_hum(self) -> FloatArray:
         """Power that may be hum in each feature band, (G, c)."""
         power = np.zeros(len(self.noise_power)) if self.hum_power is None else self.hum_power
-        return joined(np.outer(power, np.sum(self.sensing.channels**2, axis=1)), self.cuts)
+        return join_bands(np.outer(power, np.sum(self.sensing.channels**2, axis=1)), self.cuts)
 
     @property
     def group_degrees_of_freedom(self) -> FloatArray:
         """Degrees of freedom of the noise power in each feature band, (G,)."""
-        return joined(self.sensor_bands.degrees_of_freedom[:, None], self.cuts)[:, 0]
+        return join_bands(self.sensor_bands.degrees_of_freedom[:, None], self.cuts)[:, 0]
 
     @property
     def features(self) -> FloatArray:

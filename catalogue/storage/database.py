@@ -229,7 +229,7 @@ class IndexDatabase(Database):
         CatalogueFileError
             The database cannot be read.
         """
-        with self._named(), self.engine.connect() as connection:
+        with self._name_failures(), self.engine.connect() as connection:
             yield connection
 
     @contextmanager
@@ -243,7 +243,7 @@ class IndexDatabase(Database):
         sqlalchemy.exc.IntegrityError
             Another writer has entered the same rows.
         """
-        with self._named(), self.transaction(lock) as connection:
+        with self._name_failures(), self.transaction(lock) as connection:
             yield connection
 
     def is_sound(self) -> bool:
@@ -257,7 +257,7 @@ class IndexDatabase(Database):
             return False
 
     @contextmanager
-    def _named(self) -> Iterator[None]:
+    def _name_failures(self) -> Iterator[None]:
         try:
             yield
         except IntegrityError:

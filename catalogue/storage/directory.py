@@ -235,7 +235,7 @@ class CatalogueDirectory:
         return target
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def hold_alone(self) -> Iterator[None]:
         """Hold the only right to change this catalogue; it ends with the process, however that ends.
 
         Raises

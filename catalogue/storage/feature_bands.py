@@ -71,7 +71,7 @@ def feature_vector(
     else:
         mix = np.asarray(matrix, dtype=np.float64)
         auto = np.einsum("ci,...bij,cj->...bc", mix, table.real, mix, optimize=True)
-    grouped = np.maximum(joined(auto, cuts), LEAST_POWER if noise is None else np.asarray(noise, dtype=np.float64))
+    grouped = np.maximum(join_bands(auto, cuts), LEAST_POWER if noise is None else np.asarray(noise, dtype=np.float64))
     levels = 10.0 * np.log10(grouped)
     return np.asarray(levels.reshape(*levels.shape[:-2], -1), dtype=np.float64)
 
@@ -115,6 +115,6 @@ def feature_axes(
     )
 
 
-def joined(values: FloatArray, cuts: tuple[int, ...]) -> FloatArray:
+def join_bands(values: FloatArray, cuts: tuple[int, ...]) -> FloatArray:
     """Sum bands (..., B, c) into feature bands (..., G, c)."""
     return np.asarray(np.add.reduceat(values[..., : cuts[-1], :], cuts[:-1], axis=-2), dtype=np.float64)

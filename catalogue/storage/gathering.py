@@ -14,7 +14,7 @@ from jointplay.catalogue.plans.entry import HEALTHY, Hypothesis
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.storage.cross_power import COLUMNS
 from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
-from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Block, MatrixHeader
+from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, MatrixBlock, MatrixHeader
 from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
@@ -73,15 +73,15 @@ def gather(
         others, the value of the machine's file; 0 if the file has no such number.
     """
     cuts = scheme.third_octave_groups(FEATURE_ORDERS)
-    parts: list[_Part] = []
+    parts: list[_ShardPart] = []
     written = 0
     for number, shard in enumerate(shards):
-        parts.append(_Part.of(number, shard, cuts, waiting, written))
+        parts.append(_ShardPart.of(number, shard, cuts, waiting, written))
         written += len(shard.power)
     joints = tuple(sorted(machine.turning_joints))
     names = tuple(sorted({name for part in parts for name in part.parameter_names}))
     hypotheses = tuple(sorted({part.hypothesis for part in parts}, key=_rank))
-    columns, remarks, digests = _joined(parts, joints, names, hypotheses, machine)
+    columns, remarks, digests = _join(parts, joints, names, hypotheses, machine)
     order, count = _order(columns)
     columns = {name: column[order] for name, column in columns.items()}
     spectrum = columns.pop("spectrum")[:count]
@@ -113,7 +113,7 @@ def gather(
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _ShardPart:
     """What is kept of one shard: everything but its spectra, which go to `waiting`."""
 
     hypothesis: Hypothesis
@@ -126,7 +126,7 @@ class _Part:
     digests: tuple[bytes, ...]
 
     @classmethod
-    def of(cls, number: int, shard: Shard, cuts: tuple[int, ...], waiting: IO[bytes], first: int) -> _Part:
+    def of(cls, number: int, shard: Shard, cuts: tuple[int, ...], waiting: IO[bytes], first: int) -> _ShardPart:
         """Take a shard apart; `first` spectra wait already."""
         count = shard.count
         grouped = np.add.reduceat(shard.power[:, : cuts[-1]], cuts[:-1], axis=1)
@@ -176,8 +176,8 @@ def _rank(hypothesis: Hypothesis) -> tuple[bool, int, str]:
     return hypothesis.label != HEALTHY, len(hypothesis.joints), hypothesis.label
 
 
-def _joined(
-    parts: Sequence[_Part],
+def _join(
+    parts: Sequence[_ShardPart],
     joints: tuple[str, ...],
     names: tuple[str, ...],
     hypotheses: tuple[Hypothesis, ...],
@@ -235,12 +235,12 @@ def _order(columns: Mapping[str, Numbers]) -> tuple[IntArray, int]:
     return first[np.lexsort(by)].astype(np.int64), int(np.sum(~has_none))
 
 
-def _blocks(columns: Mapping[str, Numbers], hypotheses: tuple[Hypothesis, ...], count: int) -> Iterator[Block]:
+def _blocks(columns: Mapping[str, Numbers], hypotheses: tuple[Hypothesis, ...], count: int) -> Iterator[MatrixBlock]:
     codes = columns["hypothesis"][:count].astype(np.int64) * len(STRATA) + columns["stratum"][:count]
     found, starts = np.unique(codes, return_index=True)
     for code, start, stop in zip(found.tolist(), starts.tolist(), [*starts.tolist(), count][1:], strict=True):
         hypothesis, stratum = divmod(code, len(STRATA))
-        yield Block(hypotheses[hypothesis], STRATA[stratum], start, stop)
+        yield MatrixBlock(hypotheses[hypothesis], STRATA[stratum], start, stop)
 
 
 class Columns(Protocol):

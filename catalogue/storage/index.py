@@ -76,7 +76,7 @@ class Index:
     def __init__(self, source: Path | str, instance: str = LOCAL, *, anew: bool = False) -> None:
         self._database = IndexDatabase(source, anew=anew)
         try:
-            self._catalogue = self._registered(instance)
+            self._catalogue = self._register(instance)
         except BaseException:
             self._database.close()
             raise
@@ -171,9 +171,9 @@ class Index:
         ]
         try:
             with self._database.writing() as connection:
-                is_new = sha256 not in self._known_shards(connection, [sha256])
+                is_new = sha256 not in self._find_shards(connection, [sha256])
                 if is_new:
-                    present = self._known(connection, shard.key)
+                    present = self._find_known(connection, shard.key)
                     if present:
                         raise EntriesPresentError(present)
                     values = {"catalogue": self._catalogue, "sha256": sha256, "size": size, "entries": shard.count}
@@ -191,7 +191,7 @@ class Index:
             for name in names:
                 connection.execute(delete(SHARDS).where(SHARDS.c.catalogue == self._catalogue, SHARDS.c.sha256 == name))
 
-    def known(self, keys: Sequence[str]) -> dict[str, str]:
+    def find_known(self, keys: Sequence[str]) -> dict[str, str]:
         """Status of those of the entries that are there, by key."""
         found: dict[str, str] = {}
         with self._database.reading() as connection:
@@ -204,7 +204,7 @@ class Index:
         """All chunks the builds of this catalogue know, in the order in which they were planned."""
         return self.leases.rows()
 
-    def _registered(self, instance: str) -> int:
+    def _register(self, instance: str) -> int:
         """Number of the catalogue in this database."""
         query = select(CATALOGUES.c.id).where(CATALOGUES.c.instance == instance)
         with self._database.reading() as connection:
@@ -223,10 +223,10 @@ class Index:
         """Only the rows of this catalogue."""
         return query.where(query.get_final_froms()[0].c.catalogue == self._catalogue)
 
-    def _known_shards(self, connection: Connection, names: Sequence[str]) -> set[str]:
+    def _find_shards(self, connection: Connection, names: Sequence[str]) -> set[str]:
         return set(connection.scalars(self._of(select(SHARDS.c.sha256)).where(SHARDS.c.sha256.in_(names))))
 
-    def _known(self, connection: Connection, keys: Sequence[str]) -> frozenset[str]:
+    def _find_known(self, connection: Connection, keys: Sequence[str]) -> frozenset[str]:
         query = self._of(select(ENTRIES.c.key))
         return frozenset(
             key for part in _parts(keys) for key in connection.scalars(query.where(ENTRIES.c.key.in_(part)))

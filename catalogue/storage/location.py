@@ -58,7 +58,7 @@ class IndexLocation:
             raise CatalogueFileError(path, rule) from None
 
     @classmethod
-    def settled(cls, directory: CatalogueDirectory, url: str | None, *, alone: bool) -> Self:
+    def choose(cls, directory: CatalogueDirectory, url: str | None, *, alone: bool) -> Self:
         """Where the index is to be; a URL given is remembered in the folder.
 
         Parameters

@@ -28,7 +28,7 @@ from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 
 
-class Source(Protocol):
+class MatrixSource(Protocol):
     """What a matrix is made of: a catalogue in some state."""
 
     @property
@@ -70,7 +70,7 @@ class FeatureMatrix:
         self.nominal_speed = nominal_speed
 
     @classmethod
-    def in_memory(cls, catalogue: Source) -> Self:
+    def in_memory(cls, catalogue: MatrixSource) -> Self:
         """Make the matrix of a catalogue without writing anything: about 2 kB an entry.
 
         Raises
@@ -79,11 +79,11 @@ class FeatureMatrix:
             A shard is missing, does not match its checksum, or cannot be read.
         """
         with tempfile.TemporaryFile() as waiting:
-            gathered = _gathered(catalogue, waiting)
+            gathered = _gather(catalogue, waiting)
             return cls(gathered.header, MemoryColumns.of(gathered), catalogue.recipe.nominal_drive_speed)
 
     @classmethod
-    def open(cls, catalogue: Source) -> Self | None:
+    def open(cls, catalogue: MatrixSource) -> Self | None:
         """Map the published matrix of a catalogue; None if there is none, or only one of another state of it.
 
         Raises
@@ -95,7 +95,7 @@ class FeatureMatrix:
         return None if columns is None else cls(columns.header, columns, catalogue.recipe.nominal_drive_speed)
 
     @classmethod
-    def publish(cls, catalogue: Source) -> Self:
+    def publish(cls, catalogue: MatrixSource) -> Self:
         """Write the matrix of a catalogue, as a build and a check do at their ends, and map it.
 
         It takes its name only when it is complete; one that is there already and in order stays. What is returned was
@@ -109,7 +109,7 @@ class FeatureMatrix:
         columns = MappedColumns.sound(catalogue.layout, catalogue.id)
         if columns is None:
             with tempfile.TemporaryFile(dir=catalogue.layout.root) as waiting:
-                columns = write_matrix(catalogue.layout, _gathered(catalogue, waiting))
+                columns = write_matrix(catalogue.layout, _gather(catalogue, waiting))
         return cls(columns.header, columns, catalogue.recipe.nominal_drive_speed)
 
     @property
@@ -315,7 +315,7 @@ class FeatureMatrix:
         return Guard(len(found), float(found.mean()), float(np.quantile(found, 0.9))) if len(found) else None
 
 
-def _gathered(catalogue: Source, waiting: IO[bytes]) -> Gathered:
+def _gather(catalogue: MatrixSource, waiting: IO[bytes]) -> Gathered:
     return gather(catalogue.id, catalogue.machine, catalogue.recipe.scheme, catalogue.shards(), waiting)
 
 

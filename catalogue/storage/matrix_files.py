@@ -125,8 +125,8 @@ class MappedColumns:
         self._folder, self.header = named or folder, header
         # All files are opened at once: a reader keeps them when a later build removes the folder.
         files = header.files.items()
-        self._columns = {name: _mapped(folder / f"{name}.npy", file.dtype, file.shape) for name, file in files}
-        self._power = _mapped(folder / _POWER, "<f4", (header.count, len(header.cuts) - 1, COLUMNS))
+        self._columns = {name: _map(folder / f"{name}.npy", file.dtype, file.shape) for name, file in files}
+        self._power = _map(folder / _POWER, "<f4", (header.count, len(header.cuts) - 1, COLUMNS))
         digests = (folder / _DIGESTS).read_bytes()
         if sha256_of(digests) != header.digests:
             raise ValueError(f"{_DIGESTS} does not match its checksum")
@@ -215,7 +215,7 @@ class MappedColumns:
             self.power(np.array([start]))
 
 
-def _mapped(path: Path, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
+def _map(path: Path, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
     """The numbers at the end of a file; its head, in which NumPy says the same, is for other programs."""
     head = path.stat().st_size - np.dtype(dtype).itemsize * math.prod(shape)
     if not 0 < head <= _HEAD:

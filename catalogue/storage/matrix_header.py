@@ -65,7 +65,7 @@ class Guard:
 
 
 @dataclass(frozen=True)
-class Block:
+class MatrixBlock:
     """Rows of one hypothesis and stratum, one below the other, by number of the draw.
 
     Parameters
@@ -130,7 +130,7 @@ class MatrixHeader:
     joints: tuple[str, ...]
     parameter_names: tuple[str, ...]
     hypotheses: tuple[Hypothesis, ...]
-    blocks: tuple[Block, ...]
+    blocks: tuple[MatrixBlock, ...]
     count: int
     total: int
     remarks: Mapping[int, tuple[str, str]]
@@ -185,7 +185,7 @@ class MatrixHeader:
             raise OtherVersionError("is of another version")
         hypotheses = tuple(Hypothesis(label, tuple(joints)) for label, joints in content.pop("hypotheses"))
         blocks = tuple(
-            Block(hypotheses[code], stratum, start, stop) for code, stratum, start, stop in content.pop("blocks")
+            MatrixBlock(hypotheses[code], stratum, start, stop) for code, stratum, start, stop in content.pop("blocks")
         )
         remarks = {int(row): (status, message) for row, (status, message) in content.pop("remarks").items()}
         content["files"] = {

@@ -20,7 +20,7 @@ OK = "ok"
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class CaseOutcome:
     """What became of one case.
 
     Parameters
@@ -142,7 +142,7 @@ class Shard:
     cyclic: NDArray[np.float32]
 
     @classmethod
-    def of(cls, header: ShardHeader, entries: Sequence[Entry], outcomes: Sequence[Outcome]) -> Shard:
+    def of(cls, header: ShardHeader, entries: Sequence[Entry], outcomes: Sequence[CaseOutcome]) -> Shard:
         """Put cases and what became of them together; all entries have in common what a shard has."""
         joints, names = entries[0].joints, tuple(sorted(entries[0].parameters))
         good = [outcome.power is not None for outcome in outcomes]
@@ -176,10 +176,10 @@ class Shard:
             cyclic=np.array(cyclic, np.float32).reshape(-1, groups, len(CYCLIC)),
         )
 
-    def outcome(self, position: int) -> Outcome:
+    def outcome(self, position: int) -> CaseOutcome:
         """What became of the case at a position; the processor time is not known."""
         row, guard = int(self.row[position]), float(self.guard_db[position])
-        return Outcome(
+        return CaseOutcome(
             status=self.status[position],
             message=self.message[position],
             drive_speed=float(self.drive_speed[position]),

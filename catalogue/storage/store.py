@@ -22,7 +22,7 @@ from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
 from jointplay.catalogue.storage.hdf5 import decode_shard
 from jointplay.catalogue.storage.manifest import Manifest
 from jointplay.catalogue.storage.matrix import FeatureMatrix
-from jointplay.catalogue.storage.shard import Outcome, Shard
+from jointplay.catalogue.storage.shard import CaseOutcome, Shard
 from jointplay.catalogue.storage.table import EntryTable
 from jointplay.solver.arrays import IntArray
 from jointplay.solver.machines.machine import Machine
@@ -294,7 +294,7 @@ class Catalogue:
         number, position = self.matrix.places(np.array([self.row(key)]))[0].tolist()
         return self._shard_names[number], position
 
-    def cases(self, rows: IntArray) -> Iterator[tuple[Entry, Outcome]]:
+    def cases(self, rows: IntArray) -> Iterator[tuple[Entry, CaseOutcome]]:
         """Cases of some rows of :attr:`matrix` in full, in the order of the rows; only their shards are read.
 
         Raises
@@ -303,7 +303,7 @@ class Catalogue:
             A shard is missing, does not match its checksum, or cannot be read.
         """
         for number, position in self.matrix.places(rows).tolist():
-            shard = self._kept(self._shard_names[number])
+            shard = self._shard(self._shard_names[number])
             yield shard.entry(position), shard.outcome(position)
 
     def parts(self, rows: IntArray) -> Iterator[tuple[Shard, IntArray]]:
@@ -333,7 +333,7 @@ class Catalogue:
         return power, spread
 
     @cachedmethod(attrgetter("_shards"), lock=attrgetter("_lock"))
-    def _kept(self, name: str) -> Shard:
+    def _shard(self, name: str) -> Shard:
         """A shard, from memory if it is one of those that were asked for last; threads may share the catalogue."""
         return self._read(name)
 

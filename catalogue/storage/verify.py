@@ -161,7 +161,7 @@ def verify(directory: str | Path) -> VerifyReport:
     CatalogueBusyError
         A build is running there.
     """
-    return _checked_alone(directory, again=False)
+    return _check_alone(directory, again=False)
 
 
 def reindex(directory: str | Path) -> VerifyReport:
@@ -169,14 +169,14 @@ def reindex(directory: str | Path) -> VerifyReport:
 
     Everything is checked on the way, as by :func:`verify`, whose parameters, results and errors these are.
     """
-    return _checked_alone(directory, again=True)
+    return _check_alone(directory, again=True)
 
 
-def _checked_alone(directory: str | Path, *, again: bool) -> VerifyReport:
+def _check_alone(directory: str | Path, *, again: bool) -> VerifyReport:
     layout = CatalogueDirectory(Path(directory))
     if not layout.manifest.exists() and not layout.shards.is_dir():
         raise CatalogueFileError(layout.root, "is not a catalogue: it has no manifest.json and no shards")
-    with layout.locked():
+    with layout.hold_alone():
         return _Check(layout, again=again).run()
 
 
@@ -199,7 +199,7 @@ class _Check:
             path = self._layout.shard(name)
             try:
                 content = path.read_bytes()
-                manifest = self._checked(name, path, content, manifest, sound, sizes)
+                manifest = self._check(name, path, content, manifest, sound, sizes)
             except OSError as error:
                 raise CatalogueFileError(path, f"cannot be read ({error.strerror or error})") from error
         if manifest is None:
@@ -239,7 +239,7 @@ class _Check:
                 self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
             return None
 
-    def _checked(
+    def _check(
         self,
         name: str,
         path: Path,

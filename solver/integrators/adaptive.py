@@ -21,13 +21,13 @@ from jointplay.solver.integrators.control import (
     PROJECT_EVERY,
     SHORTEST,
     STALLED,
-    accepted,
+    accepts,
     after_switch,
     arrival,
     next_step,
-    refused,
     remember,
-    shortened,
+    shorten,
+    shrink,
     switch_part,
 )
 from jointplay.solver.integrators.dense import record, samples_until
@@ -155,7 +155,7 @@ def _first_switch(
             old[1, j, lane], approach, step,
         )  # fmt: skip
         if where <= 1.0:
-            wanted = shortened(step, where, pushing, switch, approach, precision, shortest)
+            wanted = shorten(step, where, pushing, switch, approach, precision, shortest)
             if wanted > 0.0 and (shorter == 0.0 or wanted < shorter):
                 event, shorter = j, wanted
             elif shorter == 0.0 and (event < 0 or where < first):
@@ -257,7 +257,7 @@ def integrate(
             now = arrival(t, step, mine.end, interval)
             shortest = SHORTEST * (abs(t) + interval)
             jammed = w[rows.jam, lane] > 0.5
-            accept, noise = accepted(
+            accept, noise = accepts(
                 e, jammed, step, case.first_step, case.tolerance, mine.over == 1, mine.forced
             )  # fmt: skip
             mine.forced += noise
@@ -270,7 +270,7 @@ def integrate(
                     mine.natural, mine.h = max(mine.natural, step), shorter
             else:
                 smooth = project != 0 and not _any_contact(w, rows, lane)
-                mine.h, mine.uncut, mine.uncut_error, over, restore = refused(
+                mine.h, mine.uncut, mine.uncut_error, over, restore = shrink(
                     step, e, jammed, w[rows.growth, lane], case.tolerance, mine.forced, smooth, mine.uncut,
                     mine.uncut_error,
                 )  # fmt: skip

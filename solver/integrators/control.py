@@ -43,7 +43,7 @@ def arrival(t: float, step: float, end: float, interval: float) -> float:
 
 
 @inlined
-def accepted(
+def accepts(
     e: float, jammed: bool, step: float, first: float, tolerance: float, over: bool, forced: int
 ) -> tuple[bool, bool]:
     """Whether the error allows a step, and whether only because it is taken for noise.
@@ -148,7 +148,7 @@ def switch_part(
 
 
 @inlined
-def shortened(
+def shorten(
     step: float, part: float, pushing: bool, s1: float, approach: float, precision: float, shortest: float
 ) -> float:
     """Step that ends a little past a switch; 0 where this one does, or comes as near as it can.
@@ -197,7 +197,7 @@ def after_switch(
 
 
 @inlined
-def refused(
+def shrink(
     step: float, e: float, jammed: bool, growth: float, tolerance: float, forced: int, smooth: bool, uncut: float,
     uncut_error: float,
 ) -> tuple[float, float, float, bool, bool]:  # fmt: skip

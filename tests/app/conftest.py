@@ -17,7 +17,7 @@ from recordings import unpacked
 from small_service import PLAN, serving
 from webhook_listener import Listener, listening
 
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.plans.plan import parse_plan
@@ -44,14 +44,14 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def settings(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Settings:
+def settings(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> ServiceSettings:
     """Settings of a small service."""
     data = tmp_path_factory.mktemp("data")
-    return Settings(catalogues=shelf, data=data, max_upload_mb=3.0, time_limit_s=300.0, workers=1)
+    return ServiceSettings(catalogues=shelf, data=data, max_upload_mb=3.0, time_limit_s=300.0, workers=1)
 
 
 @pytest.fixture(scope="session")
-def server(settings: Settings) -> Iterator[str]:
+def server(settings: ServiceSettings) -> Iterator[str]:
     """Address of the running service."""
     with serving(settings) as address:
         yield address

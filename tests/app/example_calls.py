@@ -18,7 +18,7 @@ from jointplay.app.errors import BusyError, DatabaseGoneError, KeyInUseError, Ti
 from jointplay.app.http import examples
 from jointplay.app.http.gate import Gate
 from jointplay.app.jobs.webhook_sender import WebhookSender
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.build_queue import BuildRow
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError
@@ -87,8 +87,8 @@ class ExampleService:
         self._stack = ExitStack()
         enter = self._stack.enter_context
         enter(mock.patch.object(WebhookSender, "step", return_value=False))  # nobody is told of examples
-        self.client = enter(httpx.Client(base_url=enter(serving(Settings(**settings, keys="off"))), timeout=300))
-        locked = Settings(**{**settings, "data": data / "locked"}, keys="required")
+        self.client = enter(httpx.Client(base_url=enter(serving(ServiceSettings(**settings, keys="off"))), timeout=300))
+        locked = ServiceSettings(**{**settings, "data": data / "locked"}, keys="required")
         self.locked = enter(httpx.Client(base_url=enter(serving(locked)), timeout=300))
         self._data, self._worn = data, worn
         self.document: dict[str, Any] = self.client.get("/openapi.json").json()

@@ -12,7 +12,7 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from jointplay.app.main import create_app
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 PLAN = {
     "name": "tests",
@@ -24,7 +24,7 @@ PLAN = {
 
 
 @contextmanager
-def serving(settings: Settings, *, warm: bool = False) -> Iterator[str]:
+def serving(settings: ServiceSettings, *, warm: bool = False) -> Iterator[str]:
     """Run a real server in a thread; gives its address."""
     with running(create_app(settings, warm=warm)) as address:
         yield address
@@ -50,7 +50,7 @@ def running(application: ASGIApp) -> Iterator[str]:
 
 @contextmanager
 def asking(
-    settings: Settings, *, timeout: float = 300.0, headers: Mapping[str, str] | None = None
+    settings: ServiceSettings, *, timeout: float = 300.0, headers: Mapping[str, str] | None = None
 ) -> Iterator[httpx.Client]:
     """Run a real server in a thread; gives a client of it."""
     with serving(settings) as address, httpx.Client(base_url=address, timeout=timeout, headers=headers) as client:

@@ -15,7 +15,7 @@ from small_service import serving
 
 from jointplay.app.errors import UnauthorizedError, UnknownKeyError
 from jointplay.app.scopes import Scope, scope_of
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.store import Store
 
@@ -37,7 +37,7 @@ def make(keys: Keys, *scopes: Scope, days: float = 1) -> str:
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Keys]]:
     """Address of a service that asks for keys, and its keys; it has no catalogue."""
     folder = tmp_path_factory.mktemp("guarded")
-    settings = Settings(catalogues=folder / "none", data=folder / "data", workers=1, keys="required")
+    settings = ServiceSettings(catalogues=folder / "none", data=folder / "data", workers=1, keys="required")
     with serving(settings) as address:
         store = Store(settings.data)
         yield address, Keys(store.database)

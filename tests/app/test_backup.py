@@ -14,7 +14,7 @@ from command_line import assert_refused, invoke
 from small_service import serving
 
 from jointplay.app.routes.machines import MACHINE_FILE
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 API = "/api/v1"
 DIAGNOSE = {"catalogue": "slider-crank", "effort": "fast"}
@@ -23,7 +23,7 @@ PAIRS = [("sqlite", "sqlite"), *(pair for pair in (("sqlite", KINDS[-1]), (KINDS
 
 
 @contextmanager
-def service(settings: Settings) -> Iterator[httpx.Client]:
+def service(settings: ServiceSettings) -> Iterator[httpx.Client]:
     with serving(settings) as address, httpx.Client(base_url=address, timeout=300) as client:
         yield client
 
@@ -51,7 +51,7 @@ def test_a_backup_of_a_working_service_gives_the_same_answers(
     one, two = tmp_path / "one", tmp_path / "two"
     two.mkdir()
     with databases.database(kind, tmp_path) as url, databases.database(other, two) as new_url:
-        settings = Settings(catalogues=shelf, data=one, database=url, builds=0, workers=1)
+        settings = ServiceSettings(catalogues=shelf, data=one, database=url, builds=0, workers=1)
         with service(settings) as client:
             client.put(f"{API}/machines/mine", json=MACHINE_FILE).raise_for_status()
             client.put(f"{API}/assets/press-7", json={"machine": "slider-crank"}).raise_for_status()
@@ -91,7 +91,7 @@ def test_a_backup_of_a_working_service_gives_the_same_answers(
         places = ["--catalogues", two / "catalogues", "--data", two / "data"]
         result = invoke("restore", tmp_path / "copy", *places)
         assert result.exit_code == 0, result.stderr
-        moved = Settings(catalogues=two / "catalogues", data=two / "data", database=new_url, builds=0, workers=1)
+        moved = ServiceSettings(catalogues=two / "catalogues", data=two / "data", database=new_url, builds=0, workers=1)
         with service(moved) as client:
             found = everything(client)
             kept = [place for place in before if place.startswith("/")]
@@ -113,7 +113,7 @@ def test_a_backup_of_a_working_service_gives_the_same_answers(
 def test_what_is_no_backup_is_refused(tmp_path: Path, worn: bytes) -> None:
     data, places = tmp_path / "data", ["--catalogues", tmp_path / "c", "--data", tmp_path / "data"]
     assert_refused(invoke("backup", tmp_path / "copy", *places), 2, "holds no data of a service")
-    with service(Settings(catalogues=tmp_path / "c", data=data, builds=0, workers=1)) as client:
+    with service(ServiceSettings(catalogues=tmp_path / "c", data=data, builds=0, workers=1)) as client:
         client.post(f"{API}/measurements", files={"file": ("w.csv", worn)}).raise_for_status()
     assert_refused(invoke("backup", data, *places), 2, "must be a new or empty folder")
     (kept,) = (path for path in (data / "measurements").rglob("*") if path.is_file())

@@ -13,7 +13,7 @@ from real_browser import SCREENS, SECONDS, Visit, has_drawn, is_within_screen, s
 from small_service import serving, spoiled
 
 from jointplay.app.scopes import Scope
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.store import Store
 
@@ -251,7 +251,7 @@ def test_pages_of_what_is_not_there_are_in_order(visit: Visit, server: str, plac
 
 
 @pytest.fixture
-def guarded(settings: Settings, tmp_path: Path) -> Iterator[tuple[str, Keys]]:
+def guarded(settings: ServiceSettings, tmp_path: Path) -> Iterator[tuple[str, Keys]]:
     """A service over the small catalogue that asks for keys, and its keys."""
     asking = settings.model_copy(update={"keys": "required", "data": tmp_path / "data"})
     with serving(asking) as address:
@@ -318,7 +318,7 @@ def test_without_scripts_from_upload_to_verdict(browser: Browser, server: str, r
 
 
 def test_the_page_to_sign_in_is_in_order(browser: Browser, tmp_path: Path) -> None:
-    settings = Settings(catalogues=tmp_path / "none", data=tmp_path / "data", workers=1, keys="required")
+    settings = ServiceSettings(catalogues=tmp_path / "none", data=tmp_path / "data", workers=1, keys="required")
     with serving(settings) as address:
         for scheme in ("light", "dark"):
             context = browser.new_context(viewport={"width": 360, "height": 740}, color_scheme=scheme)

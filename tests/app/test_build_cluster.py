@@ -11,7 +11,7 @@ import pytest
 from command_line import assert_refused, invoke
 from small_service import PLAN, serving
 
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.store import Catalogue
@@ -25,7 +25,7 @@ ASKED = {"machine": "slider-crank", "plan": TINY, "catalogue": "made", "workers"
 def test_a_build_is_computed_by_the_cluster(tmp_path: Path, url: str) -> None:
     options = {"processes": False, "dashboard_address": ":0", "protocol": "tcp"}
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
-        settings = Settings(
+        settings = ServiceSettings(
             catalogues=tmp_path / "c", data=tmp_path / "d", database=url, scheduler=cluster.scheduler_address, workers=1
         )
         with serving(settings) as address, httpx.Client(base_url=address, timeout=300) as client:
@@ -40,7 +40,7 @@ def test_a_build_is_computed_by_the_cluster(tmp_path: Path, url: str) -> None:
 
 
 def test_a_scheduler_that_is_not_there_fails_the_build_in_one_line(tmp_path: Path) -> None:
-    settings = Settings(catalogues=tmp_path / "c", data=tmp_path / "d", scheduler="tcp://127.0.0.1:1", workers=1)
+    settings = ServiceSettings(catalogues=tmp_path / "c", data=tmp_path / "d", scheduler="tcp://127.0.0.1:1", workers=1)
     with serving(settings) as address, httpx.Client(base_url=address, timeout=300) as client:
         place = client.post(f"{API}/builds", json=ASKED).headers["location"]
         with client.stream("GET", f"{place}/events") as stream:

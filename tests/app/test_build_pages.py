@@ -15,7 +15,7 @@ from small_service import asking, serving
 
 from jointplay.app.pages.build_view import PLANS, build_view, duration_text
 from jointplay.app.scopes import Scope
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.build_queue import BuildQueue, BuildRow
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.store import Store
@@ -47,7 +47,9 @@ class Site:
 
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[Site]:
-    settings = Settings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", builds=0, workers=1, page_size=2)
+    settings = ServiceSettings(
+        catalogues=tmp_path / "catalogues", data=tmp_path / "data", builds=0, workers=1, page_size=2
+    )
     with asking(settings, headers=HTML) as client:
         store = Store(settings.data)
         yield Site(client, BuildQueue(store.database), settings.catalogues)
@@ -161,7 +163,7 @@ def test_the_list_goes_back_page_by_page(site: Site) -> None:
 
 
 def test_who_may_not_build_is_told_so(tmp_path: Path) -> None:
-    settings = Settings(catalogues=tmp_path, data=tmp_path / "data", builds=0, workers=1, keys="required")
+    settings = ServiceSettings(catalogues=tmp_path, data=tmp_path / "data", builds=0, workers=1, keys="required")
     with serving(settings) as address:
         store = Store(settings.data)
         token = Keys(store.database).create("reader", frozenset({Scope.READ, Scope.MATCH}), timedelta(days=1))[1]

@@ -17,7 +17,7 @@ import httpx
 import pytest
 from small_service import PLAN, asking
 
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory
@@ -34,8 +34,8 @@ ASKED = {"machine": "slider-crank", "plan": TINY, "catalogue": "made", "workers"
 def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     """A service that takes builds and leaves them to others."""
     folder = tmp_path_factory.mktemp("idle")
-    settings = Settings(catalogues=folder / "catalogues", data=folder / "data", builds=0, workers=1)
-    Manifest.of(shipped_machine("four-bar"), parse_plan(PLAN).resolved(shipped_machine("four-bar"))).write(
+    settings = ServiceSettings(catalogues=folder / "catalogues", data=folder / "data", builds=0, workers=1)
+    Manifest.of(shipped_machine("four-bar"), parse_plan(PLAN).resolve(shipped_machine("four-bar"))).write(
         made(CatalogueDirectory(folder / "catalogues" / "other"))
     )
     with asking(settings) as client:
@@ -165,7 +165,7 @@ def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path, worn: 
     assert there["cases_done"] < there["cases_total"]
     assert all(state["state"] in ("running", "queued") for state in rest)
 
-    settings = Settings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", workers=1)
+    settings = ServiceSettings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", workers=1)
     with asking(settings) as client:
         with client.stream("GET", f"{place}/events") as stream:
             seen = list(states(stream))

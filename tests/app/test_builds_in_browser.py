@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, Page, expect
 from real_browser import SCREENS, Visit, is_within_screen, serious, visiting
 from small_service import serving
 
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.store import Store
 
@@ -23,19 +23,19 @@ LONG = f"mine-{'x' * 59}"  # as long as a name may be, without a place to break 
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> Settings:
-    return Settings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", builds=0, workers=1)
+def settings(tmp_path: Path) -> ServiceSettings:
+    return ServiceSettings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", builds=0, workers=1)
 
 
 @pytest.fixture
-def queue(settings: Settings) -> Iterator[BuildQueue]:
+def queue(settings: ServiceSettings) -> Iterator[BuildQueue]:
     store = Store(settings.data)
     yield BuildQueue(store.database)
     store.close()
 
 
 @pytest.fixture(params=SCREENS, ids=["wide", "narrow"])
-def visit(request: pytest.FixtureRequest, browser: Browser, settings: Settings) -> Iterator[Visit]:
+def visit(request: pytest.FixtureRequest, browser: Browser, settings: ServiceSettings) -> Iterator[Visit]:
     with serving(settings) as address, visiting(browser, address, request.param) as found:
         yield found
 
@@ -47,7 +47,9 @@ def ask(page: Page, name: str) -> None:
     page.get_by_role("button", name="Build").click()
 
 
-def test_from_the_form_to_the_catalogue(visit: Visit, queue: BuildQueue, settings: Settings, shelf: Path) -> None:
+def test_from_the_form_to_the_catalogue(
+    visit: Visit, queue: BuildQueue, settings: ServiceSettings, shelf: Path
+) -> None:
     page = visit.page
     page.get_by_role("link", name="Builds").click()
     expect(page.get_by_role("heading", name="Build a catalogue")).to_be_visible()

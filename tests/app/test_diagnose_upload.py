@@ -17,7 +17,7 @@ from jointplay.app.jobs.workers import TaskFailedError, WorkerPool, attempt
 from jointplay.app.metrics import Metrics
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.service import Service
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
@@ -41,7 +41,7 @@ class Here:
 
 
 def service_of(shelf: Path, data: Path, pool: Here) -> Service:
-    settings = Settings(catalogues=shelf, data=data)
+    settings = ServiceSettings(catalogues=shelf, data=data)
     store = Store(data)
     queue = BuildQueue(store.database)
     runner = BuildRunner(queue, shelf, 0, 30.0)

@@ -15,7 +15,7 @@ from command_line import invoke
 from distributed.cli import dask_scheduler, dask_worker
 from ruamel.yaml import YAML
 
-from jointplay.app.settings import SECRETS, Settings
+from jointplay.app.settings import SECRETS, ServiceSettings
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docker"
@@ -73,7 +73,7 @@ def test_nobody_is_root(target: str) -> None:
 
 
 def test_variables_of_images_and_services_are_settings(compose: dict[str, Any]) -> None:
-    known = {f"JOINTPLAY_{name.upper()}" for name in Settings.model_fields} | {SECRETS}
+    known = {f"JOINTPLAY_{name.upper()}" for name in ServiceSettings.model_fields} | {SECRETS}
     text = " ".join(rest for word, rest in instructions("api") if word == "ENV")
     named = {*re.findall(r"JOINTPLAY_\w+", text), *compose["services"]["api"]["environment"]}
     assert {name for name in named if name.startswith("JOINTPLAY_")} <= known
@@ -121,7 +121,7 @@ def test_services_name_each_other_by_the_ports_they_have(compose: dict[str, Any]
         for name in service.get("depends_on", {})
     )
     stop = float(compose["services"]["api"]["stop_grace_period"].removesuffix("s"))
-    assert stop > Settings.model_fields["stop_limit_s"].default + 5
+    assert stop > ServiceSettings.model_fields["stop_limit_s"].default + 5
 
 
 @pytest.mark.parametrize("service", ["scheduler", "worker"])

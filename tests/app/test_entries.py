@@ -18,7 +18,7 @@ import jointplay.catalogue.storage.store
 from jointplay.app.errors import NotAcceptableError
 from jointplay.app.http.query import chosen_type
 from jointplay.app.schemas.entries import EntryFilter
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.entries import EntryShelf, fits
 from jointplay.catalogue.storage.hdf5 import read_arrays
 from jointplay.catalogue.storage.store import Catalogue
@@ -175,7 +175,7 @@ def test_negotiation_without_an_end(header: str) -> None:
 
 
 def test_entity_tags_need_no_shard(
-    client: httpx.Client, settings: Settings, key: str, monkeypatch: pytest.MonkeyPatch
+    client: httpx.Client, settings: ServiceSettings, key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     forms = {kind: client.get(f"{ENTRIES}/{key}", headers={"Accept": kind}) for kind in ("*/*", CSV, HDF5, NPY)}
     tags = {answer.headers["etag"] for answer in forms.values()}
@@ -199,7 +199,9 @@ def test_entity_tags_need_no_shard(
         assert other.get(f"{ENTRIES}/{key}").status_code == 500  # what is not held must be read
 
 
-def test_bodies_in_memory_are_bounded(settings: Settings, stored: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bodies_in_memory_are_bounded(
+    settings: ServiceSettings, stored: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from jointplay.app.shelves.catalogues import CatalogueShelf
 
     monkeypatch.setattr("jointplay.app.shelves.entries.KEPT_BYTES", 100_000)

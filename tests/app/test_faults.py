@@ -24,7 +24,7 @@ from sqlalchemy.exc import OperationalError
 from starlette.datastructures import UploadFile
 
 from jointplay.app.problems import foreseen, problem_of
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.store import ABANDONED_S, PARTIAL, Store
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage.directory import publish
@@ -43,7 +43,7 @@ def files(folder: Path) -> set[Path]:
 
 @pytest.mark.parametrize(("owner", "name"), [(os, "fsync"), (os, "replace"), (UploadFile, "write")])
 def test_an_upload_to_a_full_disk_is_refused_and_taken_later(
-    client: httpx.Client, worn: bytes, settings: Settings, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str
+    client: httpx.Client, worn: bytes, settings: ServiceSettings, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str
 ) -> None:
     upload = {"file": (f"full-{name}.csv", worn)}
     before = files(settings.data / "measurements")
@@ -182,7 +182,7 @@ def remote(tmp_path: Path) -> Iterator[tuple[Line, str]]:
 def test_a_database_that_is_gone_is_told_and_comes_back(tmp_path: Path, kind: str) -> None:
     with remote(tmp_path) as (line, url):
         # Its builder looks for builds all the time, and has to outlive this as well.
-        settings = Settings(catalogues=tmp_path / "none", data=tmp_path / "data", database=url, workers=1)
+        settings = ServiceSettings(catalogues=tmp_path / "none", data=tmp_path / "data", database=url, workers=1)
         with asking(settings) as client:
             assert client.get("/readyz").status_code == 200
             line.cut()

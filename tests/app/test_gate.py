@@ -17,7 +17,7 @@ from jointplay.app.commands.serve import answering, loopback
 from jointplay.app.http.gate import CLIENTS_REMEMBERED, TokenBuckets
 from jointplay.app.main import create_app
 from jointplay.app.scopes import Scope
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 API = "/api/v1"
 
@@ -26,7 +26,7 @@ API = "/api/v1"
 def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A service with little patience: five requests, then one in a thousand seconds; a tenth of a second for a body."""
     data = tmp_path_factory.mktemp("strict")
-    settings = Settings(
+    settings = ServiceSettings(
         catalogues=data, data=data, workers=1, rate_limit_per_s=0.001, rate_burst=5, receive_timeout_s=0.1
     )
     with serving(settings) as address:
@@ -83,7 +83,7 @@ def test_a_host_that_we_are_is_answered(client: httpx.Client, host: str) -> None
 def mounted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[str, str]]]:
     """Address of a service that asks for keys, below /plant in another application, and the headers of a reader."""
     folder = tmp_path_factory.mktemp("mounted")
-    inner = create_app(Settings(catalogues=folder / "none", data=folder, workers=1, keys="required"))
+    inner = create_app(ServiceSettings(catalogues=folder / "none", data=folder, workers=1, keys="required"))
     outer = Starlette(routes=[Mount("/plant", inner)], lifespan=lambda _: inner.router.lifespan_context(inner))
     with running(outer) as address:
         token = inner.state.keys.create("test", frozenset({Scope.READ}), timedelta(days=1))[1]
@@ -131,6 +131,6 @@ def test_loopback(host: str, alone: bool) -> None:
 
 
 def test_the_address_listened_at_is_answered_to(tmp_path: Path) -> None:
-    settings = Settings(data=tmp_path, hosts="Jointplay.example")
+    settings = ServiceSettings(data=tmp_path, hosts="Jointplay.example")
     assert answering(settings, "192.0.2.7").allowed_hosts == {"jointplay.example", "192.0.2.7"}
     assert answering(settings, "0.0.0.0") is settings

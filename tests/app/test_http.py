@@ -13,7 +13,7 @@ from http_answers import API, assert_problem, assert_time, send
 from small_service import serving, spoiled
 
 from jointplay.app.jobs import tasks
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import stamp_of
 from jointplay.catalogue.matching.prior import Prior
 
@@ -236,7 +236,7 @@ def test_health(client: httpx.Client) -> None:
 
 
 def test_workers_that_loaded_models_beforehand_answer_the_same(
-    client: httpx.Client, diagnosis: httpx.Response, worn: bytes, settings: Settings, tmp_path: Path
+    client: httpx.Client, diagnosis: httpx.Response, worn: bytes, settings: ServiceSettings, tmp_path: Path
 ) -> None:
     folder = settings.catalogues / "slider-crank"
     assert tasks.warm([(str(folder), stamp_of(folder)), (str(tmp_path / "gone"), "")]) > 0
@@ -266,7 +266,7 @@ def test_every_answer_carries_the_security_headers(client: httpx.Client) -> None
 @pytest.fixture(scope="module")
 def hurried(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     data = tmp_path_factory.mktemp("hurried")
-    settings = Settings(catalogues=shelf, data=data, max_upload_mb=3.0, time_limit_s=0.2, workers=1)
+    settings = ServiceSettings(catalogues=shelf, data=data, max_upload_mb=3.0, time_limit_s=0.2, workers=1)
     with serving(settings) as address:
         yield address
 

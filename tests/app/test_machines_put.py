@@ -13,7 +13,7 @@ import pytest
 from small_service import asking
 
 from jointplay.app.etags import Conditions
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 
@@ -24,7 +24,7 @@ YAML = {"Content-Type": "application/yaml"}
 
 @pytest.fixture(scope="module")
 def own(shelf: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
-    settings = Settings(catalogues=shelf, data=tmp_path_factory.mktemp("machines"), workers=1, keys="off")
+    settings = ServiceSettings(catalogues=shelf, data=tmp_path_factory.mktemp("machines"), workers=1, keys="off")
     with asking(settings) as client:
         yield client
 

@@ -13,7 +13,7 @@ import pytest
 from http_answers import API, assert_problem, assert_time, send
 from small_service import spoiled
 
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.store import Store
 
 
@@ -43,7 +43,7 @@ def test_unreadable_recordings(client: httpx.Client, worn: bytes, kind: str, tex
     assert document["detail"].startswith("bad.csv: ")
 
 
-def test_a_refused_recording_leaves_no_file(client: httpx.Client, worn: bytes, settings: Settings) -> None:
+def test_a_refused_recording_leaves_no_file(client: httpx.Client, worn: bytes, settings: ServiceSettings) -> None:
     def stored() -> set[Path]:
         return {path for path in (settings.data / "measurements").rglob("*") if path.is_file()}
 
@@ -63,7 +63,7 @@ def test_a_refused_recording_leaves_no_file(client: httpx.Client, worn: bytes, s
     ],
 )
 def test_a_refused_form_leaves_no_file(
-    client: httpx.Client, worn: bytes, settings: Settings, place: str, fields: dict[str, str]
+    client: httpx.Client, worn: bytes, settings: ServiceSettings, place: str, fields: dict[str, str]
 ) -> None:
     content = b"# never sent elsewhere\n" + worn
     response = client.post(place, files={"file": ("fresh.csv", content)}, data=fields)
@@ -108,7 +108,7 @@ def test_a_recording_without_times_needs_a_rate(client: httpx.Client, worn: byte
     assert document["errors"][0]["field"] == "sample_rate"
 
 
-def test_an_upload_over_the_limit(client: httpx.Client, settings: Settings) -> None:
+def test_an_upload_over_the_limit(client: httpx.Client, settings: ServiceSettings) -> None:
     content = b"0" * (settings.max_upload_bytes + 1)
     assert_problem(send(client, content), 413, "3 MB", "too-large")
 
@@ -119,7 +119,7 @@ def test_a_declared_length_over_the_limit_is_refused_unread(server: str) -> None
     assert b"application/problem+json" in answer
 
 
-def test_an_undeclared_length_is_cut_off_at_the_limit(server: str, settings: Settings) -> None:
+def test_an_undeclared_length_is_cut_off_at_the_limit(server: str, settings: ServiceSettings) -> None:
     part = b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n'
     block = b"%x\r\n%s\r\n" % (len(part), part)
     filler = b"%x\r\n%s\r\n" % (100_000, b"1" * 100_000)

@@ -12,7 +12,7 @@ import pytest
 from jointplay.app.http.openapi import API_VERSION, DIGEST, REFERENCE
 from jointplay.app.main import create_app
 from jointplay.app.problems import MEDIA_TYPE
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 ASSET_MEASUREMENT = "/api/v1/assets/{external_id}/measurements/{measurement}"
 COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
@@ -20,7 +20,7 @@ COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
 
 @pytest.fixture(scope="module")
 def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    return create_app(Settings(data=tmp_path_factory.mktemp("unused"), keys="required")).openapi()
+    return create_app(ServiceSettings(data=tmp_path_factory.mktemp("unused"), keys="required")).openapi()
 
 
 def test_the_committed_document_is_up_to_date(document: dict[str, Any]) -> None:

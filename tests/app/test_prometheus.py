@@ -19,7 +19,7 @@ from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.main import create_app
 from jointplay.app.metrics import Metrics
 from jointplay.app.scopes import Scope
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.store import Store
@@ -104,7 +104,7 @@ def test_labels_are_of_the_service_not_of_its_clients(client: httpx.Client) -> N
 
 
 def test_builds_are_counted_by_state(url: str, tmp_path: Path) -> None:
-    settings = Settings(catalogues=tmp_path, data=tmp_path / "data", database=url, builds=0, workers=1)
+    settings = ServiceSettings(catalogues=tmp_path, data=tmp_path / "data", database=url, builds=0, workers=1)
     store = Store(settings.data, url)
     queue = BuildQueue(store.database)
     for name in ("a", "b", "c"):
@@ -124,7 +124,7 @@ def test_builds_are_counted_by_state(url: str, tmp_path: Path) -> None:
 
 
 def test_a_database_that_is_gone_is_counted_as_such(tmp_path: Path) -> None:
-    application = create_app(Settings(catalogues=tmp_path, data=tmp_path / "data", builds=0))
+    application = create_app(ServiceSettings(catalogues=tmp_path, data=tmp_path / "data", builds=0))
 
     def gone(*_arguments: object) -> None:
         raise OperationalError("SELECT", {}, OSError("gone"))
@@ -163,7 +163,7 @@ def test_attempts_of_webhooks_are_counted(tmp_path: Path) -> None:
 
 
 def test_counts_need_a_key_that_may_read(tmp_path: Path) -> None:
-    settings = Settings(catalogues=tmp_path, data=tmp_path / "data", builds=0, workers=1, keys="required")
+    settings = ServiceSettings(catalogues=tmp_path, data=tmp_path / "data", builds=0, workers=1, keys="required")
     store = Store(settings.data)
     keys = Keys(store.database)
     tokens = [keys.create("k", frozenset({scope}), timedelta(hours=1))[1] for scope in (Scope.READ, Scope.MATCH)]

@@ -15,7 +15,7 @@ from fastapi import FastAPI
 from small_service import running
 
 from jointplay.app.main import create_app
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def data(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def application(tmp_path: Path, data: Path) -> FastAPI:
-    return create_app(Settings(catalogues=tmp_path / "none", data=data, workers=1, builds=0))
+    return create_app(ServiceSettings(catalogues=tmp_path / "none", data=data, workers=1, builds=0))
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from jointplay.app.reports.content import NO_ZONE, Report, report_of
 from jointplay.app.reports.documents import html, pdf
 from jointplay.app.reports.figures import figures_of, spectrum
 from jointplay.app.rows import Comparison
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.results import DiagnosisOut
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, Store
 from jointplay.catalogue.diagnosing.answer import BandEvidence
@@ -38,7 +38,7 @@ def diagnosis(client: httpx.Client, worn: bytes) -> DiagnosisOut:
 
 
 @pytest.fixture(scope="module")
-def rows(settings: Settings, diagnosis: DiagnosisOut) -> Iterator[tuple[DiagnosisRow, MeasurementRow]]:
+def rows(settings: ServiceSettings, diagnosis: DiagnosisOut) -> Iterator[tuple[DiagnosisRow, MeasurementRow]]:
     store = Store(settings.data)
     row = store.diagnosis(diagnosis.id)
     yield row, store.measurement(row.measurement)

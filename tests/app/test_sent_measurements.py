@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from jointplay.app.http.limits import RECORDING_BYTES
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 
 API = "/api/v1"
@@ -142,14 +142,14 @@ def test_bodies_that_are_no_measurement(client: httpx.Client, content: bytes, st
     assert len(response.content) < 2000
 
 
-def test_a_body_over_the_limit(client: httpx.Client, settings: Settings) -> None:
+def test_a_body_over_the_limit(client: httpx.Client, settings: ServiceSettings) -> None:
     assert settings.max_upload_bytes < RECORDING_BYTES
     headers = {"Content-Type": "application/json"}
     response = client.post(f"{API}/measurements", content=b" " * (settings.max_upload_bytes + 1), headers=headers)
     assert response.status_code == 413
 
 
-def test_a_refused_measurement_leaves_no_file(client: httpx.Client, settings: Settings) -> None:
+def test_a_refused_measurement_leaves_no_file(client: httpx.Client, settings: ServiceSettings) -> None:
     def held() -> set[str]:
         return {path.name for path in (settings.data / "measurements").rglob("*") if path.is_file()}
 

@@ -10,7 +10,7 @@ import pytest
 from command_line import assert_refused, invoke
 from pydantic_core import PydanticUndefined
 
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "settings.md"
 
@@ -30,22 +30,22 @@ def shown(value: object) -> str:
 
 
 def test_the_document_names_every_setting_with_its_default() -> None:
-    assert documented() == {name: shown(field.default) for name, field in Settings.model_fields.items()}
+    assert documented() == {name: shown(field.default) for name, field in ServiceSettings.model_fields.items()}
 
 
 def test_every_setting_has_a_default_and_says_what_it_is() -> None:
-    for name, field in Settings.model_fields.items():
+    for name, field in ServiceSettings.model_fields.items():
         assert field.default is not PydanticUndefined, name
         assert field.description, name
         assert field.description.endswith("."), name
 
 
-@pytest.mark.parametrize("name", sorted(Settings.model_fields))
+@pytest.mark.parametrize("name", sorted(ServiceSettings.model_fields))
 def test_every_setting_comes_from_the_environment(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    field = Settings.model_fields[name]
+    field = ServiceSettings.model_fields[name]
     other = {"keys": "off", "log_format": "json", "log_level": "error", "webhooks_private": "true"}.get(name, "7")
     monkeypatch.setenv(f"JOINTPLAY_{name.upper()}", other)
-    assert shown(getattr(Settings(), name)) == other != shown(field.default)
+    assert shown(getattr(ServiceSettings(), name)) == other != shown(field.default)
 
 
 def test_a_setting_may_stand_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,7 +53,7 @@ def test_a_setting_may_stand_in_a_file(tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "jointplay_workers").write_text("5")
     monkeypatch.setenv("JOINTPLAY_SECRETS", str(tmp_path))
     monkeypatch.setenv("JOINTPLAY_WORKERS", "7")
-    settings = Settings()
+    settings = ServiceSettings()
     assert (settings.database, settings.workers) == ("postgresql://me:secret@host/x", 7)
     monkeypatch.setenv("JOINTPLAY_SECRETS", str(tmp_path / "none"))
     assert_refused(invoke("serve", "--port", "0"), 2, "none: is no folder")

@@ -18,7 +18,7 @@ from webhook_listener import Listener, state, tell
 from jointplay.app.errors import BadFieldError
 from jointplay.app.jobs import webhook_sender
 from jointplay.app.jobs.webhook_sender import NotDeliveredError, WebhookSender, address_of, checked_url, is_public
-from jointplay.app.settings import Settings
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.store import Store, now
 from jointplay.app.storage.webhooks import LEASE, WAITS, Taken, Webhooks
 
@@ -261,7 +261,7 @@ def test_an_address_inside_is_refused_at_once(client: httpx.Client, url: str) ->
 
 
 def test_a_diagnosis_and_its_finding_are_told(shelf: Path, tmp_path: Path, worn: bytes, listener: Listener) -> None:
-    settings = Settings(catalogues=shelf, data=tmp_path, workers=1, webhooks_private=True, keys="off")
+    settings = ServiceSettings(catalogues=shelf, data=tmp_path, workers=1, webhooks_private=True, keys="off")
     with serving(settings) as address, httpx.Client(base_url=f"{address}{API}", timeout=300) as client:
         events = ["diagnosis.created", "finding.created"]
         assert client.post("/webhooks", json={"url": listener.url, "events": events}).status_code == 201

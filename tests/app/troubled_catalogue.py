@@ -10,7 +10,7 @@ from jointplay.catalogue.building.build import build
 from jointplay.catalogue.building.chunk import Chunk
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
-from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.catalogue.storage.shard import OK, CaseOutcome
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -23,19 +23,19 @@ def fails(key: str) -> bool:
     return key.startswith(("7", "c"))
 
 
-def compute(chunk: Chunk) -> tuple[Outcome, ...]:
+def compute(chunk: Chunk) -> tuple[CaseOutcome, ...]:
     """Make up the outcomes of some cases; they follow from the keys."""
     return tuple(outcome(entry.key, chunk.recipe.scheme) for entry in chunk.entries)
 
 
-def outcome(key: str, scheme: BandScheme) -> Outcome:
+def outcome(key: str, scheme: BandScheme) -> CaseOutcome:
     if fails(key):
-        return Outcome("diverged", MESSAGE, 60.0, 0.0, 0, 0.5)
+        return CaseOutcome("diverged", MESSAGE, 60.0, 0.0, 0, 0.5)
     random, bands = np.random.default_rng(int(key[:8], 16)), scheme.count
     cyclic = np.zeros((len(scheme.third_octave_groups()) - 1, 2, 3, 3), np.complex64)
     root = random.normal(size=(bands, 3, 3)) + 1j * random.normal(size=(bands, 3, 3))
     power = (root @ root.conj().swapaxes(1, 2)).astype(np.complex64)
-    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, random.random((bands, 3)).astype(np.float32), cyclic)
+    return CaseOutcome(OK, "", 60.0, 0.25, 4, 0.5, power, random.random((bands, 3)).astype(np.float32), cyclic)
 
 
 def make(folder: Path) -> tuple[int, int]:

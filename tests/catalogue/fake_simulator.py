@@ -22,7 +22,7 @@ from jointplay.catalogue.building.build import Progress, build
 from jointplay.catalogue.building.chunk import Chunk
 from jointplay.catalogue.building.cluster import DaskCluster
 from jointplay.catalogue.plans.plan import Plan, parse_plan
-from jointplay.catalogue.storage.shard import OK, Outcome
+from jointplay.catalogue.storage.shard import OK, CaseOutcome
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -45,7 +45,7 @@ def diverges(key: str) -> bool:
     return key.startswith(("7", "c"))
 
 
-def compute(chunk: Chunk) -> tuple[Outcome, ...]:
+def compute(chunk: Chunk) -> tuple[CaseOutcome, ...]:
     """Make up one outcome a case."""
     time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
     outcomes = tuple(_outcome(entry.key, chunk.recipe.scheme) for entry in chunk.entries)
@@ -55,19 +55,19 @@ def compute(chunk: Chunk) -> tuple[Outcome, ...]:
     return outcomes
 
 
-def _outcome(key: str, scheme: BandScheme) -> Outcome:
+def _outcome(key: str, scheme: BandScheme) -> CaseOutcome:
     if key.startswith(os.environ.get("FAKE_DEADLY", "none")):
         os.kill(os.getpid(), signal.SIGKILL)
     if key.startswith(os.environ.get("FAKE_RAISES", "none")):
         raise ArithmeticError(f"case {key[:8]}\nis too hard")
     if diverges(key):
-        return Outcome("diverged", "left the range at t = 0.1 s", 60.0, 0.0, 0, 0.5)
+        return CaseOutcome("diverged", "left the range at t = 0.1 s", 60.0, 0.0, 0, 0.5)
     random, bands = np.random.default_rng(int(key[:8], 16)), scheme.count
     root = random.normal(size=(bands, 3, 3)) + 1j * random.normal(size=(bands, 3, 3))
     power = (root @ root.conj().swapaxes(1, 2)).astype(np.complex64)
     spread = random.random((bands, 3)).astype(np.float32)
     half = random.normal(size=(len(scheme.third_octave_groups()) - 1, 2, 3, 3)).astype(np.complex64)
-    return Outcome(OK, "", 60.0, 0.25, 4, 0.5, power, spread, half + half.swapaxes(2, 3))
+    return CaseOutcome(OK, "", 60.0, 0.25, 4, 0.5, power, spread, half + half.swapaxes(2, 3))
 
 
 def _tell(progress: Progress) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from jointplay.catalogue.matching.matcher import Draws, TrainingSet
+from jointplay.catalogue.matching.matcher import DrawnFeatures, TrainingSet
 
 FloatArray = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class FeatureModel:
             features = self.draw(joint, clearance, generator)
             column = clearance[:, None] if joint else np.zeros((count, 0))
             label = joint or "healthy"
-            sets.append(Draws(label, (joint,) if joint else (), features, column, np.arange(count)))
+            sets.append(DrawnFeatures(label, (joint,) if joint else (), features, column, np.arange(count)))
         watched = np.zeros(self.length, dtype=bool)
         watched[:8] = True
         return TrainingSet(tuple(sets), watched)

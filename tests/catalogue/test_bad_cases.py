@@ -10,7 +10,7 @@ from building import KEYS, assert_complete, quick_build, with_draws
 from fake_simulator import MACHINE, PLAN, compute
 
 from jointplay.catalogue.building import scheduling
-from jointplay.catalogue.building.chunk import Chunk, chunked
+from jointplay.catalogue.building.chunk import Chunk, cut_chunks
 from jointplay.catalogue.building.executors import InProcess
 from jointplay.catalogue.errors import (
     BuildError,
@@ -42,7 +42,7 @@ def test_one_bad_case_of_a_large_first_chunk_does_not_end_the_build(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Halves that can be computed count as a success, though their chunk is stored only when all of it is done."""
-    first = chunked(MACHINE, PLAN.recipe(MACHINE), entries_of(PLAN, MACHINE), 64)[0]
+    first = cut_chunks(MACHINE, PLAN.recipe(MACHINE), entries_of(PLAN, MACHINE), 64)[0]
     victim = first.entries[-1].key
     monkeypatch.setattr(scheduling, "HOPELESS", 3)  # the chunk, its half and a half of that fail
     monkeypatch.setenv("FAKE_RAISES", victim)

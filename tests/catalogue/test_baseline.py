@@ -11,7 +11,7 @@ import pytest
 
 from jointplay.catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.diagnosing.healthy_machine import quantities
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
@@ -105,7 +105,7 @@ def test_gains_are_taken_out_of_recordings(small_catalogue: Catalogue) -> None:
     case = off_by(small_catalogue, (1.0,) * 5)
     crooked, right = (recordings(small_catalogue, [case], gains)[0] for gains in (GAINS, (1.0,) * 4))
     baseline = fit_baseline(crooked, small_catalogue)
-    straight = baseline.corrected(crooked, small_catalogue.machine)
+    straight = baseline.correct(crooked, small_catalogue.machine)
     orders = slice(0, 60)
     before = np.abs(crooked.features - right.features)[orders].max()
     after = np.abs(straight.features - right.features)[orders].max()
@@ -136,7 +136,7 @@ def test_what_may_be_hum_counts_as_noise_in_its_order(small_catalogue: Catalogue
     assert sensing.noise[4] - without.noise[4] == pytest.approx(expected)
     assert np.delete(sensing.noise, 4, axis=0) == pytest.approx(np.delete(without.noise, 4, axis=0))
     bands = sensing.noise.shape[0]
-    raised = (measured_features(humming, sensing) - measured_features(plain, without))[: sensing.noise.size]
+    raised = (features_of(humming, sensing) - features_of(plain, without))[: sensing.noise.size]
     raised = raised.reshape(bands, -1)
     assert raised[4] == pytest.approx(10.0 * np.log10(1.0 + expected / plain.group_power[4]))
     assert not np.delete(raised, 4, axis=0).any()
@@ -220,7 +220,7 @@ def test_faults_are_no_baseline(small_catalogue: Catalogue) -> None:
     for prepared in (first, second):
         found = fit_baseline(prepared, small_catalogue)
         assert not found.explained and "no healthy machine explains it" in found.warnings[0]
-        assert found.corrected(prepared, small_catalogue.machine) is prepared
+        assert found.correct(prepared, small_catalogue.machine) is prepared
         assert KnownMachine(found, "0" * 64).weights(small_catalogue) is None
 
 

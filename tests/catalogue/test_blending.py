@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, ranked
-from jointplay.catalogue.matching.refit import AS_FILED_BEFORE, blended, weight_as_filed
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, rank
+from jointplay.catalogue.matching.refit import AS_FILED_BEFORE, blend, weight_as_filed
 
 NOTHING = np.zeros(1)
 
@@ -22,7 +22,7 @@ def result(p_value: float, mode: str, **hypotheses: float) -> MatchResult:
         joints = () if label == "healthy" else tuple(label.split("+"))
         clearances = tuple(ClearanceEstimate(joint, size, size / 2, size * 2) for joint in joints)
         matches.append(HypothesisMatch(label, joints, probability, clearances, 1.0, p_value, NOTHING, NOTHING))
-    found = replace(ranked(matches), mode=mode, notes=("of both", f"of the {mode} mode"))
+    found = replace(rank(matches), mode=mode, notes=("of both", f"of the {mode} mode"))
     return replace(found, network=f"network of {mode}")
 
 
@@ -54,7 +54,7 @@ def test_the_weight_falls_with_the_p_value_and_has_no_step() -> None:
 def test_probabilities_are_weighed_and_add_to_1(p_value: float) -> None:
     trusted = result(p_value, "trusted", healthy=0.1, A=0.7, B=0.15, A_B=0.05)
     robust = result(0.6, "robust", B=0.5, healthy=0.3, A=0.15, A_B=0.05)
-    found = blended(trusted, robust)
+    found = blend(trusted, robust)
     weight = weight_as_filed(p_value)
     assert sum(match.probability for match in found.hypotheses) == pytest.approx(1.0)
     for label in ("healthy", "A", "B", "A+B"):
@@ -66,7 +66,7 @@ def test_probabilities_are_weighed_and_add_to_1(p_value: float) -> None:
 
 @pytest.mark.parametrize(("p_value", "mode"), [(0.5, "trusted"), (0.05, "trusted"), (1e-3, "robust"), (1e-6, "robust")])
 def test_the_likelier_mode_leads(p_value: float, mode: str) -> None:
-    found = blended(result(p_value, "trusted", healthy=0.1, A=0.9), result(0.6, "robust", healthy=0.2, A=0.8))
+    found = blend(result(p_value, "trusted", healthy=0.1, A=0.9), result(0.6, "robust", healthy=0.2, A=0.8))
     assert found.mode == mode
     assert found.network == f"network of {mode}"
     # What it rests on is told of both.
@@ -86,13 +86,13 @@ def test_sets_and_limits_are_those_of_the_leading_mode() -> None:
             )
             for mode in ("trusted", "robust")
         }
-        assert blended(modes["trusted"], modes["robust"]).sightings == leading
+        assert blend(modes["trusted"], modes["robust"]).sightings == leading
 
 
 def test_clearances_are_those_of_the_mode_that_says_more_for_a_hypothesis() -> None:
     trusted = result(1e-3, "trusted", healthy=0.01, A=0.98, B=0.01)
     robust = result(0.6, "robust", healthy=0.5, A=0.05, B=0.45)
-    clearances = {match.label: match.clearances for match in blended(trusted, robust).hypotheses}
+    clearances = {match.label: match.clearances for match in blend(trusted, robust).hypotheses}
     # 0.1446 of 0.98 is more than the rest of 0.05.
     assert clearances["A"][0].median == 100e-6
     assert clearances["B"][0].median == 200e-6
@@ -100,5 +100,5 @@ def test_clearances_are_those_of_the_mode_that_says_more_for_a_hypothesis() -> N
 
 def test_a_recording_is_explained_as_well_as_the_better_mode_explains_it() -> None:
     trusted, robust = result(1e-3, "trusted", healthy=0.1, A=0.9), result(0.6, "robust", healthy=0.2, A=0.8)
-    assert {match.p_value for match in blended(trusted, robust).hypotheses} == {0.6}
-    assert {match.p_value for match in blended(result(0.9, "trusted", healthy=0.1, A=0.9), robust).hypotheses} == {0.9}
+    assert {match.p_value for match in blend(trusted, robust).hypotheses} == {0.6}
+    assert {match.p_value for match in blend(result(0.9, "trusted", healthy=0.1, A=0.9), robust).hypotheses} == {0.9}

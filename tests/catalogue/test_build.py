@@ -93,11 +93,11 @@ def test_a_larger_plan_adds_what_is_missing(
     assert (report.added, report.present) == (total - len(KEYS), len(KEYS))
     assert len((tmp_path / "log").read_text().split()) == total
     assert all((directory / "shards" / name).read_bytes() == content for name, content in before.items())
-    assert Catalogue.open(directory).plan == plan.resolved(MACHINE)
+    assert Catalogue.open(directory).plan == plan.resolve(MACHINE)
     assert_complete(directory, plan)
     smaller = quick_build(directory)
     assert (smaller.added, smaller.present) == (0, len(KEYS))
-    assert Catalogue.open(directory).plan == plan.resolved(MACHINE)
+    assert Catalogue.open(directory).plan == plan.resolve(MACHINE)
 
 
 def test_interrupt_leaves_what_is_done(tmp_path: Path) -> None:
@@ -210,11 +210,11 @@ def test_builders_that_cut_the_plan_differently_store_each_case_once(tmp_path: P
 def test_build_waits_for_the_end_of_a_verify(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick_build(tmp_path, with_draws(1))
     monkeypatch.setattr("jointplay.catalogue.storage.leases.WAIT", 0.1)
-    with CatalogueDirectory(tmp_path).locked(), pytest.raises(CatalogueBusyError):
+    with CatalogueDirectory(tmp_path).hold_alone(), pytest.raises(CatalogueBusyError):
         quick_build(tmp_path)
     monkeypatch.undo()
     with ThreadPoolExecutor(1) as pool:
-        with CatalogueDirectory(tmp_path).locked():
+        with CatalogueDirectory(tmp_path).hold_alone():
             later = pool.submit(quick_build, tmp_path)
             with pytest.raises(TimeoutError):
                 later.result(timeout=0.3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointplay.catalogue.building.build import build
-from jointplay.catalogue.building.chunk import Chunk, chunked, mean_difference_db, simulate_chunk
+from jointplay.catalogue.building.chunk import Chunk, cut_chunks, mean_difference_db, simulate_chunk
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.store import Catalogue
@@ -98,13 +98,15 @@ def test_machine_that_cannot_be_assembled_is_refused_before_anything_is_stored(t
 
 def test_chunks_are_of_one_hypothesis_and_take_turns() -> None:
     entries = entries_of(PLAN, MACHINE)
-    chunks = chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)
+    chunks = cut_chunks(MACHINE, PLAN.recipe(MACHINE), entries, 3)
     labels = [{entry.hypothesis.label for entry in chunk.entries} for chunk in chunks]
     assert labels == [{"healthy"}, {"A"}, {"B"}, {"O"}, {"A"}, {"B"}, {"O"}]
     assert {chunk.joints for chunk in chunks} == {("A", "B", "O")}
     assert [[entry.draw for entry in chunk.entries] for chunk in chunks[1:5:3]] == [[0, 1, 2], [3]]
     assert sorted(entry.key for chunk in chunks for entry in chunk.entries) == sorted(entry.key for entry in entries)
-    assert [chunk.id for chunk in chunked(MACHINE, PLAN.recipe(MACHINE), entries, 3)] == [chunk.id for chunk in chunks]
+    assert [chunk.id for chunk in cut_chunks(MACHINE, PLAN.recipe(MACHINE), entries, 3)] == [
+        chunk.id for chunk in chunks
+    ]
     first, second = chunks[1].halves()
     assert first.entries + second.entries == chunks[1].entries
     assert len({chunks[1].id, first.id, second.id}) == 3
@@ -114,8 +116,8 @@ def test_chunks_do_not_depend_on_what_is_missing() -> None:
     """Blocks of draws are absolute, so that two builders, or a larger plan, cut the same chunks."""
     recipe, entries = PLAN.recipe(MACHINE), entries_of(PLAN, MACHINE)
     missing = [entry for entry in entries if not (entry.worn == ("A",) and entry.draw < 2)]
-    ids = {chunk.id for chunk in chunked(MACHINE, recipe, entries, 2)}
-    assert {chunk.id for chunk in chunked(MACHINE, recipe, missing, 2)} < ids
+    ids = {chunk.id for chunk in cut_chunks(MACHINE, recipe, entries, 2)}
+    assert {chunk.id for chunk in cut_chunks(MACHINE, recipe, missing, 2)} < ids
 
 
 def test_chunks_have_one_law_one_stratum_and_one_speed() -> None:
@@ -123,7 +125,7 @@ def test_chunks_have_one_law_one_stratum_and_one_speed() -> None:
     tree |= {"draws": {"healthy": 8, "single": 8}}
     plan = parse_plan(tree)
     entries = entries_of(plan, MACHINE)
-    chunks = chunked(MACHINE, plan.recipe(MACHINE), entries, 64)
+    chunks = cut_chunks(MACHINE, plan.recipe(MACHINE), entries, 64)
     kinds = [{(e.hypothesis, e.stratum, e.variant, e.speed, e.joints) for e in chunk.entries} for chunk in chunks]
     assert all(len(kind) == 1 for kind in kinds)
     assert len(set.union(*kinds)) == len(kinds)

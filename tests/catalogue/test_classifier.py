@@ -52,7 +52,7 @@ def test_is_cross_validated_on_a_catalogue_in_a_pipeline(small_catalogue: Catalo
 
 def test_answers_with_clearances_as_the_matcher_does() -> None:
     training = MODEL.training(60, np.random.default_rng(1))
-    features, index = training.stacked()
+    features, index = training.stack()
     labels = np.array(training.labels)[index]
     case = np.concatenate([draws.entry for draws in training.hypotheses])
     clearance = np.exp(training.log_clearances())

@@ -20,7 +20,7 @@ from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, FittedNumber
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
-from jointplay.catalogue.diagnosing.verdict import judged, number_warnings
+from jointplay.catalogue.diagnosing.verdict import judge, number_warnings
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.matching.gaussian import NAME
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
@@ -334,14 +334,14 @@ def test_what_was_said_of_a_file_belongs_to_the_question(small_catalogue: Catalo
 
 
 def test_rules_of_the_verdict() -> None:
-    assert judged(answer_of(A=(0.98, 0.3), healthy=(0.02, 0.001)), 0.95) == (0.3, "worn")
-    assert judged(answer_of(A=(0.02, 0.3), healthy=(0.98, 0.5)), 0.95) == (0.5, "in_order")
+    assert judge(answer_of(A=(0.98, 0.3), healthy=(0.02, 0.001)), 0.95) == (0.3, "worn")
+    assert judge(answer_of(A=(0.02, 0.3), healthy=(0.98, 0.5)), 0.95) == (0.5, "in_order")
     # Whichever joint it is, together they are likelier than none; but a verdict never contradicts what stands first.
-    assert judged(answer_of(A=(0.4, 0.3), healthy=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "worn")
-    assert judged(answer_of(healthy=(0.4, 0.3), A=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "unknown")
-    assert judged(answer_of(A=(0.99, 0.002), B=(0.01, 0.9)), 0.95) == (0.002, "unknown")
+    assert judge(answer_of(A=(0.4, 0.3), healthy=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "worn")
+    assert judge(answer_of(healthy=(0.4, 0.3), A=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "unknown")
+    assert judge(answer_of(A=(0.99, 0.002), B=(0.01, 0.9)), 0.95) == (0.002, "unknown")
     # One likely explanation that fits is enough.
-    assert judged(answer_of(A=(0.7, 0.002), B=(0.3, 0.2)), 0.95) == (0.2, "worn")
+    assert judge(answer_of(A=(0.7, 0.002), B=(0.3, 0.2)), 0.95) == (0.2, "worn")
 
 
 @pytest.mark.parametrize(
@@ -361,7 +361,7 @@ def test_a_machine_that_is_not_as_its_file_is_never_in_order_and_worn_only_where
 ) -> None:
     found = replace(answer_of(A=(p_worn, p_value), healthy=(1.0 - p_worn, p_value)), trusted_p_value=5e-4)
     named = [Cause(name=name, size=1.0, unit="kg m", probability=0.9) for name in causes]
-    assert judged(found, 0.95, named)[1] == verdict
+    assert judge(found, 0.95, named)[1] == verdict
     # What sensors contradict is unknown, whatever else there is.
     flaw = SensorFlaw("dead", ("s1-x",), "s1-x is dead")
-    assert judged(found, 0.95, named, [flaw])[1] == "unknown"
+    assert judge(found, 0.95, named, [flaw])[1] == "unknown"

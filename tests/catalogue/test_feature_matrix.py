@@ -24,7 +24,7 @@ from jointplay.catalogue.storage.hdf5 import encode_shard
 from jointplay.catalogue.storage.manifest import Manifest
 from jointplay.catalogue.storage.matrix import FeatureMatrix
 from jointplay.catalogue.storage.sealing import seal
-from jointplay.catalogue.storage.shard import OK, Outcome, Shard
+from jointplay.catalogue.storage.shard import OK, CaseOutcome, Shard
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.table import EntryTable
 from jointplay.catalogue.storage.verify import verify
@@ -317,7 +317,7 @@ def test_strata_laws_and_the_guard(tmp_path: Path) -> None:
             power = np.eye(3)[None] * np.full((bands, 1, 1), draw + 1.0)
             guard = 0.5 * draw if draw % 2 == 0 else None
             entries.append(entry)
-            outcomes.append(Outcome(OK, "", -10.0 - draw, 0.1, 3, 0.0, power, np.ones((bands, 3)), cyclic, guard))
+            outcomes.append(CaseOutcome(OK, "", -10.0 - draw, 0.1, 3, 0.0, power, np.ones((bands, 3)), cyclic, guard))
         content = encode_shard(Shard.of(manifest.header(PLAN), entries, outcomes))
         layout.shard(sha256_of(content)).write_bytes(content)
     matrix = seal(layout, manifest, layout.shard_names).matrix

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep
 from jointplay.catalogue.signals.sensors import map_sensors
-from jointplay.catalogue.storage.feature_bands import feature_axes, feature_vector, joined, usable_cuts
+from jointplay.catalogue.storage.feature_bands import feature_axes, feature_vector, join_bands, usable_cuts
 from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.fault import parse_fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
@@ -103,7 +103,7 @@ def test_what_is_locked_to_the_crank_is_found_wherever_a_recording_begins(machin
     seen = []
     for first in (0, skipped):
         prepared = prepare(recorded(at_sensors(machine, motion[first:])), machine)
-        seen.append((prepared, measured_features(prepared, exact_sensing(prepared))))
+        seen.append((prepared, features_of(prepared, exact_sensing(prepared))))
     (one, features), (other, later) = seen
     turn = np.angle(other.group_cyclic[-5:-1, 0, 0] / one.group_cyclic[-5:-1, 0, 0])
     assert np.cos(turn - angle[skipped]) == pytest.approx(1.0, abs=0.02)
@@ -151,7 +151,7 @@ def test_axes_say_what_each_feature_is(machine: Machine) -> None:
     assert [axis.channel for axis in axes[:4]] == ["x", "y", "x", "y"]
     assert (axes[0].low_order, axes[0].high_order, axes[0].low_hz) == (0.5, 1.5, 2.5)
     assert axes[38].single_order and not axes[40].single_order and axes[-1].high_hz == pytest.approx(4000.0)
-    assert joined(np.ones((scheme.count, 1)), cuts).sum() == scheme.count
+    assert join_bands(np.ones((scheme.count, 1)), cuts).sum() == scheme.count
 
 
 def test_low_sample_rates_compare_fewer_bands(machine: Machine) -> None:
@@ -261,7 +261,7 @@ def test_hum_would_raise_a_third_octave() -> None:
     recording = read_measurement(RECORDINGS / "quick-return-01.csv.gz")
     raw = band_matrix(recording.signal, FS, prepared.drive_speed, prepared.scheme, combine=prepared.sensing.channels)
     lifted = 10 * np.log10(
-        joined(raw.auto_power, prepared.cuts) / np.maximum(prepared.group_power, prepared.group_noise)
+        join_bands(raw.auto_power, prepared.cuts) / np.maximum(prepared.group_power, prepared.group_noise)
     )
     assert lifted.max() > 10 and (lifted > 1).any(axis=1).sum() <= 2
 

@@ -147,7 +147,7 @@ def test_ripple_of_the_drive(revolution: Revolution, order: int, sine: float, co
     rate = SPEED + turn * (sine * np.cos(at) - cosine * np.sin(at))
     change = turn**2 * (-sine * np.sin(at) - cosine * np.cos(at))
     expected = wrench(bodies(angle, rate, change))
-    assert np.allclose(revolution.rippled(order, sine, cosine), expected, atol=1e-5 * np.abs(expected).max(axis=0))
+    assert np.allclose(revolution.with_ripple(order, sine, cosine), expected, atol=1e-5 * np.abs(expected).max(axis=0))
 
 
 def test_unbalance_is_order_1_of_mass_radius_and_speed_squared(revolution: Revolution) -> None:
@@ -224,7 +224,7 @@ def test_turns_the_other_way_round() -> None:
     rate = -SPEED + 0.02 * SPEED * np.cos(2.0 * EVEN)
     change = -0.04 * SPEED**2 * np.sin(2.0 * EVEN)
     expected = wrench(bodies(angle + 0.01 * np.sin(2.0 * EVEN), rate, change))
-    assert np.allclose(back.rippled(2, 0.01, 0.0), expected, atol=1e-5 * np.abs(expected).max(axis=0))
+    assert np.allclose(back.with_ripple(2, 0.01, 0.0), expected, atol=1e-5 * np.abs(expected).max(axis=0))
 
 
 def test_wrenches_at_any_speed_follow_from_those_at_one() -> None:

@@ -11,9 +11,9 @@ from feature_model import HIGH, LOW, FeatureModel
 
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.matching import gaussian
-from jointplay.catalogue.matching.calibration import calibration_error, held_out, log_loss
+from jointplay.catalogue.matching.calibration import calibration_error, hold_out, log_loss
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
-from jointplay.catalogue.matching.matcher import Draws, TrainingSet
+from jointplay.catalogue.matching.matcher import DrawnFeatures, TrainingSet
 
 MODEL = FeatureModel()
 DRAWS = 160
@@ -95,7 +95,9 @@ def test_order_of_hypotheses_and_of_rows_does_not_matter() -> None:
     for draws in training.hypotheses:
         order = np.random.default_rng(8).permutation(len(draws.features))
         shuffled.append(
-            Draws(draws.label, draws.joints, draws.features[order], draws.log_clearance[order], draws.entry[order])
+            DrawnFeatures(
+                draws.label, draws.joints, draws.features[order], draws.log_clearance[order], draws.entry[order]
+            )
         )
     again = fit_gaussian(TrainingSet(tuple(shuffled), training.watched))
     assert np.allclose(one.posterior(features), again.posterior(features), atol=1e-9)
@@ -107,7 +109,7 @@ def test_order_of_features_does_not_matter() -> None:
     order = np.random.default_rng(11).permutation(MODEL.length)
     moved = TrainingSet(
         tuple(
-            Draws(d.label, d.joints, d.features[:, order], d.log_clearance, d.entry, d.prior)
+            DrawnFeatures(d.label, d.joints, d.features[:, order], d.log_clearance, d.entry, d.prior)
             for d in training.hypotheses
         ),
         training.watched[order],
@@ -133,7 +135,7 @@ def test_prior_moves_the_answer() -> None:
     training = MODEL.training(40, np.random.default_rng(13))
     features, _, _ = FeatureModel(noise=6.0).queries(40, np.random.default_rng(14))
     first, *rest = training.hypotheses
-    heavy = Draws(first.label, first.joints, first.features, first.log_clearance, first.entry, prior=100.0)
+    heavy = DrawnFeatures(first.label, first.joints, first.features, first.log_clearance, first.entry, prior=100.0)
     plain = fit_gaussian(training).posterior(features)
     moved = fit_gaussian(TrainingSet((heavy, *rest), training.watched)).posterior(features)
     assert moved[:, 0].mean() > plain[:, 0].mean()
@@ -149,7 +151,7 @@ def test_two_joints_are_estimated_together() -> None:
         return level
 
     clearances = generator.uniform(LOW, HIGH, (300, 2))
-    draws = Draws("A+B", ("A", "B"), pair(clearances), clearances, np.arange(300), prior=0.15)
+    draws = DrawnFeatures("A+B", ("A", "B"), pair(clearances), clearances, np.arange(300), prior=0.15)
     singles = MODEL.training(DRAWS, generator)
     matcher = fit_gaussian(TrainingSet((*singles.hypotheses, draws), singles.watched))
     truth = generator.uniform(LOW + 0.5, HIGH - 0.5, (30, 2))
@@ -173,7 +175,7 @@ def test_three_joints_are_a_hypothesis() -> None:
         return level
 
     clearances = generator.uniform(LOW, HIGH, (400, 3))
-    draws = Draws("A+B+C", ("A", "B", "C"), triple(clearances), clearances, np.arange(400), prior=0.15**2)
+    draws = DrawnFeatures("A+B+C", ("A", "B", "C"), triple(clearances), clearances, np.arange(400), prior=0.15**2)
     singles = MODEL.training(DRAWS, generator)
     matcher = fit_gaussian(TrainingSet((*singles.hypotheses, draws), singles.watched))
     truth = generator.uniform(LOW + 0.5, HIGH - 0.5, (20, 3))
@@ -193,7 +195,7 @@ def test_many_draws_are_split_once_and_few_are_held_out_in_turn(monkeypatch: pyt
     split = fit_gaussian(many)
     monkeypatch.setattr(gaussian, "SPLIT_CASES", 1000)
     in_turn = fit_gaussian(many)
-    assert len(split.calibration.distances[0].values) == np.sum(held_out(np.arange(240)))
+    assert len(split.calibration.distances[0].values) == np.sum(hold_out(np.arange(240)))
     assert len(in_turn.calibration.distances[0].values) == 240
     features, truth, _ = MODEL.queries(60, np.random.default_rng(27))
     # Both know about the same: log-losses measured 0.003 apart.
@@ -210,7 +212,7 @@ def test_rows_count_as_much_as_their_weights() -> None:
         features = draws.features + np.where(wrong, 15.0, 0.0)[:, None]
         weight = np.where(wrong, 1e-6, 1.0)
         shifted.append(
-            Draws(draws.label, draws.joints, features, draws.log_clearance, draws.entry, draws.prior, weight)
+            DrawnFeatures(draws.label, draws.joints, features, draws.log_clearance, draws.entry, draws.prior, weight)
         )
     fitted = fit_gaussian(TrainingSet(tuple(shifted), training.watched))
     feature = MODEL.draw("B", np.array([np.log(3e-4)]), generator)[0]
@@ -231,7 +233,7 @@ def test_refuses_what_it_cannot_learn_or_match() -> None:
     with pytest.raises(MatchingError, match="its own label"):
         TrainingSet((training.hypotheses[0], training.hypotheses[0]), training.watched)
     with pytest.raises(MatchingError, match="finite numbers"):
-        Draws("A", ("A",), np.full((3, 2), np.inf), np.zeros((3, 1)), np.arange(3))
+        DrawnFeatures("A", ("A",), np.full((3, 2), np.inf), np.zeros((3, 1)), np.arange(3))
 
 
 def test_curves_are_drawn_through_the_first_features_only() -> None:

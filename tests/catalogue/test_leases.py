@@ -13,7 +13,7 @@ from building import FAILING, KEYS, assert_complete, quick_build
 from fake_simulator import MACHINE, PLAN, compute
 from sqlalchemy import inspect, text
 
-from jointplay.catalogue.building.chunk import chunked
+from jointplay.catalogue.building.chunk import cut_chunks
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.storage.database import INDEX_LAYOUT, Database, database_url
@@ -38,7 +38,7 @@ def index(url: str) -> Iterator[Index]:
 def shard_of(first: int, last: int) -> Shard:
     entries = [entry for entry in entries_of(PLAN, MACHINE) if entry.worn == ("A",)][first:last]
     manifest = Manifest.of(MACHINE, PLAN)
-    (chunk,) = chunked(MACHINE, manifest.recipe, entries, 64)
+    (chunk,) = cut_chunks(MACHINE, manifest.recipe, entries, 64)
     return Shard.of(manifest.header(PLAN), entries, compute(chunk))
 
 
@@ -115,7 +115,7 @@ def test_shard_is_entered_once_and_whole(index: Index) -> None:
         index.add_shard("b" * 64, 1000, shard_of(2, 6))
     assert caught.value.keys == set(shard.key[2:])
     assert set(index.shards()) == {"a" * 64}
-    assert index.known([*shard.key, "nobody"]) == dict(zip(shard.key, shard.status, strict=True))
+    assert index.find_known([*shard.key, "nobody"]) == dict(zip(shard.key, shard.status, strict=True))
     (row,) = index.chunks()
     assert (row.status, row.output_sha256, row.seconds) == (ChunkStatus.DONE, "a" * 64, 1.5)
     index.remove_shards(["a" * 64])
@@ -297,7 +297,7 @@ def test_password_is_not_stored(tmp_path: Path) -> None:
     layout = CatalogueDirectory(tmp_path)
     content = {"url": "postgresql+psycopg://me@db.example/x", "instance": "i"}
     (tmp_path / "index.json").write_text(json.dumps(content))
-    location = IndexLocation.settled(layout, "postgresql://me:secret@db.example/x", alone=True)
+    location = IndexLocation.choose(layout, "postgresql://me:secret@db.example/x", alone=True)
     assert (location.source, location.instance, location.password) == (content["url"], "i", "secret")
     assert "secret" not in (tmp_path / "index.json").read_text()
     assert "secret" not in repr(location)

@@ -112,7 +112,7 @@ def test_a_damaged_file_or_a_folder_that_cannot_be_written_costs_nothing_but_tim
 
 
 def test_files_give_back_the_same_model(tmp_path: Path) -> None:
-    fitted = LIBRARY.fitted(Observed(sensing(), np.empty(0), WATCHED), Learning.of("trusted"))
+    fitted = LIBRARY.fit(Observed(sensing(), np.empty(0), WATCHED), Learning.of("trusted"))
     assert isinstance(fitted, FittedGaussian)
     assert write_model(tmp_path, "k", fitted)
     again = read_model(tmp_path, "k")
@@ -222,7 +222,7 @@ def test_a_catalogue_is_matched_by_its_own_matrix(small_catalogue: Catalogue, tm
 
 def test_few_models_are_kept_as_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jointplay.catalogue.matching.modelfile.KEPT", 2)
-    fitted = LIBRARY.fitted(Observed(sensing(), np.empty(0), WATCHED), Learning.of("trusted"))
+    fitted = LIBRARY.fit(Observed(sensing(), np.empty(0), WATCHED), Learning.of("trusted"))
     assert isinstance(fitted, FittedGaussian)
     for k, name in enumerate(("a", "b", "c")):
         assert write_model(tmp_path, name, fitted)

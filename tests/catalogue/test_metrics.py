@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointplay.catalogue.evaluation.metrics import Answered, auroc, figures, joint_scores, rejected, reliability
+from jointplay.catalogue.evaluation.metrics import Answered, auroc, count_rejected, figures, joint_scores, reliability
 
 JOINTS = {"healthy": frozenset[str](), "A": frozenset("A"), "B": frozenset("B"), "A+B": frozenset("AB")}
 
@@ -93,10 +93,10 @@ def test_false_alarms_are_at_most_what_is_asked() -> None:
     generator = np.random.default_rng(3)
     for count in (1, 7, 19, 20, 60, 100):
         listed = generator.random(count).tolist()
-        found = rejected(listed, listed)
+        found = count_rejected(listed, listed)
         assert found == pytest.approx(np.floor(0.05 * count) / count)
-    assert rejected([0.1, 0.3], [0.1] * 40) == 0.0
-    assert rejected([0.1], []) is rejected([], [0.1]) is None
+    assert count_rejected([0.1, 0.3], [0.1] * 40) == 0.0
+    assert count_rejected([0.1], []) is count_rejected([], [0.1]) is None
 
 
 def test_area_under_the_curve_is_the_share_of_pairs_in_order() -> None:

@@ -24,7 +24,7 @@ from jointplay.catalogue.evaluation.nearest_entry import (
     NearestEntry,
     cosine_entry,
 )
-from jointplay.catalogue.matching.calibration import Tail, calibration_error, combined, folds
+from jointplay.catalogue.matching.calibration import Tail, calibration_error, combine, folds
 from jointplay.catalogue.matching.gaussian import fit_gaussian
 from jointplay.catalogue.matching.matcher import TrainingSet
 
@@ -114,10 +114,10 @@ def test_tail_counts_and_is_never_zero() -> None:
     many = Tail.of(np.random.default_rng(1).exponential(2.0, 4000))
     for value in (6.0, 12.0, 18.0):
         assert np.log(many.p_value(value)) == pytest.approx(-value / 2.0, rel=0.1)
-    assert combined(0.01, 0.5) == 0.02
-    assert combined(0.9, 0.8) == 1.0
-    assert combined(0.04, 0.9, 0.8) == pytest.approx(0.05)
-    assert combined(0.9, 0.01, 0.8) == pytest.approx(0.05)
+    assert combine(0.01, 0.5) == 0.02
+    assert combine(0.9, 0.8) == 1.0
+    assert combine(0.04, 0.9, 0.8) == pytest.approx(0.05)
+    assert combine(0.9, 0.01, 0.8) == pytest.approx(0.05)
 
 
 def test_chord_is_the_definition_and_block_agrees() -> None:

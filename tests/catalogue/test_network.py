@@ -16,7 +16,7 @@ from spectra_model import WATCHED, SpectraModel, sensing
 from jointplay.catalogue.building.executors import InProcess
 from jointplay.catalogue.building.network_building import train_networks
 from jointplay.catalogue.errors import BuildError, CatalogueFileError
-from jointplay.catalogue.matching.calibration import fit_shares, held_out, kept_apart
+from jointplay.catalogue.matching.calibration import fit_shares, hold_out, split_held_out
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.matcher import TrainingSet
@@ -39,13 +39,13 @@ def trained() -> Network:
 
 def held_rows(noise: float = 1e-5) -> TrainingSet:
     """Rows of entries that no network has seen, of a noise density."""
-    return kept_apart(training_set(MODEL, sensing(noise), WATCHED, TRUSTED))[1]
+    return split_held_out(training_set(MODEL, sensing(noise), WATCHED, TRUSTED))[1]
 
 
 @pytest.mark.parametrize("noise", [1e-8, 1e-6, 1e-5])
 def test_tells_hypotheses_apart_at_every_noise_it_was_trained_for(trained: Network, noise: float) -> None:
     held = held_rows(noise)
-    features, index = held.stacked()
+    features, index = held.stack()
     opinion = trained.opinion(sensing(noise), band_widths(MODEL))
     assert opinion is not None
     found = opinion.log_evidences(features, held.labels).argmax(axis=1)
@@ -60,7 +60,7 @@ def test_noise_below_the_trained_is_raised_and_above_it_is_refused(trained: Netw
     assert np.mean(opinion.noise_db) == pytest.approx(trained.quietest)
     assert (opinion.missing > 0.0).all()
     least = trained.opinion(replace(quiet, noise=quiet.noise + opinion.missing), width)
-    features = held_rows(1e-12).stacked()[0]
+    features = held_rows(1e-12).stack()[0]
     raised = with_more_noise(features, opinion.missing, quiet.alike)
     assert not np.allclose(raised, features)
     assert least is not None
@@ -86,8 +86,8 @@ def test_a_network_of_two_hypotheses_answers_for_both() -> None:
     learning = Learning.of("trusted", without=("B", "C"))
     network = SMALL.train(MODEL, sensing(), learning)
     assert network.labels == ("healthy", "A")
-    held = kept_apart(training_set(MODEL, sensing(), WATCHED, learning))[1]
-    features, index = held.stacked()
+    held = split_held_out(training_set(MODEL, sensing(), WATCHED, learning))[1]
+    features, index = held.stack()
     opinion = network.opinion(sensing(), band_widths(MODEL))
     assert opinion is not None
     assert np.mean(opinion.log_evidences(features, held.labels).argmax(axis=1) == index) > 0.9
@@ -105,13 +105,13 @@ def test_never_learns_from_entries_that_calibration_holds_out(monkeypatch: pytes
     replace(SMALL, rows=24_000, blocks=40).train(MODEL, sensing(), TRUSTED)
     rows = np.array(sorted(seen))
     every = np.arange(len(MODEL.label))
-    seldom = (MODEL.stratum == "wide") | held_out(every)
-    assert not held_out(rows).any()
+    seldom = (MODEL.stratum == "wide") | hold_out(every)
+    assert not hold_out(rows).any()
     assert set(every[~seldom]) < set(rows)  # all others are seen, and machines that differ, too
 
 
 def test_held_out_entries_are_a_fifth_and_no_pattern_of_the_sequence() -> None:
-    apart = held_out(np.arange(40_000))
+    apart = hold_out(np.arange(40_000))
     assert np.mean(apart) == pytest.approx(0.2, abs=0.01)
     for modulus in (2, 3, 4, 5, 8, 64):
         shares = [np.mean(apart[start::modulus]) for start in range(modulus)]
@@ -209,7 +209,7 @@ def test_no_case_of_a_small_hypothesis_is_on_both_sides() -> None:
     for count in (2, 5, 12):
         draws = training.hypotheses[0]
         first = np.isin(draws.entry, np.unique(draws.entry)[:count])
-        learned, held = kept_apart(TrainingSet((draws.rows(first),), training.watched))
+        learned, held = split_held_out(TrainingSet((draws.rows(first),), training.watched))
         assert len(held.hypotheses[0].entry) > 0
         assert not set(learned.hypotheses[0].entry) & set(held.hypotheses[0].entry)
 

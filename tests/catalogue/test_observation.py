@@ -9,7 +9,7 @@ import pytest
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import SCALE, common_noise, compose, decompose, noise_alike, with_more_noise
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, grouped, observe, rounded_sensing, rounded_up
+from jointplay.catalogue.matching.observation import Discrepancy, Sensing, group, observe, round_sensing, round_up
 from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.storage.cross_power import pack, pack_cyclic
 from jointplay.catalogue.storage.feature_bands import feature_vector
@@ -43,7 +43,7 @@ def locked(power: np.ndarray) -> np.ndarray:
 
 
 def stored(power: np.ndarray) -> np.ndarray:
-    joined: np.ndarray = np.concatenate([grouped(pack(power), CUTS), pack_cyclic(locked(power))], axis=2)
+    joined: np.ndarray = np.concatenate([group(pack(power), CUTS), pack_cyclic(locked(power))], axis=2)
     return joined
 
 
@@ -187,11 +187,11 @@ def test_same_seed_same_draws() -> None:
 
 def test_rounding_up_is_to_whole_steps() -> None:
     values = np.array([1.0, 1.0000001, 1.9, 2.1, 1e-9])
-    rounded = rounded_up(values, 3.0)
+    rounded = round_up(values, 3.0)
     assert (rounded >= values * (1 - 1e-9)).all()
     assert (rounded < values * 10**0.3 * (1 + 1e-9)).all()
     assert rounded[0] == 1.0
-    assert np.array_equal(rounded_up(rounded, 3.0), rounded)
+    assert np.array_equal(round_up(rounded, 3.0), rounded)
 
 
 def test_refuses_what_does_not_fit_together() -> None:
@@ -208,17 +208,17 @@ def test_rounded_sensing_serves_recordings_of_about_the_same_noise() -> None:
     sensing = replace(
         BODY, noise=0.8e-6 * width[:, None] * np.array([1.0, 2.0, 4.0]), degrees_of_freedom=2.0 * 9.0 * width
     )
-    step = rounded_sensing(sensing, width, 3.0)
+    step = round_sensing(sensing, width, 3.0)
     for factor in (0.95, 1.05):
         other = replace(sensing, noise=factor * sensing.noise, degrees_of_freedom=sensing.degrees_of_freedom / factor)
-        assert rounded_sensing(other, width, 3.0).digest == step.digest
+        assert round_sensing(other, width, 3.0).digest == step.digest
     ratio = step.noise / sensing.noise
     assert (ratio >= 1.0).all()
     assert (ratio < 10**0.3).all()
     assert (step.degrees_of_freedom <= sensing.degrees_of_freedom).all()
     # A floor that rises towards low bands keeps its course, in steps of 6 dB.
     rising = sensing.noise * np.array([20.0, 1.0, 1.0, 1.0])[:, None]
-    course = rounded_sensing(replace(sensing, noise=rising), width, 3.0).noise / width[:, None]
+    course = round_sensing(replace(sensing, noise=rising), width, 3.0).noise / width[:, None]
     assert np.allclose(course[0] / course[1], 10**1.8)
     assert np.allclose(course[1:], (step.noise / width[:, None])[1:])
 

@@ -269,7 +269,7 @@ def test_a_drawn_ripple_and_load_are_those_of_a_file() -> None:
 
 def test_a_plan_is_shown_in_words() -> None:
     lines = plan_lines(preset("standard"), QUICK_RETURN)
-    resolved = preset("standard").resolved(QUICK_RETURN)
+    resolved = preset("standard").resolve(QUICK_RETURN)
     assert lines[0] == f"plan standard, {resolved.hash[:12]}: 24064 cases (12032 trusted, 12032 wide)"
     assert lines[1] == "hypotheses: healthy, 5 of a single, 10 of a pair, 10 of a triple"
     assert lines[2] == "draws: healthy 512, single 512, pair 448, larger 448"
@@ -346,9 +346,9 @@ def test_plan_reads_back_and_hash_ignores_the_name() -> None:
     assert parse_plan(plan.content) == plan
     assert parse_plan({**plan.content, "name": "b"}).hash == plan.hash
     assert parse_plan({**plan.content, "draws": {"single": 9}}).hash != plan.hash
-    resolved = preset("standard").resolved(QUICK_RETURN)
+    resolved = preset("standard").resolve(QUICK_RETURN)
     assert parse_plan(resolved.content) == resolved
-    assert resolved.resolved(QUICK_RETURN) == resolved
+    assert resolved.resolve(QUICK_RETURN) == resolved
     assert keys(resolved) == keys(preset("standard"))
 
 

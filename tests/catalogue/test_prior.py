@@ -12,7 +12,7 @@ from feature_model import FeatureModel
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.gaussian import fit_gaussian
-from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, TrainingSet, ranked
+from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, TrainingSet, rank
 from jointplay.catalogue.matching.prior import Prior
 
 NOTHING = np.zeros(1)
@@ -44,8 +44,8 @@ def test_sets_of_as_many_joints_share_what_their_number_has(count: int) -> None:
 
 
 def test_an_answer_is_weighed_again_and_ranked_anew() -> None:
-    found = ranked([match("healthy", 0.2), match("A", 0.5), match("O", 0.1), match("A+O", 0.2)])
-    again = Prior(another=1.2, joints={"A": 0.1}).applied(found, 3)
+    found = rank([match("healthy", 0.2), match("A", 0.5), match("O", 0.1), match("A+O", 0.2)])
+    again = Prior(another=1.2, joints={"A": 0.1}).apply(found, 3)
     # One joint is worn with 1 / 2.2 in place of 1 / 1.6, two with 1.2 / 2.2 in place of 0.6 / 1.6.
     one, two = 1.6 / 2.2, 3.2 / 2.2
     weights = {"healthy": 0.2, "A": 0.5 * 0.1 * one, "O": 0.1 * one, "A+O": 0.2 * 0.1 * two}
@@ -53,7 +53,7 @@ def test_an_answer_is_weighed_again_and_ranked_anew() -> None:
         {label: weight / sum(weights.values()) for label, weight in weights.items()}
     )
     assert [each.label for each in again.hypotheses] == ["healthy", "O", "A", "A+O"]
-    assert Prior().applied(found, 3) is found
+    assert Prior().apply(found, 3) is found
 
 
 def test_weighing_an_answer_again_is_what_learning_with_that_prior_gives() -> None:
@@ -67,7 +67,7 @@ def test_weighing_an_answer_again_is_what_learning_with_that_prior_gives() -> No
 
     usual, direct = answer(Prior()), answer(asked)
     assert usual.probability("B") < 0.5 * direct.probability("B")
-    weighed = asked.applied(usual, 3)
+    weighed = asked.apply(usual, 3)
     for each in direct.hypotheses:
         assert weighed.probability(each.label) == pytest.approx(each.probability, abs=1e-12)
 

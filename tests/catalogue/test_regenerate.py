@@ -14,7 +14,7 @@ from jointplay import solver
 from jointplay.catalogue.building.chunk import Chunk, simulate_chunk
 from jointplay.catalogue.building.regenerate import TOLERANCE_DB, regenerate
 from jointplay.catalogue.errors import CatalogueMismatchError
-from jointplay.catalogue.storage.shard import Outcome
+from jointplay.catalogue.storage.shard import CaseOutcome
 from jointplay.catalogue.storage.store import Catalogue
 
 
@@ -37,14 +37,14 @@ def test_real_cases_come_out_the_same(small_catalogue: Catalogue) -> None:
     assert len({case.key for case in report.cases}) == 6
 
 
-def nothing(chunk: Chunk) -> tuple[Outcome, ...]:
-    return tuple(Outcome("diverged", "", 1.0, 0.0, 0, 0.0) for _ in chunk.entries)
+def nothing(chunk: Chunk) -> tuple[CaseOutcome, ...]:
+    return tuple(CaseOutcome("diverged", "", 1.0, 0.0, 0, 0.0) for _ in chunk.entries)
 
 
 def test_machines_that_round_otherwise_agree(small_catalogue: Catalogue) -> None:
     """Clearances changed by 1e-12: measured 0.05 to 0.2 dB on average over twenty cases, by seed."""
 
-    def perturbed(chunk: Chunk) -> tuple[Outcome, ...]:
+    def perturbed(chunk: Chunk) -> tuple[CaseOutcome, ...]:
         entries = (replace(e, clearances=tuple(c * (1 + 1e-12) for c in e.clearances)) for e in chunk.entries)
         return simulate_chunk(replace(chunk, entries=tuple(entries)))
 
@@ -64,7 +64,7 @@ def test_workers_are_processes(made_up: Catalogue) -> None:
     assert regenerate(made_up, 12, workers=2, compute=compute).identical == 12
 
 
-def louder(chunk: Chunk) -> tuple[Outcome, ...]:
+def louder(chunk: Chunk) -> tuple[CaseOutcome, ...]:
     return tuple(
         replace(outcome, power=None if outcome.power is None else outcome.power * 2.0) for outcome in compute(chunk)
     )

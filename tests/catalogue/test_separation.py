@@ -11,7 +11,7 @@ from recordings import RECORDINGS
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.comparison import exact_sensing
-from jointplay.catalogue.diagnosing.separation import _more_sensors, _Question, _sensing, suggest
+from jointplay.catalogue.diagnosing.separation import _more_sensors, _sensing, _Separation, suggest
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
@@ -84,7 +84,7 @@ def test_nothing_to_suggest(small_catalogue: Catalogue) -> None:
     assert suggest(small_catalogue, one, answer(("A", 0.9), ("A+B", 0.1))) == ()
 
 
-def nearest_entry_errs(catalogue: Catalogue, question: _Question, sensing: Sensing) -> float:
+def nearest_entry_errs(catalogue: Catalogue, question: _Separation, sensing: Sensing) -> float:
     """Share of entries whose nearest other entry is of the other hypothesis."""
     draws = []
     for seed, match in enumerate(question.contenders):
@@ -109,7 +109,7 @@ def test_another_matcher_finds_what_was_promised(small_catalogue: Catalogue) -> 
     Measured: promised 5.0 to 3.0 %, found 17 to 6 % with the best sensor; 15 % with the same sensor once more.
     """
     prepared, machine = recorded(small_catalogue, (0,)), small_catalogue.machine
-    question = _Question(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)
+    question = _Separation(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)
     now = exact_sensing(prepared)
     errors = [question.error(question.squared_distances(sensing, prepared.drive_speed)) for sensing in (now,)]
     ranked = sorted(

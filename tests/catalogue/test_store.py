@@ -24,7 +24,7 @@ from jointplay.catalogue.plans.variants import Variant
 from jointplay.catalogue.storage import hdf5
 from jointplay.catalogue.storage.cross_power import pack, unpack
 from jointplay.catalogue.storage.directory import publish, sha256_of
-from jointplay.catalogue.storage.shard import Outcome, Shard
+from jointplay.catalogue.storage.shard import CaseOutcome, Shard
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import parse_machine
 
@@ -51,7 +51,7 @@ def catalogue(directory: Path) -> Catalogue:
 
 def test_says_what_it_is_of(catalogue: Catalogue, directory: Path) -> None:
     assert catalogue.machine.content_key == MACHINE.content_key
-    assert catalogue.plan == ALL.resolved(MACHINE)
+    assert catalogue.plan == ALL.resolve(MACHINE)
     assert catalogue.recipe == ALL.recipe(MACHINE)
     assert catalogue.scheme == catalogue.recipe.scheme
     assert catalogue.path == directory
@@ -254,7 +254,7 @@ def test_shards_keep_what_differs_in_kind_and_no_time_of_computing() -> None:
         first.entry(0), hypothesis=Hypothesis.of("BA"), joints=("A", "B", "O"), clearances=(1e-4, 2e-4, 1e-5)
     )
     hertz = replace(hertz, stratum="wide", variant=Variant("hertz"))
-    outcome = Outcome("diverged", "so", 1.0, 0.0, 0, 0.1, guard_db=0.5)
+    outcome = CaseOutcome("diverged", "so", 1.0, 0.0, 0, 0.1, guard_db=0.5)
     contents = [
         hdf5.encode_shard(
             Shard.of(first.header, [hertz] * 2, [replace(outcome, seconds=s), replace(outcome, guard_db=None)])
@@ -271,7 +271,7 @@ def test_shards_keep_what_differs_in_kind_and_no_time_of_computing() -> None:
 def test_shard_of_failed_cases_only() -> None:
     shard = some_shard()
     entries = [shard.entry(i) for i in range(2)]
-    failed = Shard.of(shard.header, entries, [Outcome("diverged", "so", 1.0, 0.0, 0, 0.1)] * 2)
+    failed = Shard.of(shard.header, entries, [CaseOutcome("diverged", "so", 1.0, 0.0, 0, 0.1)] * 2)
     back = hdf5.decode_shard(hdf5.encode_shard(failed), Path("x.h5"))
     assert back.row.tolist() == [-1, -1]
     assert back.power.shape == (0, shard.header.recipe.scheme.count, 9)
@@ -295,7 +295,7 @@ def test_entry_of_a_usual_catalogue_takes_less_than_12_kb() -> None:
     entries = [shard.entry(0)] * 64
     root = np.ones((152, 3, 3), np.complex64)
     cyclic = np.zeros((len(recipe.scheme.third_octave_groups()) - 1, 2, 3, 3), np.complex64)
-    outcomes = [Outcome("ok", "", 12.5, 1.0, 3, 0.02, root, np.ones((152, 3), np.float32), cyclic)] * 64
+    outcomes = [CaseOutcome("ok", "", 12.5, 1.0, 3, 0.02, root, np.ones((152, 3), np.float32), cyclic)] * 64
     content = hdf5.encode_shard(Shard.of(replace(shard.header, recipe=recipe), entries, outcomes))
     assert len(content) / 64 < 12288
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from jointplay.catalogue.diagnosing import synthesis
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features, watched
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
 from jointplay.catalogue.diagnosing.synthesis import Recorded, Refined, refine
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.truth import Truth
-from jointplay.catalogue.matching.matcher import MatchResult, Mode, ranked
+from jointplay.catalogue.matching.matcher import MatchResult, Mode, rank
 from jointplay.catalogue.matching.model_library import library_of
 from jointplay.catalogue.matching.population import Population
 from jointplay.catalogue.plans.cases import entries_of
@@ -39,11 +39,11 @@ def asked(catalogue: Catalogue, joint: str, number: int) -> tuple[Truth, Recorde
     truth = draw_truth(catalogue.machine, Hypothesis.of([joint]), SHORT, 5, number)
     prepared = prepared_of(catalogue, truth)
     sensing = exact_sensing(prepared)
-    feature = measured_features(prepared, sensing)
-    answered = library_of(catalogue).answer(sensing, feature, watched(prepared))
+    feature = features_of(prepared, sensing)
+    answered = library_of(catalogue).answer(sensing, feature, watched_levels(prepared))
     matches = [replace(match, probability=0.25) for match in answered.hypotheses]
     order = sorted(matches, key=lambda match: match.label != joint, reverse=True)  # the true one is the last of them
-    return truth, Recorded(feature[: sensing.noise.size], sensing, prepared.drive_speed), ranked(order)
+    return truth, Recorded(feature[: sensing.noise.size], sensing, prepared.drive_speed), rank(order)
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +180,7 @@ def test_what_the_catalogue_said_counts_too(
     for mode in modes:
         plain, leaning = (
             refine(record, small_catalogue, each, ["A", "B"], mode=mode, cases=128)
-            for each in (result, ranked(other.hypotheses))
+            for each in (result, rank(other.hypotheses))
         )
         odds = [found.result.probability("A") / found.result.probability("B") for found in (plain, leaning)]
         assert odds[1] / odds[0] == pytest.approx(9.0, rel=0.1)  # 8.95: averaged over the errors of samples
@@ -216,13 +216,13 @@ def cases_of_joint(catalogue: Catalogue, joint: str) -> list[Entry]:
 def test_cases_are_drawn_where_the_best_ones_lie(small_catalogue: Catalogue) -> None:
     entries = cases_of_joint(small_catalogue, "B")
     population = Population.of(entries, entries[:5])
-    start = list(population.drawn([], 16, np.random.default_rng(1)))
+    start = list(population.draw([], 16, np.random.default_rng(1)))
     assert [(case.key, clearances) for case, clearances, *_ in start] == [
         (entry.key, entry.clearances) for entry in entries[:5]
     ]
     place = entries[0].joints.index("B")  # the other clearances are those of fits
     elite = sorted(entries, key=lambda entry: abs(np.log(entry.clearances[place] / 2e-4)))[:6]
-    drawn = list(population.drawn(elite, 400, np.random.default_rng(1)))
+    drawn = list(population.draw(elite, 400, np.random.default_rng(1)))
     assert len(drawn) == 400
     for joint in range(3):
         sizes, own, everything = (

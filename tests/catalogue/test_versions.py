@@ -21,7 +21,7 @@ from recordings import unpacked
 from spectra_model import WATCHED, SpectraModel, sensing
 
 from jointplay import catalogue
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, measured_features
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.model_library import Choice, Effort, ModelLibrary
 from jointplay.catalogue.matching.network import NetworkTraining
@@ -45,7 +45,7 @@ def of_recording(name: str, machine: str) -> FloatArray:
     """Features and noise of a recording."""
     prepared = prepare(read_recording(unpacked(name), name=name), shipped_machine(machine))
     sensing = exact_sensing(prepared)
-    return np.concatenate([measured_features(prepared, sensing), 10.0 * np.log10(sensing.noise.ravel())])
+    return np.concatenate([features_of(prepared, sensing), 10.0 * np.log10(sensing.noise.ravel())])
 
 
 def of_entries(mode: str) -> FloatArray:
@@ -77,7 +77,7 @@ def of_network() -> FloatArray:
     trained = TRAINING.train(MODEL, sensing(), Learning.of("trusted"))
     opinion = trained.opinion(sensing(), band_widths(MODEL))
     assert opinion is not None
-    asked = training_set(SpectraModel(3, seed=2), sensing(), WATCHED, Learning.of("trusted")).stacked()[0][::40]
+    asked = training_set(SpectraModel(3, seed=2), sensing(), WATCHED, Learning.of("trusted")).stack()[0][::40]
     return opinion.log_evidences(asked, trained.labels).ravel()
 
 

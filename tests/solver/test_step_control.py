@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from jointplay.solver.cases.history import Case, Settings, Status
-from jointplay.solver.integrators.control import after_switch, next_step, shortened, switch_part
+from jointplay.solver.integrators.control import after_switch, next_step, shorten, switch_part
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.simulation.simulate import simulate, simulate_batch
@@ -48,7 +48,7 @@ def test_a_contact_that_came_apart_unnoticed_ends_at_once() -> None:
 def test_a_shorter_step_is_shorter(part: float) -> None:
     """Whatever the speed: past the switch goes no further than half of what is left of the step."""
     for approach in (0.0, 1e-6, 1e-3, 1.0):
-        shorter = shortened(1e-6, part, True, -1e-7, approach, 1e-8, 1e-14)
+        shorter = shorten(1e-6, part, True, -1e-7, approach, 1e-8, 1e-14)
         assert 0 < shorter <= (0.5 + 0.5 * part) * 1e-6
 
 
@@ -77,7 +77,7 @@ def trials(c: float, p0: float, speed: float, lag: float, step: float, precision
         part = switch_part(False, s0, s1, p0, p1, -speed, r1, step)
         if part > 1:
             return count
-        step = shortened(step, part, False, s1, r1, precision, 1e-14)
+        step = shorten(step, part, False, s1, r1, precision, 1e-14)
         if step == 0:
             return count
 
