@@ -38,7 +38,7 @@ class Conditions:
     @classmethod
     def of(cls, request: Request) -> Self:
         """Read ``If-Match`` and ``If-None-Match`` of a request."""
-        return cls(listed(request, "if-match"), listed(request, "if-none-match"))
+        return cls(parse_tags(request, "if-match"), parse_tags(request, "if-none-match"))
 
     def hold(self, key: str | None) -> bool:
         """Return whether they hold for a content key; ``None``: nothing is there.
@@ -51,7 +51,7 @@ class Conditions:
         return key is None or not {"*", tag(key)} & held
 
 
-def listed(request: Request, header: str) -> tuple[str, ...] | None:
+def parse_tags(request: Request, header: str) -> tuple[str, ...] | None:
     """Return the entity tags in a header."""
     given = request.headers.get(header)
     return None if given is None else tuple(part.strip() for part in given.split(","))

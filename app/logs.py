@@ -97,7 +97,7 @@ class JsonFormatter(logging.Formatter):
         }
         if record.exc_info:
             said["exception"] = self.formatException(record.exc_info)
-        return json.dumps(cleaned(said), ensure_ascii=False, default=str)
+        return json.dumps(clean(said), ensure_ascii=False, default=str)
 
 
 class TextFormatter(logging.Formatter):
@@ -122,12 +122,12 @@ def members(record: logging.LogRecord) -> dict[str, Any]:
     return {**({} if identity is None else {"request_id": identity}), **own}
 
 
-def cleaned(value: Any) -> Any:
+def clean(value: Any) -> Any:
     """Return JSON values without secrets in their texts."""
     if isinstance(value, str):
         return without_secrets(value)
     if isinstance(value, Mapping):
-        return {name: cleaned(each) for name, each in value.items()}
+        return {name: clean(each) for name, each in value.items()}
     return value
 
 

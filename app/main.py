@@ -83,7 +83,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         application.state.service = service
         application.state.keys = Keys(store.database)
         runner.start()
-        sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.delivered)
+        sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
         warming = asyncio.create_task(service.warm()) if warm else None
         try:
@@ -134,5 +134,5 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     application.add_middleware(Gate, settings=chosen)
     application.add_middleware(RequestLog, templates=templates, metrics=metrics)
     application.add_middleware(SecurityHeaders)
-    application.openapi = openapi.documented(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
+    application.openapi = openapi.make_document(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application

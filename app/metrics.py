@@ -42,29 +42,29 @@ class Metrics:
         self._worker_seconds = histogram("task_worker_seconds", "Time of tasks in a worker.", "task", "outcome")
         ProcessCollector(registry=self.registry)  # of the server itself, where the system tells
 
-    def answered(self, method: str, route: str | None, status: int, seconds: float) -> None:
+    def count_answer(self, method: str, route: str | None, status: int, seconds: float) -> None:
         """Count an answer."""
         labels = (method if method in METHODS else OTHER, route or NO_ROUTE)
         self._requests.labels(*labels, str(status)).inc()
         self._request_seconds.labels(*labels).observe(seconds)
 
-    def refused(self, reason: str) -> None:
+    def count_refusal(self, reason: str) -> None:
         """Count an upload that was refused, by the kind of problem."""
         self._refused.labels(reason).inc()
 
-    def diagnosed(self, result: Diagnosis) -> None:
+    def count_diagnosis(self, result: Diagnosis) -> None:
         """Count a diagnosis."""
         self._diagnoses.labels(result.effort, result.mode.used, result.verdict).inc()
 
-    def delivered(self, outcome: str) -> None:
+    def count_delivery(self, outcome: str) -> None:
         """Count an attempt of a webhook: ``delivered``, ``failed``, or ``given_up`` after the last that failed."""
         self._deliveries.labels(outcome).inc()
 
-    def waited(self, task: str, seconds: float) -> None:
+    def count_wait(self, task: str, seconds: float) -> None:
         """Count a task that got a worker."""
         self._queue_seconds.labels(task).observe(seconds)
 
-    def worked(self, task: str, outcome: str, seconds: float) -> None:
+    def count_work(self, task: str, outcome: str, seconds: float) -> None:
         """Count a task that a worker is done with."""
         self._worker_seconds.labels(task, outcome).observe(seconds)
 

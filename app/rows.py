@@ -29,7 +29,7 @@ class Play:
     interval: str
     joint: str = ""
 
-    def said(self, interval: str = "") -> str:
+    def say(self, interval: str = "") -> str:
         """Return all of it, with what the interval is called."""
         value = f"{self.joint} {self.value}" if self.joint else self.value
         return f"{value} ({interval}{self.interval})" if self.interval else value
@@ -93,7 +93,7 @@ class HypothesisRow:
     @property
     def clearance(self) -> str:
         """Clearances of all its joints; empty without one."""
-        return "; ".join(play.said() for play in self.plays)
+        return "; ".join(play.say() for play in self.plays)
 
 
 def hypothesis_rows(result: Answer, most: int | None = None) -> list[HypothesisRow]:

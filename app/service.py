@@ -101,7 +101,7 @@ class Service:
         row, asked = await run_in_threadpool(self.about_stored, request)
         recording = (str(self.store.path_of(row.sha256)), row.name, row.told)
         result: Diagnosis = await self.pool.run(tasks.diagnose, *recording, asked.question)
-        self.metrics.diagnosed(result)
+        self.metrics.count_diagnosis(result)
         return await run_in_threadpool(self.store.add_diagnosis, self.new_diagnosis(request, asked, result))
 
     async def diagnose_upload(self, upload: Upload, name: str, told: Told, request: DiagnosisRequest) -> DiagnosisRow:
@@ -131,7 +131,7 @@ class Service:
         if outcome.problem is not None:
             await run_in_threadpool(self.store.add_measurement, upload, name, told, summary)
             raise TaskFailedError(outcome.problem)
-        self.metrics.diagnosed(outcome.value)
+        self.metrics.count_diagnosis(outcome.value)
         diagnosis = self.new_diagnosis(request, asked, outcome.value)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
 

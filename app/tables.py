@@ -28,6 +28,6 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], right: frozenset[i
     )
 
 
-def indented(text: str, by: str = "  ") -> str:
+def indent(text: str, by: str = "  ") -> str:
     """Return a text with every line indented."""
     return "\n".join(by + line if line else line for line in text.splitlines())

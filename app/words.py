@@ -36,7 +36,7 @@ def sentence(result: Answer) -> str:
         return _no_verdict(result)
     several = len(named) > 1
     said = "; ".join(
-        f"{play.said('90 %: ')}, probability {percent(state.p_worn)}"
+        f"{play.say('90 %: ')}, probability {percent(state.p_worn)}"
         for play, state in zip(plays(named), named.values(), strict=True)
     )
     joints = enumerate_words(list(named))
@@ -118,7 +118,7 @@ def _no_verdict(result: Answer) -> str:
 def joints_sentence(result: Answer) -> str:
     """Return what is said of every joint, in one line; empty where nothing is said of single joints."""
     rows = sorted(joint_rows(result), key=lambda row: row.name)
-    parts = [f"{row.name}: worn, {row.play.said()}." for row in rows if row.condition == "worn"]
+    parts = [f"{row.name}: worn, {row.play.say()}." for row in rows if row.condition == "worn"]
     states = result.joints
     in_order = [row.name for row in rows if row.condition == "in_order"]
     shown_from = {name: found for name in in_order if (found := states[name].detectable_from_um) is not None}
@@ -255,7 +255,7 @@ def capital(text: str) -> str:
 PATTERN = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d{1,9})?([Zz]|[+-]\d\d:\d\d)")
 
 
-def written(given: object) -> object:
+def parse_moment(given: object) -> object:
     """Return what was given if it has the form; numbers of seconds and bare dates are refused."""
     if not isinstance(given, str) or not PATTERN.fullmatch(given):
         raise ValueError('must be a moment with a time zone, such as "2026-03-01T06:00:00Z"')
@@ -270,9 +270,9 @@ def in_utc(moment: datetime) -> datetime:
         raise ValueError("is outside of the calendar") from None
 
 
-def spelled(moment: datetime) -> str:
+def spell_moment(moment: datetime) -> str:
     """Return a moment as a person reads it, in UTC."""
     return f"{moment:%Y-%m-%d %H:%M}"
 
 
-Moment = Annotated[AwareDatetime, BeforeValidator(written), AfterValidator(in_utc)]
+Moment = Annotated[AwareDatetime, BeforeValidator(parse_moment), AfterValidator(in_utc)]

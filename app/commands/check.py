@@ -9,7 +9,7 @@ import click
 
 from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import json_option, print_json
-from jointplay.app.tables import indented, table
+from jointplay.app.tables import indent, table
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.fault import Fault
@@ -134,7 +134,7 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
     ]
     if isinstance(matrix, MechanismMatrix):
         rows = [(link, *row) for link, row in zip(matrix.links, matrix.rows, strict=True)]
-        parts.append(indented(table(("", *matrix.links), rows)))
+        parts.append(indent(table(("", *matrix.links), rows)))
         if arrays:
             parts += ["", arrays_of(matrix)]
     else:
@@ -215,7 +215,7 @@ def arrays_of(matrix: MechanismMatrix) -> str:
         "",
         table(("i", "j", "xi", "n", "s"), factors),
     ]
-    return "\n".join([parts[0], *(indented(part) for part in parts[1:])])
+    return "\n".join([parts[0], *(indent(part) for part in parts[1:])])
 
 
 def arrays_document(matrix: MechanismMatrix) -> dict[str, object]:

@@ -21,7 +21,7 @@ from jointplay.app.commands.parameters import (
 )
 from jointplay.app.rows import hypothesis_rows, joint_rows, percent
 from jointplay.app.storage.told import FILE_FIELDS, PROFILE, with_said
-from jointplay.app.tables import indented, table
+from jointplay.app.tables import indent, table
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def command(
     from jointplay.catalogue.storage.store import Catalogue
 
     sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
-    said = said_of(told)
+    said = read_file_options(told)
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
     recording = read_recording(measurement, **told_too, profile=with_said(profile_of(measurement, profile), said))
     in_order = None
@@ -169,7 +169,7 @@ def weight_of(joint: str, said: str) -> float:
         raise click.BadParameter(f'"{joint}={said}": the weight must be a number', param_hint="--prior") from None
 
 
-def said_of(told: Mapping[str, Any]) -> dict[str, Any]:
+def read_file_options(told: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the options of `file_options` say, as far as they were given."""
     return {
         each.name: each_once(told[each.name], f"--{each.option}") if each.by_column else told[each.name]
@@ -189,17 +189,17 @@ def report(result: Diagnosis) -> str:
     """Return a diagnosis as plain text."""
     parts = [words.sentence(result), *words.remarks(result)]
     if joint_rows(result):
-        parts += [words.joints_sentence(result), indented(joints(result))]
+        parts += [words.joints_sentence(result), indent(joints(result))]
     parts += [
         f"drive speed {result.drive_speed_rpm:.6g} rpm; {words.fit_sentence(result)}",
         f"{words.mode_sentence(result)} {words.prior_sentence(result)}",
-        indented(ranking(result)),
+        indent(ranking(result)),
         words.set_sentence(result),
     ]
     if result.effort_spent.note:
         parts.append(f"simulated anew: {result.effort_spent.note}")
     if result.suggestions:
-        parts += ["What would tell them apart:", indented(suggestions(result))]
+        parts += ["What would tell them apart:", indent(suggestions(result))]
     parts += [f"warning: {line}" for line in result.warnings]
     return "\n".join(parts)
 
@@ -207,7 +207,7 @@ def report(result: Diagnosis) -> str:
 def joints(result: Diagnosis) -> str:
     """Return what is said of every joint as a table, the most probably worn first."""
     rows = [
-        (row.name, row.said, row.percent, row.play.said(), row.shows or "-", row.limit, row.beyond)
+        (row.name, row.said, row.percent, row.play.say(), row.shows or "-", row.limit, row.beyond)
         for row in joint_rows(result)
     ]
     head = ("joint", "state", "worn", "radial clearance (90 % interval)", "wear shows from", "limit", "beyond")

@@ -29,11 +29,11 @@ from jointplay.app.commands.parameters import catalogue_option, existing_catalog
 def command(catalogue: Path, out: Path, hypotheses: tuple[str, ...], as_json: bool) -> None:
     """Write the cases of a catalogue with their spectra into one file for other programs."""
     from jointplay.app.errors import OutputError
-    from jointplay.app.figures.outputs import checked
+    from jointplay.app.figures.outputs import check_output
     from jointplay.catalogue.storage.export import ENDINGS, export
     from jointplay.catalogue.storage.store import Catalogue
 
-    checked(out, ENDINGS, "must end in .h5, .csv or .npz")
+    check_output(out, ENDINGS, "must end in .h5, .csv or .npz")
     opened = Catalogue.open(existing_catalogue(catalogue))
     unknown = [label for label in hypotheses if label not in opened.matrix.labels]
     if unknown:

@@ -54,7 +54,7 @@ def create(name: str, scopes: tuple[str, ...], days: int, data: Path | None, as_
     with keys_of(data) as keys:
         key, token = keys.create(name, frozenset(Scope(scope) for scope in scopes), timedelta(days=days))
     if as_json:
-        print_json({**described(key), "key": token})
+        print_json({**describe_key(key), "key": token})
         return
     click.echo(f"jointplay: key {key.id} for {' '.join(sorted(key.scopes))}, until {day(key.expires_at)}", err=True)
     click.echo(token)
@@ -68,7 +68,7 @@ def list_keys(data: Path | None, as_json: bool) -> None:
     with keys_of(data) as keys:
         found = keys.all()
     if as_json:
-        print_json([described(key) for key in found])
+        print_json([describe_key(key) for key in found])
         return
     rows = [
         (key.id, key.name, " ".join(sorted(key.scopes)), day(key.created_at), day(key.expires_at), key.state)
@@ -86,7 +86,7 @@ def revoke(identity: str, data: Path | None, as_json: bool) -> None:
     with keys_of(data) as keys:
         key = keys.revoke(identity)
     if as_json:
-        print_json(described(key))
+        print_json(describe_key(key))
     else:
         click.echo(f"jointplay: key {key.id} ({key.name}) is revoked", err=True)
 
@@ -106,7 +106,7 @@ def keys_of(data: Path | None) -> Iterator[Keys]:
         store.close()
 
 
-def described(key: Key) -> dict[str, object]:
+def describe_key(key: Key) -> dict[str, object]:
     """Return what is printed of a key as JSON."""
     return {
         "id": key.id,

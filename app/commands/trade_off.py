@@ -10,7 +10,7 @@ import click
 
 from jointplay.app.commands.parameters import Decibels, drive_speed, json_option, print_json
 from jointplay.app.commands.progress import ProgressLine
-from jointplay.app.tables import indented, table
+from jointplay.app.tables import indent, table
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine
@@ -90,9 +90,9 @@ def document(
             "checked_against_rtol": found.check_rtol,
             "error_db": found.reference_error_db,
         },
-        "settings": [described(found, point) for point in found.points],
+        "settings": [describe_point(found, point) for point in found.points],
         "wanted_error_db": error,
-        "recommended": None if best is None else described(found, best),
+        "recommended": None if best is None else describe_point(found, best),
         "reason": advice.reason,
         "computer": found.computer,
         "preparation_s": found.preparation,
@@ -100,7 +100,7 @@ def document(
     }
 
 
-def described(found: TradeOff, point: TradeOffPoint) -> dict[str, object]:
+def describe_point(found: TradeOff, point: TradeOffPoint) -> dict[str, object]:
     """Return one setting as JSON values."""
 
     def number(value: float) -> float | None:
@@ -144,7 +144,7 @@ def report(machine: Machine, found: TradeOff, advice: Recommendation, error: flo
     else:
         end = f"recommended for {error:g} dB: {option_of(best)}; {advice.reason}"
     return "\n".join([
-        *head, "", indented(table(columns, rows, frozenset({2, 3, 4, 5, 6}))), "", end,
+        *head, "", indent(table(columns, rows, frozenset({2, 3, 4, 5, 6}))), "", end,
         f"processor time of {found.computer}, lanes filled; equations and kernels took {found.preparation:.2g} s apart",
     ])  # fmt: skip
 

@@ -15,7 +15,7 @@ from jointplay.app import words
 from jointplay.app.cli import run
 from jointplay.app.commands.diagnose import ranking
 from jointplay.app.commands.progress import ProgressLine
-from jointplay.app.tables import indented
+from jointplay.app.tables import indent
 from jointplay.catalogue.building.executors import count_processors
 
 MACHINE = "quick-return"
@@ -41,7 +41,7 @@ def demo() -> None:
         click.echo(f"  truth:   {truth_sentence(truth)}")
         for line in (*words.remarks(result), words.joints_sentence(result)):
             click.echo(f"  {line}")
-        click.echo(indented(ranking(result, 3), "    "))
+        click.echo(indent(ranking(result, 3), "    "))
         for warning in result.warnings:
             click.echo(f"  warning: {warning}")
     click.echo(f"\nDiagnosed in {time.monotonic() - started:.1f} s.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from jointplay.app.figures.plots import BLUE, ORANGE, save
-from jointplay.app.tables import indented, table
+from jointplay.app.tables import indent, table
 from jointplay.catalogue.evaluation.study import Row, Study
 from jointplay.catalogue.evaluation.sweep import Sweep
 
@@ -28,21 +28,21 @@ def report(found: Study | Sweep) -> str:
         f"{found.machine}, {found.entries} entries; {found.count} recordings a protocol, seed {found.seed}",
         "",
         "which joint:",
-        indented(hypotheses_table(found.rows)),
+        indent(hypotheses_table(found.rows)),
         "",
         "how much, how sure, at what cost:",
-        indented(certainty_table(found.rows)),
+        indent(certainty_table(found.rows)),
         "",
         "every joint by itself:",
-        indented(joints_table(found.rows)),
+        indent(joints_table(found.rows)),
         "",
         "what else is said:",
-        indented(other_table(found.rows)),
+        indent(other_table(found.rows)),
     ]
     foreign = [row for row in found.rows if row.protocol.foreign]
     if foreign:
         lines += ["", "what the catalogue does not hold, beside the same machines without it:"]
-        lines.append(indented(foreign_table(foreign)))
+        lines.append(indent(foreign_table(foreign)))
     first = found.rows[0].setup
     for row in found.rows:
         if row.setup == first:
@@ -189,21 +189,17 @@ def details(row: Row) -> list[str]:
         if each.f1 is not None
     ]
     if scores:
-        lines.append(
-            indented(table(("joint", "precision", "recall", "F1", "log-loss"), scores, frozenset({1, 2, 3, 4})))
-        )
+        lines.append(indent(table(("joint", "precision", "recall", "F1", "log-loss"), scores, frozenset({1, 2, 3, 4}))))
     bins = [
         (f"{each.low:.1f} to {each.high:.1f}", str(each.count), percent(each.confidence), percent(each.right))
         for each in found.reliability
         if each.count
     ]
     if bins:
-        lines.append(
-            indented(table(("probability of the first", "count", "mean", "right"), bins, frozenset({1, 2, 3})))
-        )
+        lines.append(indent(table(("probability of the first", "count", "mean", "right"), bins, frozenset({1, 2, 3}))))
     lines.append("  truth (rows) against the first hypothesis (columns):")
     cells = [[label, *map(str, counts)] for label, counts in zip(found.labels, found.confusion, strict=True)]
-    return [*lines, indented(table(["", *found.columns], cells, frozenset(range(1, len(found.columns) + 1))))]
+    return [*lines, indent(table(["", *found.columns], cells, frozenset(range(1, len(found.columns) + 1))))]
 
 
 def sweep_report(found: Sweep) -> str:
@@ -233,7 +229,7 @@ def sweep_report(found: Sweep) -> str:
         )
     title = f"{found.machine}, protocol {found.protocol.name}, {found.count} recordings, seed {found.seed}"
     numbers = frozenset((1, 2, 3, *range(7, 12)))
-    return f"{title}; catalogue: processor time to build it\n{indented(table(head, cells, numbers))}"
+    return f"{title}; catalogue: processor time to build it\n{indent(table(head, cells, numbers))}"
 
 
 _SETUP = ("protocol", "method", "effort", "mode")

@@ -45,11 +45,11 @@ def write_csv(path: Path, recording: SimulationFile) -> None:
             names.append(f"{name} [{recording.units[name]}]")
             columns.append(array)
     table = np.column_stack(columns)
-    head = ",".join(quoted(name) for name in names)
+    head = ",".join(quote(name) for name in names)
     replace(path, lambda file: np.savetxt(file, table, fmt="%.9g", delimiter=",", header=head, comments=""))
 
 
-def quoted(name: str) -> str:
+def quote(name: str) -> str:
     """Return a column's name as a CSV field."""
     return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"\n') else name
 
@@ -83,10 +83,10 @@ def writer_for(path: Path) -> Callable[[Path, SimulationFile], None]:
     OutputError
         For another ending, or a folder that does not exist.
     """
-    return WRITERS[checked(path, tuple(WRITERS), "must end in .h5, .csv or .npz")]
+    return WRITERS[check_output(path, tuple(WRITERS), "must end in .h5, .csv or .npz")]
 
 
-def checked(path: Path, endings: tuple[str, ...], rule: str) -> str:
+def check_output(path: Path, endings: tuple[str, ...], rule: str) -> str:
     """Return the ending of a file that is to be written, in lower case.
 
     Raises

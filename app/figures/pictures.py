@@ -44,9 +44,9 @@ def check_ending(path: Path) -> None:
     OutputError
         For another ending than .svg or .png, or a folder that does not exist.
     """
-    from jointplay.app.figures.outputs import checked  # loads the simulation, which the web page does without
+    from jointplay.app.figures.outputs import check_output  # loads the simulation, which the web page does without
 
-    checked(path, ENDINGS, "must end in .svg or .png")
+    check_output(path, ENDINGS, "must end in .svg or .png")
 
 
 def save_drawing(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
@@ -60,9 +60,9 @@ def save_drawing(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
     path : Path
         Its ending says which format.
     """
-    from jointplay.app.figures.outputs import checked
+    from jointplay.app.figures.outputs import check_output
 
-    ending = checked(path, ENDINGS, "must end in .svg or .png")
+    ending = check_output(path, ENDINGS, "must end in .svg or .png")
     if ending == ".png":
         save_png(machine, worn, path)
         return

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from jointplay.app import words
-from jointplay.app.figures.outputs import checked
+from jointplay.app.figures.outputs import check_output
 from jointplay.app.figures.simulation_file import SimulationFile
 from jointplay.app.rows import Comparison, comparisons, hypothesis_rows
 from jointplay.catalogue.diagnosing.answer import Diagnosis
@@ -40,7 +40,7 @@ def check_ending(path: Path) -> None:
     OutputError
         For another ending than .png, .svg or .pdf, or a folder that does not exist.
     """
-    checked(path, ENDINGS, "must end in .png, .svg or .pdf")
+    check_output(path, ENDINGS, "must end in .png, .svg or .pdf")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -126,7 +126,7 @@ def draw_diagnosis(result: Diagnosis, name: str) -> Figure:
 def draw_ranking(axes: Axes, result: Diagnosis) -> None:
     """Draw probabilities of the first hypotheses as bars, the most probable on top."""
     shown = hypothesis_rows(result, SHOWN_HYPOTHESES)[::-1]
-    names = ["\n".join([row.label, *(play.said() for play in row.plays)]) for row in shown]
+    names = ["\n".join([row.label, *(play.say() for play in row.plays)]) for row in shown]
     bars = axes.barh(range(len(shown)), [row.probability for row in shown], color=ORANGE)
     axes.set_yticks(range(len(shown)), names, fontsize="small")
     axes.bar_label(bars, [row.percent for row in shown], padding=3)

@@ -7,7 +7,7 @@ from typing import Any
 from jointplay.app.storage.told import FILE_FIELDS, PROFILE, FileField
 
 
-def described(each: FileField) -> dict[str, Any]:
+def describe_field(each: FileField) -> dict[str, Any]:
     """Return the description of a field."""
     forms = " One text for all columns, or a JSON object by column." if each.by_column else ""
     values = {"enum": list(each.choices)} if each.choices else {}
@@ -21,7 +21,7 @@ FILE = {
 }
 ASSET = {"type": "string", "description": "External id of the machine that was measured; it has to be known."}
 SAID: dict[str, Any] = {
-    **{each.name: described(each) for each in FILE_FIELDS},
+    **{each.name: describe_field(each) for each in FILE_FIELDS},
     "profile": {"type": "string", "description": f"{PROFILE} A text, or a small file."},
 }
 """What can be said of a file that does not say it itself."""

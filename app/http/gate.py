@@ -93,7 +93,7 @@ class Gate:
             await self._judge(request)
         except Exception as error:
             # Raised in a middleware, an exception would pass the application's own handlers by.
-            refusal = refused(request, error)
+            refusal = refuse(request, error)
         if refusal is None:
             await self._app(scope, receive, send)
         else:
@@ -187,10 +187,10 @@ def check_origin(request: Request, *, browser: bool) -> None:
         raise ForbiddenError("the request was sent by a page of another site (Origin, Sec-Fetch-Site)")
 
 
-def refused(request: Request, error: Exception) -> Response:
+def refuse(request: Request, error: Exception) -> Response:
     """Return the answer to a request that may not pass; a browser without a session is shown the form to sign in."""
     if isinstance(error, UnauthorizedError) and (is_page(request) or is_visit(request)):
-        place = URL("/sign-in").include_query_params(next=wanted_place(request))
+        place = URL("/sign-in").include_query_params(next=find_place(request))
         if is_fragment(request):
             return Response(status_code=401, headers={"HX-Redirect": str(place)})
         return RedirectResponse(str(place), status_code=303)
@@ -202,7 +202,7 @@ def is_visit(request: Request) -> bool:
     return request.method == "GET" and request.headers.get("sec-fetch-mode") == "navigate"
 
 
-def wanted_place(request: Request) -> str:
+def find_place(request: Request) -> str:
     """Return where a browser goes on after it signed in: to the page it asked for, or the one that sent the form.
 
     What names another site, or cannot be read, becomes the first page.

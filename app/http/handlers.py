@@ -99,14 +99,14 @@ async def handle(request: Request, error: Exception) -> Response:
     """Answer an exception; those that nobody foresaw are logged whole."""
     problem = problem_from(error)
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
-        problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(allowed(request))})
+        problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(find_methods(request))})
     if problem.status >= 500:
         known = isinstance(error, AppError) and problem.status != 500
         log.error("%s", problem.detail, exc_info=None if known else error)
     return answer(request, problem)
 
 
-def allowed(request: Request) -> list[str]:
+def find_methods(request: Request) -> list[str]:
     """Return the methods that the address of a request knows: of all routes, where the framework names the first's."""
     routes = [route for route in request.app.router.routes if not isinstance(route, Mount)]
     found = [

@@ -53,7 +53,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def documented(application: FastAPI, *, keyed: bool) -> Callable[[], dict[str, Any]]:
+def make_document(application: FastAPI, *, keyed: bool) -> Callable[[], dict[str, Any]]:
     """Return the function that makes the application's OpenAPI document, once.
 
     Parameters
@@ -94,7 +94,7 @@ def with_problems(document: dict[str, Any]) -> dict[str, Any]:
     for path in document["paths"].values():
         for operation in path.values():
             if "requestBody" in operation:
-                operation["requestBody"] = hoisted(operation["requestBody"], schemas)
+                operation["requestBody"] = hoist(operation["requestBody"], schemas)
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
     problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
@@ -103,7 +103,7 @@ def with_problems(document: dict[str, Any]) -> dict[str, Any]:
     return document
 
 
-def hoisted(body: dict[str, Any], schemas: dict[str, Any]) -> dict[str, Any]:
+def hoist(body: dict[str, Any], schemas: dict[str, Any]) -> dict[str, Any]:
     """Return the description of a body with its schemas' own definitions among those of the document.
 
     Parameters

@@ -53,7 +53,7 @@ def chosen_type(request: Request, offered: Sequence[str]) -> str:
     NotAcceptableError
         When it takes none of them.
     """
-    ranges = accepted(",".join(request.headers.getlist("accept")) or "*/*")
+    ranges = parse_accept(",".join(request.headers.getlist("accept")) or "*/*")
     best = max(offered, key=lambda kind: weight(kind, ranges))  # max() keeps the first of equals
     if weight(best, ranges) <= 0.0:
         shown = request.headers.get("accept", "")[:80]
@@ -61,7 +61,7 @@ def chosen_type(request: Request, offered: Sequence[str]) -> str:
     return best
 
 
-def accepted(header: str) -> dict[str, float]:
+def parse_accept(header: str) -> dict[str, float]:
     """Return media ranges with their weights; what is no range, or has no weight from 0 to 1, is left out."""
     found = {}
     for part in header.split(","):

@@ -55,9 +55,9 @@ class RequestLog:
         scope.setdefault("state", {})
         identity = identity_of(Headers(scope=scope))
         with logs.of_request(identity):
-            await self._answered(scope, receive, send, identity)
+            await self._answer(scope, receive, send, identity)
 
-    async def _answered(self, scope: Scope, receive: Receive, send: Send, identity: str) -> None:
+    async def _answer(self, scope: Scope, receive: Receive, send: Send, identity: str) -> None:
         status: int | None = None
 
         async def noted(message: Message) -> None:
@@ -89,7 +89,7 @@ class RequestLog:
             self._note(scope, route, GONE if status is None else status, time.perf_counter() - began)
 
     def _note(self, scope: Scope, route: str | None, status: int, seconds: float) -> None:
-        self._metrics.answered(scope["method"], route, status, seconds)
+        self._metrics.count_answer(scope["method"], route, status, seconds)
         told: dict[str, Any] = {
             "method": scope["method"],
             "route": route,
@@ -101,7 +101,7 @@ class RequestLog:
         if "problem" in scope["state"]:
             told["problem"] = scope["state"]["problem"]
             if scope["method"] == "POST" and Headers(scope=scope).get("content-type", "").startswith(MULTIPART):
-                self._metrics.refused(told["problem"])
+                self._metrics.count_refusal(told["problem"])
         log.info("request", extra={logs.MEMBERS: told})
 
 

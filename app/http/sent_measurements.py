@@ -13,11 +13,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, UnsupportedMediaError
-from jointplay.app.http.uploads import MULTIPART, base_name, media_type, received_form
-from jointplay.app.http.validation import validated
+from jointplay.app.http.uploads import MULTIPART, base_name, media_type, receive_form
+from jointplay.app.http.validation import validate
 from jointplay.app.schemas.resources import Shape
 from jointplay.app.storage.store import Store, Upload
-from jointplay.app.storage.told import TOLD, Told, told_of
+from jointplay.app.storage.told import TOLD, Told, read_told
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 JSON_TYPE = "application/json"
@@ -97,7 +97,7 @@ class Sent:
 
 
 @asynccontextmanager
-async def sent_measurement(request: Request, store: Store) -> AsyncIterator[Sent]:
+async def receive_measurement(request: Request, store: Store) -> AsyncIterator[Sent]:
     """Read the body of a request that sends a measurement, and keep its file for the time of a ``with`` block.
 
     Parameters
@@ -115,17 +115,17 @@ async def sent_measurement(request: Request, store: Store) -> AsyncIterator[Sent
     """
     kind = media_type(request)
     if kind == MULTIPART:
-        async with received_form(request, store, TOLD | {"asset"}) as form:
+        async with receive_form(request, store, TOLD | {"asset"}) as form:
             if form.file is None:
                 raise BadFieldError("file: is missing", field="file")
-            told = await run_in_threadpool(told_of, form.fields)
+            told = await run_in_threadpool(read_told, form.fields)
             yield Sent(form.file, form.file_name, told, form.fields.get("asset"))
     elif kind == JSON_TYPE:
-        wanted = await run_in_threadpool(validated, MeasurementIn, await request.body())
+        wanted = await run_in_threadpool(validate, MeasurementIn, await request.body())
         profile = wanted.profile.model_dump(mode="json", exclude_defaults=True)
         upload = await run_in_threadpool(store.receive, io.BytesIO(file_of(wanted)))
         try:
-            yield Sent(upload, named(wanted.name), Told(profile=profile), wanted.asset)
+            yield Sent(upload, name_recording(wanted.name), Told(profile=profile), wanted.asset)
         finally:
             store.settle(upload)
     else:
@@ -137,6 +137,6 @@ def file_of(wanted: MeasurementIn) -> bytes:
     return wanted.model_dump_json(include=set(HELD), exclude_defaults=True).encode()
 
 
-def named(name: str) -> str:
+def name_recording(name: str) -> str:
     """Return what a recording is called: its ending says what it is."""
     return base_name(name if name.lower().endswith(ENDING) else f"{name}{ENDING}")

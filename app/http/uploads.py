@@ -59,7 +59,7 @@ async def json_body(request: Request) -> None:
 
 
 @asynccontextmanager
-async def received_form(request: Request, store: Store, known: frozenset[str]) -> AsyncIterator[Form]:
+async def receive_form(request: Request, store: Store, known: frozenset[str]) -> AsyncIterator[Form]:
     """Read a multipart form, and keep its file on disk for the time of a ``with`` block.
 
     The field ``profile``, where it is known, may be a text or a small file of one.

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def validated(model: type[Model], sent: object) -> Model:
+def validate(model: type[Model], sent: object) -> Model:
     """Return what was sent as a model; bytes are a JSON text.
 
     Raises

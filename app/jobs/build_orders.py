@@ -39,7 +39,7 @@ def order(queue: BuildQueue, machines: MachineStore, folder: Path, wanted: Build
     """
     machine = machine_of(machines, wanted.machine)
     plan = plan_of(wanted.plan, machine)
-    return placed(queue, folder, machine, plan, wanted.catalogue, wanted.workers)
+    return place_order(queue, folder, machine, plan, wanted.catalogue, wanted.workers)
 
 
 def order_again(queue: BuildQueue, folder: Path, key: str) -> BuildRow:
@@ -57,10 +57,10 @@ def order_again(queue: BuildQueue, folder: Path, key: str) -> BuildRow:
     row = queue.find(key)
     if row.state not in ENDED:
         raise BuildOpenError(f"build {key}: is {row.state}, and goes on by itself")
-    return placed(queue, folder, parse_machine(row.machine), parse_plan(row.plan), row.catalogue, row.workers)
+    return place_order(queue, folder, parse_machine(row.machine), parse_plan(row.plan), row.catalogue, row.workers)
 
 
-def placed(
+def place_order(
     queue: BuildQueue, folder: Path, machine: Machine, plan: Plan, catalogue: str, workers: int | None
 ) -> BuildRow:
     """Put a build into the queue, if its catalogue can take it."""

@@ -50,7 +50,7 @@ def work(order: Order, sender: Connection) -> None:
     with of_request(order.request):
         try:
             log.info("the build of %s begins", order.folder.name)
-            sender.send(built(order, sender))
+            sender.send(run_build(order, sender))
             log.info("the build of %s has ended", order.folder.name)
         except Exception as error:
             problem = problem_of(error)
@@ -59,7 +59,7 @@ def work(order: Order, sender: Connection) -> None:
             sender.send(BuildReport("failed", {"message": problem.detail}))
 
 
-def built(order: Order, sender: Connection) -> BuildReport:
+def run_build(order: Order, sender: Connection) -> BuildReport:
     """Build, train, and return how it ended."""
     from jointplay.catalogue.building.build import Progress, build
     from jointplay.catalogue.building.executors import count_processors

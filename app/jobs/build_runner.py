@@ -143,7 +143,7 @@ class BuildRunner:
         queue, told = self._queue, dict[str, Any]()
         held_until = time.monotonic() + self._lease_s
         while not self._stop.is_set():
-            word, ended = received(receiver, self._beat_s, told)
+            word, ended = receive(receiver, self._beat_s, told)
             if word is not None and word.kind != "progress":
                 return partial(queue.end, row.id, owner, word.kind, told)
             if ended:
@@ -185,7 +185,7 @@ class BuildRunner:
         return None
 
 
-def received(receiver: Connection, seconds: float, told: dict[str, Any]) -> tuple[BuildReport | None, bool]:
+def receive(receiver: Connection, seconds: float, told: dict[str, Any]) -> tuple[BuildReport | None, bool]:
     """Add what a process tells within some time to `told`; returns its last word, and whether it went without one."""
     try:
         while receiver.poll(seconds):

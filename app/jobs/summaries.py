@@ -77,7 +77,7 @@ def channel_words(channel: Mapping[str, Any]) -> str:
     return f"{said}, {scaling}, {channel['detector']}{', dB' if channel['decibel'] else ''}"
 
 
-def said(told: Mapping[str, Any]) -> str:
+def summarise_told(told: Mapping[str, Any]) -> str:
     """Return what a sender said of a file, in one line."""
     parts = []
     for name, value in told.items():

@@ -84,7 +84,7 @@ def diagnose(
     question : Question
         What to compare it with, and how.
     """
-    return diagnosed(read(path, name, told), question)
+    return diagnose_measured(read(path, name, told), question)
 
 
 def summarise_and_diagnose(
@@ -100,17 +100,17 @@ def summarise_and_diagnose(
         The diagnosis, or why there is none.
     """
     measurement = read(path, name, told)
-    return summary_of(measurement), attempt(diagnosed, (measurement, question))
+    return summary_of(measurement), attempt(diagnose_measured, (measurement, question))
 
 
-def diagnosed(measurement: Recording | MeasuredSpectrum, question: DiagnosisTask) -> Diagnosis:
+def diagnose_measured(measurement: Recording | MeasuredSpectrum, question: DiagnosisTask) -> Diagnosis:
     """Diagnose what was read."""
     from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
     from jointplay.catalogue.matching.prior import Prior
 
     return ranked(
         measurement,
-        opened(question.catalogue, question.stamp),
+        open_catalogue(question.catalogue, question.stamp),
         speed=question.speed,
         effort=question.effort,
         mode=question.mode,
@@ -157,7 +157,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     loaded = 0
     for directory, stamp in catalogues[:CATALOGUES]:
         with suppress(CatalogueError):  # whoever asks for it is told
-            loaded += library_of(opened(directory, stamp)).load()
+            loaded += library_of(open_catalogue(directory, stamp)).load()
     return loaded
 
 
@@ -188,7 +188,7 @@ def in_order(path: str, name: str, told: Told) -> Recording:
 
 
 @lru_cache(maxsize=4)
-def opened(directory: str, stamp: str) -> Catalogue:
+def open_catalogue(directory: str, stamp: str) -> Catalogue:
     """Return an open catalogue; a worker keeps the last few it used."""
     from jointplay.catalogue.storage.store import Catalogue
 

@@ -73,7 +73,7 @@ class GuardedConnection(http.client.HTTPConnection):
                 self.raw.shutdown(socket.SHUT_RDWR)
 
 
-def checked_url(url: str, private: bool = True) -> SplitResult:
+def check_url(url: str, private: bool = True) -> SplitResult:
     """Return the parts of a webhook's URL.
 
     Parameters
@@ -165,7 +165,7 @@ def send(taken: Taken, private: bool) -> None:
     NotDeliveredError
         When it did not succeed; any answer but 2xx is no success, a redirect neither.
     """
-    parts = checked_url(taken.url)
+    parts = check_url(taken.url)
     secure = parts.scheme == "https"
     host, port = str(parts.hostname), parts.port or (443 if secure else 80)
     body = taken.body.encode()
@@ -245,16 +245,16 @@ class WebhookSender:
             send(taken, self._private)
         except (NotDeliveredError, BadFieldError) as error:
             log.warning("webhook delivery %s, attempt %d: %s", taken.id, taken.attempts, error)
-            self._failed(taken, str(error))
+            self._fail(taken, str(error))
         except Exception:
             # Whatever it is, it must neither end the thread nor come again without end.
             log.exception("webhook delivery %s, attempt %d", taken.id, taken.attempts)
-            self._failed(taken, "failed in a way that was not foreseen; the log has the details")
+            self._fail(taken, "failed in a way that was not foreseen; the log has the details")
         else:
             self._webhooks.settle(taken, now())
             self._count("delivered")
         return True
 
-    def _failed(self, taken: Taken, error: str) -> None:
+    def _fail(self, taken: Taken, error: str) -> None:
         self._webhooks.settle(taken, now(), error)
         self._count("given_up" if taken.is_last else "failed")

@@ -88,10 +88,10 @@ def attempt_for(request: str | None, task: Callable[..., Any], args: tuple[Any, 
 class Watch(Protocol):
     """Is told how long tasks wait and work."""
 
-    def waited(self, task: str, seconds: float) -> None:
+    def count_wait(self, task: str, seconds: float) -> None:
         """A task has got a worker."""
 
-    def worked(self, task: str, outcome: str, seconds: float) -> None:
+    def count_work(self, task: str, outcome: str, seconds: float) -> None:
         """A worker is done with a task: ok, refused, failed, time-limit, worker-died, cancelled."""
 
 
@@ -178,8 +178,8 @@ class WorkerPool:
         finally:
             self._free.put_nowait(worker)
             if self._watch is not None:
-                self._watch.waited(task.__name__, began - asked)
-                self._watch.worked(task.__name__, came_to, time.perf_counter() - began)
+                self._watch.count_wait(task.__name__, began - asked)
+                self._watch.count_work(task.__name__, came_to, time.perf_counter() - began)
         return outcome.result()
 
     @property

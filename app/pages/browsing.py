@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jointplay.app.jobs.tasks import opened
+from jointplay.app.jobs.tasks import open_catalogue
 from jointplay.app.pages.understanding import RPM
 
 if TYPE_CHECKING:
@@ -35,15 +35,15 @@ def nearest(directory: str, stamp: str, hypothesis: str, clearance: float) -> di
         ``orders`` (G,); ``levels``, ``healthy``, ``low`` and ``high`` by channel, (G,) each, dB: of the entry, and the
         median and the central 90 % of the healthy ones; ``key``, ``clearances_um``, ``speed_rpm``, ``healthy_entries``.
     """
-    catalogue = opened(directory, stamp)
+    catalogue = open_catalogue(directory, stamp)
     matrix = catalogue.matrix
-    rows = _trusted(matrix, hypothesis)
+    rows = _select_trusted(matrix, hypothesis)
     worn = [matrix.joints.index(joint) for joint in joints_of(matrix, hypothesis)]
     chosen = int(rows[0])
     if worn:
         off = np.abs(np.log(matrix.clearance(rows)[:, worn] / clearance)).sum(axis=1)
         chosen = int(rows[np.argmin(off)])
-    in_order = _trusted(matrix, HEALTHY)
+    in_order = _select_trusted(matrix, HEALTHY)
     table = matrix.table(np.array([chosen]))
     spectrum = _levels(matrix, np.array([chosen]))[0]
     sound = _levels(matrix, in_order) if len(in_order) else spectrum[None]
@@ -70,7 +70,7 @@ def joints_of(matrix: FeatureMatrix, hypothesis: str) -> tuple[str, ...]:
     return next(tuple(found.joints) for found in matrix.hypotheses if found.label == hypothesis)
 
 
-def _trusted(matrix: FeatureMatrix, label: str) -> Any:
+def _select_trusted(matrix: FeatureMatrix, label: str) -> Any:
     """Rows at the machine's own speed, of the machine as modelled where there are such entries."""
     for stratum in ("trusted", "wide"):
         rows = matrix.rows(label, stratum, speed=matrix.nominal_speed)

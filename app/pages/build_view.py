@@ -9,7 +9,7 @@ from typing import Any
 from jointplay.app.rows import micrometres
 from jointplay.app.schemas.entries import EntryItem
 from jointplay.app.storage.build_queue import ENDED, BuildRow
-from jointplay.app.words import spelled
+from jointplay.app.words import spell_moment
 
 STATES = {
     "queued": "Waiting",
@@ -107,7 +107,7 @@ def duration_text(seconds: float) -> str:
 
 def moment_text(moment: datetime | None) -> str:
     """Return a time as the page shows it; nothing for none."""
-    return f"{spelled(moment)} UTC" if moment is not None else ""
+    return f"{spell_moment(moment)} UTC" if moment is not None else ""
 
 
 def failures_view(items: Sequence[EntryItem]) -> list[dict[str, str]]:

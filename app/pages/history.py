@@ -9,7 +9,7 @@ from jointplay.app import words
 from jointplay.app.rows import micrometres, plays
 from jointplay.app.storage.assets import FindingRow
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
-from jointplay.app.words import spelled
+from jointplay.app.words import spell_moment
 
 
 def history(
@@ -47,8 +47,8 @@ def diagnosis_row(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, A
         "short": words.short(result),
         "plays": plays(words.named_joints(result)),
         "percent": words.probability(result),
-        "sent": spelled(measurement.created_at),
-        "diagnosed": spelled(row.created_at),
+        "sent": spell_moment(measurement.created_at),
+        "diagnosed": spell_moment(row.created_at),
         "recording": measurement.name,
         "effort": result.effort,
     }
@@ -58,7 +58,7 @@ def finding_row(row: FindingRow) -> dict[str, Any]:
     """Return the row of a finding in the table."""
     found = [f"{name} {micrometres(joint['clearance_um'])} µm" for name, joint in row.joints.items()]
     return {
-        "at": spelled(row.at),
+        "at": spell_moment(row.at),
         "diagnosis": row.diagnosis,
         "joints": ", ".join(found),
         "text": row.text,

@@ -9,7 +9,7 @@ from fastapi import Request
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from jointplay.app.http.uploads import media_type
-from jointplay.app.http.validation import validated
+from jointplay.app.http.validation import validate
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.service import speed_of
@@ -48,7 +48,7 @@ async def plain_form(request: Request) -> dict[str, str]:
     return {name: value for name, value in given.items() if value}
 
 
-def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> DiagnosisRequest:
+def read_form(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> DiagnosisRequest:
     """Return what a confirmed form asks for.
 
     Parameters
@@ -77,7 +77,7 @@ def wanted(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -
         speed_of(members["speed"])
     if given.get("prior"):
         members["prior"] = {"joints": weights_of(given["prior"], machine)}
-    return validated(DiagnosisRequest, {**members, "mapping": chosen_sensors(given, columns, machine)})
+    return validate(DiagnosisRequest, {**members, "mapping": chosen_sensors(given, columns, machine)})
 
 
 def chosen_sensors(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> dict[str, str]:

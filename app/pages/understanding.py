@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from jointplay.app.jobs.tasks import opened, read
+from jointplay.app.jobs.tasks import open_catalogue, read
 from jointplay.app.storage.told import Told
 
 POSITIONS = 72
@@ -35,7 +35,7 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     from jointplay.catalogue.signals.sensors import map_sensors
 
     measurement = read(path, name, told)
-    found = opened(catalogue, stamp)
+    found = open_catalogue(catalogue, stamp)
     answer: dict[str, Any] = {"speed_rpm": None, "uncertainty_rpm": None, "warnings": [], "field": "", "message": ""}
     answer["tacho"] = isinstance(measurement, Recording) and measurement.turns is not None
     field = "mapping"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jointplay.app.jobs.summaries import channel_words, kind_of, said
+from jointplay.app.jobs.summaries import channel_words, kind_of, summarise_told
 from jointplay.app.pages.page_forms import NOT_USED
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.store import MeasurementRow
@@ -39,7 +39,7 @@ def confirmation(
         "facts": [
             ("Machine", f"{offer.description.machine}, {offer.description.entries} cases in {offer.description.name}"),
             *extents(summary),
-            *((("You said", said(measurement.told.shown)),) if measurement.told.shown else ()),
+            *((("You said", summarise_told(measurement.told.shown)),) if measurement.told.shown else ()),
         ],
         "columns": [
             {

@@ -9,7 +9,7 @@ from jointplay.app import words
 from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.rows import Comparison, comparisons, deciding, hypothesis_rows, joint_rows, order
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
-from jointplay.app.words import spelled
+from jointplay.app.words import spell_moment
 from jointplay.catalogue.diagnosing.answer import BandEvidence
 from jointplay.solver.machines.machine import parse_machine
 
@@ -40,7 +40,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "speed": f"{result.drive_speed_rpm:.5g} rpm",
         "recording": measurement.name,
         "asset": row.request.get("asset"),
-        "created": f"{spelled(row.created_at)} UTC",
+        "created": f"{spell_moment(row.created_at)} UTC",
         "warnings": result.warnings,
         "ranking": hypothesis_rows(result, SHOWN_HYPOTHESES),
         "in_order": "“healthy”" if all(each.label != "as-new" for each in result.hypotheses) else "“healthy”, “as-new”",

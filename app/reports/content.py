@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from jointplay.app import words
-from jointplay.app.jobs.summaries import extent, kind_of, said
+from jointplay.app.jobs.summaries import extent, kind_of, summarise_told
 from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
-from jointplay.app.words import spelled
+from jointplay.app.words import spell_moment
 from jointplay.catalogue.diagnosing.answer import Answer, JointState
 
 SHOWN_HYPOTHESES = 5
@@ -137,20 +137,21 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
         *((Named("Asset", cut(asset)),) if asset else ()),
         Named("Machine", cut(row.answer.machine)),
         Named(
-            kind_of(summary).capitalize(), f"{cut(measurement.name)}, received {spelled(measurement.created_at)} UTC"
+            kind_of(summary).capitalize(),
+            f"{cut(measurement.name)}, received {spell_moment(measurement.created_at)} UTC",
         ),
         Named("Extent" if kind_of(summary) == "spectrum" else "Length", extent(summary)),
-        *((Named("Said of it", cut(said(measurement.told.shown))),) if measurement.told.shown else ()),
+        *((Named("Said of it", cut(summarise_told(measurement.told.shown))),) if measurement.told.shown else ()),
         Named("Channels", cut(channels)),
         Named("Drive speed", f"{row.answer.drive_speed_rpm:.5g} rpm"),
-        Named("Diagnosed", f"{spelled(row.created_at)} UTC"),
+        Named("Diagnosed", f"{spell_moment(row.created_at)} UTC"),
     )
 
 
 def joint_row(row: JointRow) -> tuple[str, ...]:
     """Return one row of the table of joints."""
     beyond = f"{row.beyond} ({row.limit})"
-    return row.name, row.said, row.percent, row.play.said(), row.shows or "–", beyond
+    return row.name, row.said, row.percent, row.play.say(), row.shows or "–", beyond
 
 
 def sizes(result: Answer) -> tuple[str, ...]:
@@ -158,7 +159,7 @@ def sizes(result: Answer) -> tuple[str, ...]:
     worn = words.named_joints(result)
     if not worn:
         return ("No size of play is given, because no joint is named as worn.",)
-    found = "; ".join(f"{joint}: {play_of(each).said('90 %: ')}" for joint, each in worn.items())
+    found = "; ".join(f"{joint}: {play_of(each).say('90 %: ')}" for joint, each in worn.items())
     return (f"Radial clearance if worn: {found}.",)
 
 

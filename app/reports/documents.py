@@ -147,15 +147,15 @@ def facts(rows: Sequence[Named], wide: float, size: float) -> Any:
 def ranking(rows: Sequence[Sequence[str]], wide: float) -> Any:
     """Return the table of hypotheses."""
     names = ("Worn", "Probability", "Radial clearance (90 % interval)", "Distance")
-    return listed(names, rows, wide, (0.2, 0.15, 0.5, 0.15))
+    return make_list(names, rows, wide, (0.2, 0.15, 0.5, 0.15))
 
 
 def joints(rows: Sequence[Sequence[str]], wide: float) -> Any:
     """Return the table of joints."""
-    return listed(JOINT_COLUMNS, rows, wide, (0.1, 0.15, 0.15, 0.25, 0.15, 0.2))
+    return make_list(JOINT_COLUMNS, rows, wide, (0.1, 0.15, 0.15, 0.25, 0.15, 0.2))
 
 
-def listed(names: Sequence[str], rows: Sequence[Sequence[str]], wide: float, parts: Sequence[float]) -> Any:
+def make_list(names: Sequence[str], rows: Sequence[Sequence[str]], wide: float, parts: Sequence[float]) -> Any:
     """Return a table with names of its columns, which take parts of the width."""
     cells = [[text(name, 7.5, SOFT) for name in names], *([text(cell, 7.5) for cell in row] for row in rows)]
     return table(cells, [wide * part for part in parts], ("LINEBELOW", (0, 0), (-1, -1), 0.4, LINE))

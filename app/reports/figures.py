@@ -63,12 +63,12 @@ def mechanism(machine: Machine, probabilities: Mapping[str, float]) -> str:
     probabilities : Mapping
         Joint to probability, 0 to 1.
     """
-    colours = {joint: blended(share) for joint, share in probabilities.items() if share >= FAINTEST}
+    colours = {joint: blend(share) for joint, share in probabilities.items() if share >= FAINTEST}
     drawn = machine_svg(machine, colours, f"{machine.name}, joints coloured by the probability of wear")
     return drawn.replace('"currentColor"', f'"{INK}"')
 
 
-def blended(share: float) -> str:
+def blend(share: float) -> str:
     """Return the colour of wear on white."""
     return "#{:02x}{:02x}{:02x}".format(*(round(255 + (part - 255) * min(share, 1.0)) for part in WEAR))
 

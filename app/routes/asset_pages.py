@@ -12,7 +12,7 @@ from starlette.responses import RedirectResponse, Response
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http import paging
 from jointplay.app.http.handlers import note, problem_from, templates
-from jointplay.app.http.validation import validated
+from jointplay.app.http.validation import validate
 from jointplay.app.pages.history import history
 from jointplay.app.pages.page_forms import messages_of, plain_form
 from jointplay.app.problems import Problem
@@ -23,7 +23,7 @@ from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
 from jointplay.app.storage.store import MeasurementRow
-from jointplay.app.words import spelled
+from jointplay.app.words import spell_moment
 
 router = APIRouter(prefix="/assets")
 
@@ -35,9 +35,9 @@ SHOWN = 200
 async def assets(request: Request) -> Response:
     """Show the assets, and the form that notes a new one."""
     try:
-        return await listed(request, request.query_params.get("cursor"), {})
+        return await show_list(request, request.query_params.get("cursor"), {})
     except REFUSALS as error:
-        return await listed(request, None, {}, problem_from(error))
+        return await show_list(request, None, {}, problem_from(error))
 
 
 @router.post("")
@@ -50,10 +50,10 @@ async def add(request: Request) -> Response:
         for name, rule in (("external_id", "give it a name"), ("machine", "choose a machine")):
             if name not in given:
                 raise BadFieldError(rule, field=name)
-        name, wanted = checked(given)
+        name, wanted = check_form(given)
         await run_in_threadpool(Assets(service.store.database).put, name, wanted, only_new=True)
     except REFUSALS as error:
-        return await listed(request, None, given, problem_from(error))
+        return await show_list(request, None, given, problem_from(error))
     return RedirectResponse(f"/assets/{name}", status_code=303)
 
 
@@ -61,9 +61,9 @@ async def add(request: Request) -> Response:
 async def asset(request: Request, external_id: str) -> Response:
     """Show an asset and its past."""
     try:
-        return await shown(request, external_id, request.query_params.get("cursor"))
+        return await show_asset(request, external_id, request.query_params.get("cursor"))
     except REFUSALS as error:
-        return await listed(request, None, {}, problem_from(error))
+        return await show_list(request, None, {}, problem_from(error))
 
 
 @router.post("/{external_id}")
@@ -75,25 +75,25 @@ async def change(request: Request, external_id: str) -> Response:
     try:
         row = await run_in_threadpool(found.asset, external_id)
         given.update(await plain_form(request))
-        _, wanted = checked({**given, "external_id": external_id, "machine": row.machine})
+        _, wanted = check_form({**given, "external_id": external_id, "machine": row.machine})
         await run_in_threadpool(check_baseline, service, wanted)
         await run_in_threadpool(found.put, external_id, wanted)
     except REFUSALS as error:
         problem = problem_from(error)
         try:
-            return await shown(request, external_id, None, given, problem)
+            return await show_asset(request, external_id, None, given, problem)
         except REFUSALS:
-            return await listed(request, None, {}, problem)
+            return await show_list(request, None, {}, problem)
     return RedirectResponse(f"/assets/{external_id}", status_code=303)
 
 
-def checked(given: dict[str, str]) -> tuple[str, AssetIn]:
+def check_form(given: dict[str, str]) -> tuple[str, AssetIn]:
     """Return the name of an asset and what a form says of it, by the rules of the HTTP interface."""
-    name = validated(AssetName, {"external_id": given["external_id"]}).external_id
-    return name, validated(AssetIn, {field: value for field, value in given.items() if field != "external_id"})
+    name = validate(AssetName, {"external_id": given["external_id"]}).external_id
+    return name, validate(AssetIn, {field: value for field, value in given.items() if field != "external_id"})
 
 
-async def listed(
+async def show_list(
     request: Request, cursor: str | None, given: dict[str, str], problem: Problem | None = None
 ) -> Response:
     """Return the page with the list and the form, and with what was wrong."""
@@ -110,10 +110,10 @@ async def listed(
         "may_match": may_match(request),
         "title": "Assets: jointplay",
     }
-    return await answered(request, "assets.html", members, problem)
+    return await answer_page(request, "assets.html", members, problem)
 
 
-async def shown(
+async def show_asset(
     request: Request,
     external_id: str,
     cursor: str | None,
@@ -125,10 +125,10 @@ async def shown(
     members = await run_in_threadpool(past, service, external_id, cursor)
     members["chosen"] = {"notes": members["asset"]["notes"], "baseline": members["asset"]["baseline"]} | (given or {})
     members |= {"may_match": may_match(request), "title": f"{external_id}: jointplay"}
-    return await answered(request, "asset.html", members, problem)
+    return await answer_page(request, "asset.html", members, problem)
 
 
-async def answered(request: Request, page: str, members: dict[str, Any], problem: Problem | None) -> Response:
+async def answer_page(request: Request, page: str, members: dict[str, Any], problem: Problem | None) -> Response:
     """Return a page, with a problem beside the field that it is about, or above all."""
     if problem is None:
         return templates.TemplateResponse(request, page, await context(request, **members))
@@ -167,7 +167,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     return {
         "asset": asset_item(row),
         "baseline": None if baseline is None else baseline.name,
-        "recordings": [(each.id, f"{each.name}, {spelled(each.created_at)}") for each in recordings],
+        "recordings": [(each.id, f"{each.name}, {spell_moment(each.created_at)}") for each in recordings],
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
         "catalogue": next(
@@ -185,7 +185,7 @@ def asset_item(row: AssetRow) -> dict[str, Any]:
         "machine": row.machine,
         "notes": row.notes,
         "baseline": row.baseline or "",
-        "created": spelled(row.created_at),
+        "created": spell_moment(row.created_at),
     }
 
 

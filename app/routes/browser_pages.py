@@ -50,7 +50,7 @@ async def catalogue(request: Request, name: str) -> Response:
     members = {"catalogue": offer.description, "chosen": chosen, "entry": None, "summary": None}
     status, headers = 200, {}
     try:
-        members |= {"entry": await shown(service, offer, chosen), "messages": {}}
+        members |= {"entry": await show_nearest(service, offer, chosen), "messages": {}}
     except REFUSALS as error:
         problem = problem_from(error)
         note(request, problem)
@@ -73,7 +73,7 @@ def usual(offer: Offer) -> str:
     return next((name for name in names if name in offer.description.turning_joints), names[0] if names else "")
 
 
-async def shown(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:
+async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:
     """Return what the page shows of the nearest entry.
 
     Raises

@@ -34,9 +34,9 @@ SHOWN_FAILURES = 50
 async def builds(request: Request) -> Response:
     """Show the form that asks for a build, and the builds there are."""
     try:
-        return await listed(request, request.query_params.get("cursor"), {})
+        return await show_list(request, request.query_params.get("cursor"), {})
     except REFUSALS as error:
-        return await listed(request, None, {}, problem_from(error))
+        return await show_list(request, None, {}, problem_from(error))
 
 
 @router.post("")
@@ -47,10 +47,10 @@ async def ask(request: Request) -> Response:
     try:
         given.update(await plain_form(request))
         row = await run_in_threadpool(
-            order, service.builds, service.machines, service.settings.catalogues, wanted(given)
+            order, service.builds, service.machines, service.settings.catalogues, read_order(given)
         )
     except REFUSALS as error:
-        return await listed(request, None, given, problem_from(error))
+        return await show_list(request, None, given, problem_from(error))
     service.runner.wake()
     return RedirectResponse(f"/builds/{row.id}", status_code=303)
 
@@ -62,8 +62,8 @@ async def build(request: Request, key: str) -> Response:
     try:
         row = await run_in_threadpool(service.builds.find, key)
     except REFUSALS as error:
-        return await listed(request, None, {}, problem_from(error))
-    return await shown(request, row)
+        return await show_list(request, None, {}, problem_from(error))
+    return await show_build(request, row)
 
 
 @router.post("/{key}/cancel")
@@ -73,7 +73,7 @@ async def cancel(request: Request, key: str) -> Response:
     try:
         await run_in_threadpool(service.builds.cancel, key)
     except REFUSALS as error:
-        return await refused(request, key, problem_from(error))
+        return await refuse(request, key, problem_from(error))
     return RedirectResponse(f"/builds/{key}", status_code=303)
 
 
@@ -84,12 +84,12 @@ async def resume(request: Request, key: str) -> Response:
     try:
         row = await run_in_threadpool(order_again, service.builds, service.settings.catalogues, key)
     except REFUSALS as error:
-        return await refused(request, key, problem_from(error))
+        return await refuse(request, key, problem_from(error))
     service.runner.wake()
     return RedirectResponse(f"/builds/{row.id}", status_code=303)
 
 
-def wanted(given: dict[str, str]) -> BuildRequest:
+def read_order(given: dict[str, str]) -> BuildRequest:
     """Return what the form asks for.
 
     Raises
@@ -108,13 +108,13 @@ def wanted(given: dict[str, str]) -> BuildRequest:
         raise RequestValidationError(error.errors()) from None
 
 
-async def listed(
+async def show_list(
     request: Request, cursor: str | None, given: dict[str, str], problem: Problem | None = None
 ) -> Response:
     """Return the page with the form and the list, and with what was wrong."""
     service = of_request(request)
     size = service.settings.page_size
-    rows = await run_in_threadpool(service.builds.listed, paging.decode_number(cursor), size + 1)
+    rows = await run_in_threadpool(service.builds.list_builds, paging.decode_number(cursor), size + 1)
     cut, following = paging.cut(rows, size)
     members: dict[str, Any] = {
         "builds": [build_view(row) for row in cut],
@@ -142,17 +142,17 @@ def refusals(problem: Problem) -> dict[str, str]:
     return messages_of(problem, FIELDS)
 
 
-async def refused(request: Request, key: str, problem: Problem) -> Response:
+async def refuse(request: Request, key: str, problem: Problem) -> Response:
     """Return the page of a build with what cannot be done to it."""
     service = of_request(request)
     try:
         row = await run_in_threadpool(service.builds.find, key)
     except REFUSALS as error:
-        return await listed(request, None, {}, problem_from(error))
-    return await shown(request, row, problem)
+        return await show_list(request, None, {}, problem_from(error))
+    return await show_build(request, row, problem)
 
 
-async def shown(request: Request, row: BuildRow, problem: Problem | None = None) -> Response:
+async def show_build(request: Request, row: BuildRow, problem: Problem | None = None) -> Response:
     """Return the page of a build, or the part that changes while it goes on."""
     service = of_request(request)
     members: dict[str, Any] = {"build": build_view(row), "may_build": may_build(request)}
@@ -173,7 +173,7 @@ def outcome(service: Service, row: BuildRow) -> dict[str, Any]:
     """Return what there is of the catalogue of a build that ended: whether it can be used, and what failed."""
     try:
         offer = service.shelf.find(row.catalogue)
-        items, count = service.entries.failed(offer, SHOWN_FAILURES)
+        items, count = service.entries.list_failed(offer, SHOWN_FAILURES)
     except (UnknownCatalogueError, CatalogueError):  # none yet, or one that cannot be opened, which its pages tell
         return {"usable": False, "failures": [], "failure_count": 0}
     return {"usable": True, "failures": failures_view(items), "failure_count": count}

@@ -19,9 +19,9 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import media_type
-from jointplay.app.http.validation import validated
+from jointplay.app.http.validation import validate
 from jointplay.app.jobs.build_orders import order
-from jointplay.app.routes.diagnoses import JSON_TYPE, parsed
+from jointplay.app.routes.diagnoses import JSON_TYPE, parse
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import BuildOut, BuildPage, BuildRequest
 from jointplay.app.service import Service, of_request
@@ -65,7 +65,7 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
     kind = media_type(request)
     if kind != JSON_TYPE:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE}")
-    wanted = validated(BuildRequest, parsed(await request.body()))
+    wanted = validate(BuildRequest, parse(await request.body()))
 
     async def answered() -> Response:
         row = await run_in_threadpool(order, service.builds, service.machines, service.settings.catalogues, wanted)
@@ -82,7 +82,7 @@ def builds(request: Request, cursor: Cursor = None, limit: Limit = None) -> Buil
     """List the builds, the newest first."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows = service.builds.listed(paging.decode_number(cursor), size + 1)
+    rows = service.builds.list_builds(paging.decode_number(cursor), size + 1)
     shown, following = paging.cut(rows, size)
     return BuildPage(items=[build_out(row) for row in shown], next_cursor=following)
 
@@ -120,10 +120,10 @@ async def events(request: Request, key: str) -> Response:
     text = build_out(row).model_dump_json()
     if row.state in ENDED and request.headers.get("last-event-id") == event_id(text):
         return Response(status_code=204)
-    return StreamingResponse(followed(service, key), media_type=STREAM_TYPE, headers={"Cache-Control": "no-store"})
+    return StreamingResponse(follow(service, key), media_type=STREAM_TYPE, headers={"Cache-Control": "no-store"})
 
 
-async def followed(service: Service, key: str) -> AsyncIterator[str]:
+async def follow(service: Service, key: str) -> AsyncIterator[str]:
     """Give the state of a build whenever it has changed, and a sign of life in between."""
     shown, last = "", time.monotonic()
     while not service.stopping.is_set():

@@ -17,8 +17,8 @@ from jointplay.app.http import paging
 from jointplay.app.http.examples import MEASUREMENT
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
-from jointplay.app.http.uploads import MULTIPART, Form, media_type, received_form
-from jointplay.app.http.validation import validated
+from jointplay.app.http.uploads import MULTIPART, Form, media_type, receive_form
+from jointplay.app.http.validation import validate
 from jointplay.app.routes.findings import Only, Since
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import DiagnosisItem, DiagnosisPage, DiagnosisRequest
@@ -27,7 +27,7 @@ from jointplay.app.storage.assets import diagnoses_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.results import DiagnosisOut, diagnosis_out
 from jointplay.app.storage.store import DiagnosisRow, measurement_key
-from jointplay.app.storage.told import TOLD, Told, told_of
+from jointplay.app.storage.told import TOLD, Told, read_told
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
@@ -79,11 +79,11 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
     service = of_request(request)
     kind = media_type(request)
     if kind == JSON_TYPE:
-        wanted = validated(DiagnosisRequest, parsed(await request.body()))
+        wanted = validate(DiagnosisRequest, parse(await request.body()))
         return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
     if kind != MULTIPART:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
-    async with received_form(request, service.store, FIELDS) as form:
+    async with receive_form(request, service.store, FIELDS) as form:
         wanted, told = await run_in_threadpool(of_form, form)
         if form.file is None:
             return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
@@ -130,22 +130,22 @@ async def diagnosis(request: Request, key: str) -> Response:
 def of_form(form: Form) -> tuple[DiagnosisRequest, Told]:
     """Return what a form asks for, with the id that its file has when it is stored, and what is told of the file."""
     members: dict[str, Any] = {name: value for name, value in form.fields.items() if name not in TOLD}
-    told = told_of(form.fields)
+    told = read_told(form.fields)
     for name in ("mapping", "prior"):
         if name in members:
-            members[name] = parsed(members[name], name)
+            members[name] = parse(members[name], name)
     if form.file is None:
         named = sorted(TOLD & form.fields.keys())
         if named:
             raise BadFieldError(f"{named[0]}: says something of a file, and there is none", field=named[0])
-        return validated(DiagnosisRequest, members), told
+        return validate(DiagnosisRequest, members), told
     if "measurement" in members:
         raise BadFieldError("measurement: give either a measurement or a file, not both", field="measurement")
     members["measurement"] = measurement_key(form.file.sha256, form.file_name, told)
-    return validated(DiagnosisRequest, members), told
+    return validate(DiagnosisRequest, members), told
 
 
-def parsed(text: bytes | str, name: str = "") -> object:
+def parse(text: bytes | str, name: str = "") -> object:
     """Return the value of a JSON text; numbers that are not finite are refused."""
     try:
         return json.loads(text, parse_constant=refuse_constant)

@@ -48,7 +48,7 @@ async def entry(request: Request, name: str, key: str) -> Response:
     service = of_request(request)
     found = in_memory(service, name, key, kind)
     if found is None or (found.body is None and not matches(request, found.key)):
-        found = await run_in_threadpool(looked_up, service, request, name, key, kind)
+        found = await run_in_threadpool(look_up, service, request, name, key, kind)
     headers = {"ETag": tag(found.key), "Cache-Control": "no-cache", "Vary": "Accept"}
     if matches(request, found.key):
         return Response(status_code=304, headers=headers)
@@ -57,12 +57,12 @@ async def entry(request: Request, name: str, key: str) -> Response:
 
 def in_memory(service: Service, name: str, key: str, kind: str) -> Rendered | None:
     """Return what is there of an entry without reading anything: quick enough to need no thread."""
-    offer = service.shelf.unchanged(name)
-    return None if offer is None else service.entries.kept(offer, key, kind)
+    offer = service.shelf.find_unchanged(name)
+    return None if offer is None else service.entries.recall(offer, key, kind)
 
 
-def looked_up(service: Service, request: Request, name: str, key: str, kind: str) -> Rendered:
+def look_up(service: Service, request: Request, name: str, key: str, kind: str) -> Rendered:
     """Return an entry in a form, with its body unless the client holds that."""
     offer = service.shelf.find(name)
-    found = service.entries.tagged(offer, key, kind)
+    found = service.entries.tag(offer, key, kind)
     return found if matches(request, found.key) else service.entries.whole(offer, key, kind)

@@ -11,7 +11,7 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
-from jointplay.app.http.sent_measurements import JSON_TYPE, MeasurementIn, sent_measurement
+from jointplay.app.http.sent_measurements import JSON_TYPE, MeasurementIn, receive_measurement
 from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.routes.findings import Only
 from jointplay.app.routes.machines import Cursor, Limit
@@ -42,7 +42,7 @@ def body() -> dict[str, Any]:
 async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
     """Store a recording or a spectrum; the same bytes, of which the same is said, are the same measurement again."""
     service = of_request(request)
-    async with sent_measurement(request, service.store) as sent:
+    async with receive_measurement(request, service.store) as sent:
 
         async def answered() -> Response:
             row = await service.add_measurement(sent.file, sent.name, sent.told, sent.asset)

@@ -19,17 +19,17 @@ from starlette.responses import RedirectResponse, Response
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.etags import respond
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
-from jointplay.app.http.uploads import received_form
+from jointplay.app.http.uploads import receive_form
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding
-from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, wanted
+from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, read_form
 from jointplay.app.pages.understood import confirmation
 from jointplay.app.pages.views import view
 from jointplay.app.problems import Problem
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.store import DiagnosisRow
-from jointplay.app.storage.told import FILE_FIELDS, PROFILE, told_of
+from jointplay.app.storage.told import FILE_FIELDS, PROFILE, read_told
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 
@@ -53,7 +53,7 @@ async def upload(request: Request) -> Response:
     service = of_request(request)
     given: dict[str, str] = {}
     try:
-        async with received_form(request, service.store, frozenset(UPLOAD) - {"file"}) as form:
+        async with receive_form(request, service.store, frozenset(UPLOAD) - {"file"}) as form:
             given.update(form.fields)
             if "catalogue" not in given:
                 raise BadFieldError("choose a catalogue", field="catalogue")
@@ -61,7 +61,7 @@ async def upload(request: Request) -> Response:
                 raise BadFieldError("choose a recording", field="file")
             offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
             await run_in_threadpool(service.asset_of, given.get("asset"), offer.machine.name)
-            told = await run_in_threadpool(told_of, given)
+            told = await run_in_threadpool(read_told, given)
             measurement = await service.add_measurement(form.file, form.file_name, told)
     except REFUSALS as error:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
@@ -134,7 +134,7 @@ async def diagnose(service: Service, given: Mapping[str, str]) -> DiagnosisRow:
     measurement = await run_in_threadpool(service.store.measurement, given["measurement"])
     offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
     columns = [channel["name"] for channel in measurement.summary["channels"]]
-    return await service.diagnose(wanted(given, columns, offer.machine))
+    return await service.diagnose(read_form(given, columns, offer.machine))
 
 
 async def understood(request: Request, given: Mapping[str, str]) -> dict[str, Any]:

@@ -38,7 +38,7 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
     """Return the report of a diagnosis, one page for a work order, as HTML or PDF by `Accept` or `format`."""
     service = of_request(request)
     media = FORMATS[format] if format else chosen_type(request, (HTML_TYPE, PDF_TYPE))
-    said, figures = await run_in_threadpool(found, service, key)
+    said, figures = await run_in_threadpool(find_report, service, key)
     page = await run_in_threadpool(html, said, figures)
     digest = hashlib.sha256(page.encode()).hexdigest()
     if media == HTML_TYPE:
@@ -55,7 +55,7 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
     return answer
 
 
-def found(service: Service, key: str) -> tuple[Report, ReportFigures]:
+def find_report(service: Service, key: str) -> tuple[Report, ReportFigures]:
     """Return what the report of a stored diagnosis says and shows."""
     row = service.store.diagnosis(key)
     return report_of(row, service.store.measurement(row.measurement), row.request.get("asset")), figures_of(row)

@@ -25,7 +25,7 @@ async def form(request: Request) -> Response:
     place = local(request.query_params.get("next", "/"))
     if of_request(request).settings.keys == "off":
         return RedirectResponse(place, status_code=303)
-    return shown(request, place, "", 200)
+    return show_form(request, place, "", 200)
 
 
 @router.post("/sign-in")
@@ -39,7 +39,7 @@ async def sign_in(request: Request) -> Response:
     try:
         key = await run_in_threadpool(keys.find, fields.get("key", [""])[0].strip())
     except UnauthorizedError as error:
-        return shown(request, place, str(error), 401)
+        return show_form(request, place, str(error), 401)
     token = await run_in_threadpool(keys.open_session, key)
     response = RedirectResponse(place, status_code=303)
     response.set_cookie(
@@ -63,7 +63,7 @@ async def sign_out(request: Request) -> Response:
     return response
 
 
-def shown(request: Request, place: str, message: str, status: int) -> Response:
+def show_form(request: Request, place: str, message: str, status: int) -> Response:
     """Return the page with the form."""
     members = {"place": place, "message": message, "timeout_ms": 60_000}
     return templates.TemplateResponse(request, "sign_in.html", members, status_code=status)

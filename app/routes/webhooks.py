@@ -9,7 +9,7 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
-from jointplay.app.jobs.webhook_sender import checked_url
+from jointplay.app.jobs.webhook_sender import check_url
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
 from jointplay.app.service import of_request
@@ -29,7 +29,7 @@ router = APIRouter(prefix="/webhooks", tags=["webhooks"])
 async def add(request: Request, wanted: WebhookIn, idempotency_key: IdempotencyKey = None) -> Response:
     """Name an address that is told of events; the answer holds the secret that signs, which is not shown again."""
     service = of_request(request)
-    checked_url(wanted.url, service.settings.webhooks_private)
+    check_url(wanted.url, service.settings.webhooks_private)
     database, events = service.store.database, sorted(set(wanted.events))
 
     async def answered() -> Response:

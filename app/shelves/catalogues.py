@@ -83,7 +83,7 @@ class CatalogueShelf:
         UnknownCatalogueError
             When there is none.
         """
-        known = self.unchanged(name)
+        known = self.find_unchanged(name)
         if known is not None:
             return known
         for offer in self.offers():
@@ -91,7 +91,7 @@ class CatalogueShelf:
                 return offer
         raise UnknownCatalogueError(f"catalogue: {name[:80]}: there is none of this id or name", field="catalogue")
 
-    def unchanged(self, name: str) -> Offer | None:
+    def find_unchanged(self, name: str) -> Offer | None:
         """Return the catalogue of an id or folder name if it was looked at before and is as it was; a few stats."""
         with self._lock:
             known = [each for each in self._offers.values() if name in (each.description.id, each.description.name)]

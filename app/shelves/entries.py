@@ -57,13 +57,13 @@ class EntryShelf:
         self._lock = threading.Lock()
         self._reading = threading.Lock()  # a catalogue keeps its last shard, and belongs to one thread at a time
 
-    def kept(self, offer: Offer, key: str, kind: str) -> Rendered | None:
+    def recall(self, offer: Offer, key: str, kind: str) -> Rendered | None:
         """Return what is in memory of an entry in a form; it takes no time."""
         place = (str(offer.path), offer.stamp, key, kind)
         with self._lock:
             return self._kept.get(place)
 
-    def tagged(self, offer: Offer, key: str, kind: str) -> Rendered:
+    def tag(self, offer: Offer, key: str, kind: str) -> Rendered:
         """Return an entry in a form, with a body only if that is in memory; no shard is opened.
 
         Raises
@@ -71,7 +71,7 @@ class EntryShelf:
         EntryNotFoundError
             When there is none of this key.
         """
-        found = self.kept(offer, key, kind)
+        found = self.recall(offer, key, kind)
         if found is None:
             with self._reading:
                 shard, position = self._catalogue(offer).address(key)
@@ -89,7 +89,7 @@ class EntryShelf:
         CatalogueFileError
             When its shard is damaged.
         """
-        found = self.tagged(offer, key, kind)
+        found = self.tag(offer, key, kind)
         if found.body is None:
             with self._reading:
                 entry = self._catalogue(offer).entry(key)
@@ -128,7 +128,7 @@ class EntryShelf:
                 start += BLOCK
         return found[:size], len(found) > size
 
-    def failed(self, offer: Offer, size: int) -> tuple[list[EntryItem], int]:
+    def list_failed(self, offer: Offer, size: int) -> tuple[list[EntryItem], int]:
         """Return the first cases of a catalogue that have no spectrum, and how many there are of them."""
         with self._reading:
             matrix = self._catalogue(offer).matrix

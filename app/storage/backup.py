@@ -90,14 +90,18 @@ def back_up(place: Place, target: Path, *, catalogues: bool = True) -> dict[str,
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise BackupError(f"{target}: must be a new or empty folder")
     target.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with opened(place.url) as source, opened(sqlite(target / ROWS)) as copy:
+    with open_database(place.url) as source, open_database(sqlite(target / ROWS)) as copy:
         counts = copy_rows(source, copy)
         with copy.reading() as session:
             recordings = sorted(set(session.scalars(select(MeasurementRow.sha256))))
     for sha256 in recordings:
         copy_recording(place.data, target, sha256)
     machines = copy_machines(place.data, target)
-    names = [copy_catalogue(path, target / "catalogues" / name) for name, path in found(place)] if catalogues else []
+    names = (
+        [copy_catalogue(path, target / "catalogues" / name) for name, path in find_catalogues(place)]
+        if catalogues
+        else []
+    )
     content = {
         "format": FORMAT,
         "made_at": now().isoformat().replace("+00:00", "Z"),
@@ -131,19 +135,19 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
     BackupError
         It is no complete backup, something in it is not what it was, or there is something at the place already.
     """
-    content = sealed(source)
-    if (source / "catalogues").is_dir() and any(found(place)):
+    content = seal(source)
+    if (source / "catalogues").is_dir() and any(find_catalogues(place)):
         raise BackupError(f"{place.catalogues}: holds catalogues already")
     for name in ("measurements", "machines"):
         if (place.data / name).is_dir() and any((place.data / name).iterdir()):
             raise BackupError(f"{place.data / name}: is not empty")
     place.data.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as scratch, opened(place.url) as target:
+    with tempfile.TemporaryDirectory() as scratch, open_database(place.url) as target:
         if rows_in(target):
             raise BackupError(f"{target.name}: holds data already")
         rows = Path(scratch) / ROWS  # one of an older version is brought up to date there, not in the backup
         shutil.copyfile(source / ROWS, rows)
-        with opened(sqlite(rows)) as copy:
+        with open_database(sqlite(rows)) as copy:
             with copy.reading() as session:
                 for sha256 in set(session.scalars(select(MeasurementRow.sha256))):
                     copy_recording(source, place.data, sha256)
@@ -154,7 +158,7 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
     return content
 
 
-def sealed(source: Path) -> dict[str, Any]:
+def seal(source: Path) -> dict[str, Any]:
     """Return what a backup says of itself.
 
     Raises
@@ -179,7 +183,7 @@ def sqlite(path: Path) -> URL:
 
 
 @contextmanager
-def opened(url: URL) -> Iterator[ServiceDatabase]:
+def open_database(url: URL) -> Iterator[ServiceDatabase]:
     """A database, which is made or brought up to date."""
     database = ServiceDatabase(make_url(url), TABLES)
     try:
@@ -234,7 +238,7 @@ def copy_machines(source: Path, target: Path) -> int:
     return len(files)
 
 
-def found(place: Place) -> Iterator[tuple[str, Path]]:
+def find_catalogues(place: Place) -> Iterator[tuple[str, Path]]:
     """Give names and folders of the catalogues of a service."""
     if CatalogueDirectory(place.catalogues).manifest.is_file():
         yield place.catalogues.resolve().name, place.catalogues

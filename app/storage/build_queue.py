@@ -130,7 +130,7 @@ class BuildQueue:
             raise UnknownBuildError(f"build {key[:80]}: there is none of this id")
         return row
 
-    def listed(self, before: int | None, limit: int) -> list[BuildRow]:
+    def list_builds(self, before: int | None, limit: int) -> list[BuildRow]:
         """Return builds, the newest first, from below a row number on."""
         with self._database.reading() as session:
             return list(session.scalars(newest(session, BuildRow, before, limit)))

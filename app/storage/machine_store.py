@@ -50,7 +50,7 @@ class MachineStore:
         """
         if name in shipped_machine_names():
             return shipped_machine(name)
-        found = self._stored(name) if NAME.fullmatch(name) else None
+        found = self._read_stored(name) if NAME.fullmatch(name) else None
         if found is None:
             raise UnknownMachineError(f"machine: {name[:80]}: there is none of this name", field="machine")
         return found
@@ -85,7 +85,7 @@ class MachineStore:
         machine = parse_machine(content, name)
         self._directory.mkdir(parents=True, exist_ok=True)
         with FileLock(self._directory / ".lock"):
-            older = self._stored(name)
+            older = self._read_stored(name)
             if not conditions.hold(None if older is None else older.content_key):
                 state = "there is none of this name" if older is None else "the machine of this name is another one"
                 raise PreconditionError(f"machine: {name}: If-Match or If-None-Match does not hold: {state}")
@@ -96,7 +96,7 @@ class MachineStore:
     def _file(self, name: str) -> Path:
         return self._directory / f"{name}.json"
 
-    def _stored(self, name: str) -> Machine | None:
+    def _read_stored(self, name: str) -> Machine | None:
         """Return a machine that was put here; read again only when its file is another one."""
         path = self._file(name)
         try:

@@ -115,7 +115,7 @@ class Told:
         return ImportProfile.model_validate(self.profile)
 
 
-def told_of(fields: Mapping[str, str]) -> Told:
+def read_told(fields: Mapping[str, str]) -> Told:
     """Return what the fields of a form say of its file.
 
     Parameters

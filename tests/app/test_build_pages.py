@@ -133,7 +133,7 @@ def test_a_refusal_is_told_beside_its_field(
     assert text in error_of(answer.text, field)
     assert not any(error_of(answer.text, other) for other in {"machine", "plan", "catalogue"} - {field})
     assert f'value="{change.get("catalogue", "mine")}"' in answer.text, "what was typed stays"
-    assert site.queue.listed(None, 9) == []
+    assert site.queue.list_builds(None, 9) == []
 
 
 def test_other_refusals_are_told_above_the_form(site: Site) -> None:

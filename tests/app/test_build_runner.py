@@ -154,4 +154,4 @@ def test_cancelling_what_waits_what_is_dead_and_what_has_ended(server: Server) -
         server.queue.cancel(key)
     with pytest.raises(UnknownBuildError):
         server.queue.cancel("0" * 32)
-    assert [row.id for row in server.queue.listed(None, 5)] == [key, dead, waiting]
+    assert [row.id for row in server.queue.list_builds(None, 5)] == [key, dead, waiting]

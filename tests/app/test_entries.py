@@ -208,7 +208,7 @@ def test_bodies_in_memory_are_bounded(
     entries, offer = EntryShelf(), CatalogueShelf(settings.catalogues).find("slider-crank")
     keys = stored.entries.key.tolist()[:8]
     bodies = [entries.whole(offer, key, NPY).body for key in keys]
-    kept = [entries.kept(offer, key, NPY) for key in keys]
+    kept = [entries.recall(offer, key, NPY) for key in keys]
     held = [each.body for each in kept if each is not None and each.body is not None]
     assert 0 < sum(map(len, held)) <= 100_000
     assert held == bodies[-len(held) :]  # the last ones asked for

@@ -14,7 +14,7 @@ import soundfile
 
 from jointplay.app.commands.diagnose import command
 from jointplay.app.errors import BadFieldError
-from jointplay.app.storage.told import FILE_FIELDS, TOLD, FileField, Told, told_of
+from jointplay.app.storage.told import FILE_FIELDS, TOLD, FileField, Told, read_told
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 
@@ -216,7 +216,7 @@ def test_what_is_said_of_no_file_is_refused(client: httpx.Client, worn: bytes, f
 )
 def test_refusals_name_the_field(fields: dict[str, str], field: str, text: str) -> None:
     with pytest.raises(BadFieldError) as caught:
-        told_of(fields)
+        read_told(fields)
     assert caught.value.field == field
     assert text in str(caught.value)
 
@@ -238,7 +238,7 @@ def test_refusals_name_the_field(fields: dict[str, str], field: str, text: str) 
 )
 def test_profiles_that_are_meant_to_hurt_are_refused_in_one_short_line(text: str) -> None:
     with pytest.raises(BadFieldError) as caught:
-        told_of({"profile": text})
+        read_told({"profile": text})
     assert caught.value.field == "profile"
     assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
 
@@ -247,7 +247,7 @@ def test_profiles_that_are_meant_to_hurt_are_refused_in_one_short_line(text: str
 @pytest.mark.parametrize("text", ["9" * 6000, "nan", "1e999", "{" * 2000, "\ud800"])
 def test_single_fields_are_refused_in_one_short_line(field: str, text: str) -> None:
     with pytest.raises(BadFieldError) as caught:
-        told_of({field: text, "tacho": "key"} if field == "pulses_per_revolution" else {field: text})
+        read_told({field: text, "tacho": "key"} if field == "pulses_per_revolution" else {field: text})
     assert caught.value.field == field
     assert len(str(caught.value)) < 400 and "\n" not in str(caught.value)
 
@@ -271,13 +271,13 @@ def test_every_field_is_one_of_a_profile_and_an_option(field: FileField) -> None
 
 def test_single_fields_win_over_the_profile() -> None:
     profile = "full_scale_m_s2: 3\ntacho: {column: a, edge: falling}\nspectrum: {window: hann}\n"
-    told = told_of({"profile": profile, "full_scale": "5 g", "tacho": "b", "detector": "rms"})
+    told = read_told({"profile": profile, "full_scale": "5 g", "tacho": "b", "detector": "rms"})
     assert told.profile == {
         "full_scale": "5 g",
         "tacho": {"column": "b", "edge": "falling"},
         "spectrum": {"window": "hann", "detector": "rms"},
     }
-    assert told_of({}) == Told()
+    assert read_told({}) == Told()
 
 
 def test_what_is_said_of_a_file_is_kept_with_it(client: httpx.Client, bare: bytes) -> None:

@@ -17,7 +17,7 @@ from webhook_listener import Listener, state, tell
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.jobs import webhook_sender
-from jointplay.app.jobs.webhook_sender import NotDeliveredError, WebhookSender, address_of, checked_url, is_public
+from jointplay.app.jobs.webhook_sender import NotDeliveredError, WebhookSender, address_of, check_url, is_public
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.store import Store, now
 from jointplay.app.storage.webhooks import LEASE, WAITS, Taken, Webhooks
@@ -227,7 +227,7 @@ def test_the_judged_address_is_the_one_connected_to(
 )
 def test_what_is_no_address_of_a_webhook_is_refused(url: str) -> None:
     with pytest.raises(BadFieldError) as caught:
-        checked_url(url)
+        check_url(url)
     assert caught.value.field == "url"
 
 

@@ -104,7 +104,7 @@ def test_rows_of_the_ranking() -> None:
 )
 def test_clearances_and_bounds(bound: str, interval: list[float], text: str) -> None:
     assert (
-        rows.play_of(JointState.model_validate(joint("worn", 1200.0, 1.0, bound=bound, interval_um=interval))).said()
+        rows.play_of(JointState.model_validate(joint("worn", 1200.0, 1.0, bound=bound, interval_um=interval))).say()
         == text
     )
 
