@@ -138,7 +138,8 @@ class UnitVector(Marker):
         if abs(math.hypot(x, y) - 1) < 4e-16:
             return x, y  # of length 1 to rounding: reading what was written changes nothing
         length = math.hypot(x / largest, y / largest)  # scaled first, so that no component over- or underflows
-        return x / largest / length, y / largest / length
+        # What is too small to be a number beside the other is 0, never -0: that would be written as another content.
+        return x / largest / length + 0.0, y / largest / length + 0.0
 
     def json_schema(self) -> dict[str, Any]:
         """Describe it as an array of two numbers."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from machine_trees import MISSING, SLIDER_CRANK, SPRING, changed
 
 from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fields import UnitVector
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.machine import (
     Machine,
@@ -253,6 +254,11 @@ def machine_trees(draw: st.DrawFn) -> dict[str, Any]:
             joint |= {"kind": "sliding", "direction": draw(directions), "friction": draw(st.floats(0, 1))}
         tree["joints"][f"J{index}"] = joint
     return tree
+
+
+def test_a_direction_along_an_axis_but_for_rounding_has_no_negative_zero() -> None:
+    x, y = UnitVector().validate((2.0, -5e-324))
+    assert (x, math.copysign(1.0, y)) == (1.0, 1.0)
 
 
 @given(machine_trees())
