@@ -12,9 +12,14 @@ QUICK := $(addprefix tests/, docs/test_docs_pages.py \
   $(addprefix app/test_, openapi.py paging.py problems.py settings.py words.py))
 # Options of make bench.
 BENCH ?=
+LOWEST := build/lowest
+LOWEST_TESTS := $(addprefix tests/app/test_,$(addsuffix .py,api_keys cli gate http logs measurements_http prometheus \
+    reports settings webhooks)) \
+  $(addprefix tests/catalogue/test_,$(addsuffix .py,export features gaussian readers store)) \
+  $(addprefix tests/solver/test_,$(addsuffix .py,drawing machine native simulate spectrum))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test quick lint format unit docs fuzz fuzz-readers schemathesis serve bench pins clean
+.PHONY: help install demo test quick lint format unit docs lowest fuzz fuzz-readers schemathesis serve bench pins clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -47,6 +52,14 @@ unit: $(STAMP)
 
 docs: $(STAMP) ## the pages of docs/ as a site in build/docs; a link that leads nowhere is an error
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --nitpicky --quiet -b html docs build/docs
+
+# On the oldest Python that is allowed, where it is there; files that meet each of the direct dependencies.
+lowest: ## tests of the service, and some of the others, with the lowest versions that pyproject.toml allows
+	rm -rf $(LOWEST)
+	$$(command -v python3.11 || echo $(PYTHON)) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check uv
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[dev]'
+	$(LOWEST)/bin/pytest -n $(WORKERS) --dist worksteal $(LOWEST_TESTS)
 
 fuzz: $(STAMP) ## 2000 random machines against the oracle; endings are kept in build/fuzz.jsonl, the same command goes on
 	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign 2000 $(WORKERS)
