@@ -139,7 +139,7 @@ def test_a_database_that_is_gone_is_counted_as_such(tmp_path: Path) -> None:
 def test_attempts_of_webhooks_are_counted(tmp_path: Path) -> None:
     store = Store(tmp_path)
     webhooks, metrics = Webhooks(store.database), Metrics()
-    sender = WebhookSender(webhooks, True, metrics.delivered)
+    sender = WebhookSender(webhooks, True, metrics.count_delivery)
     with listening() as listener:
         hook = webhooks.add(f"{listener.url}/hook", ["finding.created"])
         tell(webhooks)
