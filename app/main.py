@@ -14,11 +14,8 @@ from starlette.staticfiles import StaticFiles
 
 from jointplay.app.http import handlers, openapi
 from jointplay.app.http.gate import Gate
-from jointplay.app.http.headers import SecurityHeaders
-from jointplay.app.http.limits import BodyLimit
-from jointplay.app.http.metrics import State
+from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.query import refuse_unknown
-from jointplay.app.http.request_log import RequestLog
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.jobs.workers import WorkerPool

@@ -1,14 +1,16 @@
-"""Diagnoses: asking for one, and finding it again."""
+"""Diagnoses: asking for one, finding it again, and what it looks like over HTTP."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Awaitable, Callable
+from datetime import datetime
 from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
@@ -25,9 +27,39 @@ from jointplay.app.schemas.resources import DiagnosisItem, DiagnosisPage, Diagno
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import diagnoses_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.results import DiagnosisOut, diagnosis_out
 from jointplay.app.storage.store import DiagnosisRow, measurement_key
 from jointplay.app.storage.told import TOLD, Told, read_told
+from jointplay.catalogue.diagnosing.answer import Answer
+
+
+class _Stored(BaseModel):
+    """What an answer has besides when it is stored; a base of its own, so that it comes first."""
+
+    id: str
+    created_at: datetime
+    measurement: str = Field(description="Id of the measurement.")
+    asset: str | None = Field(description="External id of the machine that was measured, where the request named it.")
+
+
+class DiagnosisOut(Answer, _Stored):
+    """A finished diagnosis."""
+
+    id: str
+    catalogue: str = Field(description="Id of the catalogue as it was then; one that has grown has another.")
+
+
+def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
+    """Return the outside shape of a stored diagnosis."""
+    stored = {
+        "id": row.id,
+        "created_at": row.created_at,
+        "measurement": row.measurement,
+        "asset": row.request.get("asset"),
+        "catalogue": row.catalogue,
+    }
+    members = {name: value for name, value in row.answer if name != "hash"}
+    return DiagnosisOut.model_validate({**members, **stored})
+
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 

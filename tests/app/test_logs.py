@@ -21,7 +21,7 @@ from sqlalchemy import text
 from starlette.datastructures import Headers
 
 from jointplay.app import logs
-from jointplay.app.http.request_log import Templates, identity_of
+from jointplay.app.http.middleware import Templates, identity_of
 from jointplay.app.jobs.workers import WorkerPool
 from jointplay.app.scopes import Scope
 from jointplay.app.storage.keys import Keys
@@ -190,7 +190,7 @@ def test_a_whole_service_logs_json_and_no_secret(
     for each in (secret, session, hook["secret"], "t0ken"):
         assert each not in whole
     entries = running.entries()
-    requests = [entry for entry in entries if entry["logger"] == "jointplay.app.http.request_log"]
+    requests = [entry for entry in entries if entry["logger"] == "jointplay.app.http.middleware"]
     shown = [(entry["method"], entry["route"], entry["status"], entry["key"]) for entry in requests]
     assert shown[:3] == [
         ("GET", f"{API}/machines", 401, None),

@@ -18,9 +18,9 @@ from jointplay.app import words
 from jointplay.app.reports.content import NO_ZONE, Report, report_of
 from jointplay.app.reports.documents import html, pdf
 from jointplay.app.reports.figures import figures_of, spectrum
+from jointplay.app.routes.diagnoses import DiagnosisOut
 from jointplay.app.rows import Comparison
 from jointplay.app.settings import ServiceSettings
-from jointplay.app.storage.results import DiagnosisOut
 from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, Store
 from jointplay.catalogue.diagnosing.answer import BandEvidence
 

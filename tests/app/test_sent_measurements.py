@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from jointplay.app.http.limits import RECORDING_BYTES
+from jointplay.app.http.middleware import RECORDING_BYTES
 from jointplay.app.settings import ServiceSettings
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 
