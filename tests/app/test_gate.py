@@ -15,11 +15,10 @@ from starlette.routing import Mount
 
 from jointplay.app.commands.serve import answering, loopback
 from jointplay.app.http.gate import CLIENTS_REMEMBERED, TokenBuckets
+from jointplay.app.http.middleware import JSON_BYTES
 from jointplay.app.main import create_app
-from jointplay.app.scopes import Scope
+from jointplay.app.scopes import API, Scope
 from jointplay.app.settings import ServiceSettings
-
-API = "/api/v1"
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +112,18 @@ def test_the_path_that_is_routed_is_the_path_that_is_judged(
     address, reader = mounted
     assert httpx.get(address + path).status_code == alone
     assert httpx.get(address + path, headers=reader).status_code == reading
+
+
+def test_a_recording_may_be_larger_than_other_bodies_below_a_mount_too(tmp_path: Path) -> None:
+    inner = create_app(ServiceSettings(catalogues=tmp_path / "none", data=tmp_path, workers=1, keys="off"))
+    outer = Starlette(routes=[Mount("/plant", inner)], lifespan=lambda _: inner.router.lifespan_context(inner))
+    body = b'{"channels": "' + b"x" * JSON_BYTES + b'"}'
+    with running(outer) as address:
+        for path, status in (("measurements", 422), ("webhooks", 413)):
+            sent = httpx.post(
+                f"{address}/plant{API}/{path}", content=body, headers={"Content-Type": "application/json"}
+            )
+            assert sent.status_code == status
 
 
 def test_pages_of_other_sites_send_nothing_here(client: httpx.Client) -> None:
