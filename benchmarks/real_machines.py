@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from jointplay.app.tables import table
-from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort
+from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.errors import CatalogueError
+from jointplay.catalogue.matching.matcher import Effort
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.storage.store import Catalogue
 

@@ -25,7 +25,8 @@ from jointplay.app.tables import indent, table
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:
-    from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
+    from jointplay.catalogue.diagnosing.answer import Diagnosis
+    from jointplay.catalogue.matching.matcher import Effort, ModeAsked
     from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 

@@ -14,7 +14,8 @@ from jointplay.app.jobs.workers import WorkerOutcome, attempt
 from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
-    from jointplay.catalogue.diagnosing.answer import Diagnosis, Effort, ModeAsked
+    from jointplay.catalogue.diagnosing.answer import Diagnosis
+    from jointplay.catalogue.matching.matcher import Effort, ModeAsked
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
     from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.storage.store import Catalogue

@@ -7,10 +7,8 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
+from jointplay.catalogue.matching.matcher import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import LARGEST, Prior
-
-Effort = Literal["fast", "standard", "thorough"]
-Mode = Literal["auto", "trusted", "robust"]
 
 
 class Shape(BaseModel):
@@ -190,7 +188,7 @@ class DiagnosisRequest(Shape):
     ]
     effort: Annotated[Effort, Field(default="standard", description="How much to compute.")]
     mode: Annotated[
-        Mode,
+        ModeAsked,
         Field(
             default="auto",
             description="Whether the machine is as simulated (trusted) or may differ from it (robust); auto trusts the"

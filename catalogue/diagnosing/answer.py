@@ -7,14 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from jointplay.catalogue.matching.matcher import Effort, Mode, ModeAsked
 from jointplay.catalogue.signals.prepared import RecipeStep
 
-Effort = Literal["fast", "standard", "thorough"]
 Verdict = Literal["worn", "in_order", "changed", "unknown"]
 Bound = Literal["none", "at_least", "at_most"]
 Condition = Literal["worn", "in_order", "open"]
-Mode = Literal["trusted", "robust"]
-ModeAsked = Literal["auto", "trusted", "robust"]
 
 
 class _Frozen(BaseModel):

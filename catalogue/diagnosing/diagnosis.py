@@ -13,11 +13,9 @@ from typing import get_args
 from jointplay.catalogue.diagnosing.answer import (
     Cause,
     Diagnosis,
-    Effort,
     EffortSpent,
     GoodnessOfFit,
     MatcherIdentity,
-    ModeAsked,
     ModeUsed,
     PriorUsed,
     Provenance,
@@ -41,7 +39,7 @@ from jointplay.catalogue.diagnosing.verdict import (
     speed_warnings,
 )
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.matching.matcher import Effort, MatchResult, ModeAsked
 from jointplay.catalogue.matching.model_library import ModelLibrary, library_of, one_thread
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior

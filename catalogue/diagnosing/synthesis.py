@@ -14,7 +14,6 @@ import numpy as np
 from scipy.special import softmax
 
 from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
-from jointplay.catalogue.diagnosing.answer import Mode
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import compose
 from jointplay.catalogue.matching.matcher import (
@@ -22,6 +21,7 @@ from jointplay.catalogue.matching.matcher import (
     ClearanceEstimate,
     HypothesisMatch,
     MatchResult,
+    Mode,
     rank,
 )
 from jointplay.catalogue.matching.observation import Sensing, group

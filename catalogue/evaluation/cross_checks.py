@@ -22,8 +22,8 @@ from jointplay.catalogue.evaluation.nearest_entry import (
 from jointplay.catalogue.matching.calibration import fit_temperature, folds, probabilities, row_weights
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.learning import Learning, SpectraSource
-from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet, rank
-from jointplay.catalogue.matching.model_library import Effort, ModelLibrary, Observed
+from jointplay.catalogue.matching.matcher import Effort, MatchResult, TrainingSet, rank
+from jointplay.catalogue.matching.model_library import ModelLibrary, Observed
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.extensions import entry_points_of
 

@@ -10,7 +10,6 @@ from functools import partial
 from itertools import product
 from typing import Any
 
-from jointplay.catalogue.diagnosing.answer import Effort, ModeAsked
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
 from jointplay.catalogue.diagnosing.joint_states import plays_of_fits
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
@@ -21,6 +20,7 @@ from jointplay.catalogue.evaluation.protocols import Protocol, draw_truth, proto
 from jointplay.catalogue.evaluation.recordings import TOGETHER, Recordings, hidden, recorded
 from jointplay.catalogue.evaluation.spoiling import with_spoiling
 from jointplay.catalogue.evaluation.truth import Truth
+from jointplay.catalogue.matching.matcher import Effort, ModeAsked
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
 from jointplay.catalogue.plans.entry import Hypothesis

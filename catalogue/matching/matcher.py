@@ -27,6 +27,12 @@ NORMAL_90 = 1.645
 Mode = Literal["trusted", "robust"]
 """How far a model is believed: as simulated, or with everything that may differ in the real machine."""
 
+ModeAsked = Literal["auto", "trusted", "robust"]
+"""A mode, or what the recording says for itself."""
+
+Effort = Literal["fast", "standard", "thorough"]
+"""How much an answer may cost."""
+
 
 @dataclass(frozen=True, eq=False)
 class DrawnFeatures:

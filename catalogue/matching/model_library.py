@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from cachetools import LRUCache, cached
@@ -19,7 +19,7 @@ from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, training_set
-from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
+from jointplay.catalogue.matching.matcher import Effort, MatchResult, ModeAsked, TrainingSet
 from jointplay.catalogue.matching.modelfile import as_read, read_model, time_written, write_model
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
@@ -28,9 +28,6 @@ from jointplay.catalogue.matching.refit import Refit, blend, merge
 from jointplay.catalogue.plans.entry import content_digest
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray
-
-Effort = Literal["fast", "standard", "thorough"]
-Choice = Literal["auto", "trusted", "robust"]
 
 NOISE_STEP_DB = 3.0
 """Steps a noise floor is rounded up to, so that a learned model serves all recordings of about the same noise."""
@@ -83,7 +80,7 @@ class ModelLibrary:
         feature: FloatArray,
         watched: BoolArray,
         effort: Effort = "standard",
-        mode: Choice = "auto",
+        mode: ModeAsked = "auto",
         *,
         speed: float | None = None,
         weights: FloatArray | None = None,

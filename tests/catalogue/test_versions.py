@@ -23,7 +23,8 @@ from spectra_model import WATCHED, SpectraModel, sensing
 from jointplay import catalogue
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
-from jointplay.catalogue.matching.model_library import Choice, Effort, ModelLibrary
+from jointplay.catalogue.matching.matcher import Effort, ModeAsked
+from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.network import NetworkTraining
 from jointplay.catalogue.matching.observation import observe
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
@@ -58,7 +59,7 @@ def of_entries(mode: str) -> FloatArray:
     return observe(packed, sensing(), learning.discrepancy, np.full(len(packed), 2), 1, edges)[0].ravel()
 
 
-def of_answer(effort: Effort, mode: Choice) -> FloatArray:
+def of_answer(effort: Effort, mode: ModeAsked) -> FloatArray:
     """Probabilities, p-values and clearances of all hypotheses for a loud, noisy recording of a pair."""
     seen = sensing(0.1)
     held = SpectraModel(3, pairs=True, seed=2)
