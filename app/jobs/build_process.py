@@ -34,7 +34,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class BuildReport:
+class BuildProgress:
     """What the process tells the server: how far it is (columns of the build's row), or how it ended."""
 
     kind: Literal["progress", "done", "failed"]
@@ -56,10 +56,10 @@ def work(order: Order, sender: Connection) -> None:
             problem = problem_of(error)
             if problem.status >= 500:
                 log.exception("the build of %s failed", order.folder.name)
-            sender.send(BuildReport("failed", {"message": problem.detail}))
+            sender.send(BuildProgress("failed", {"message": problem.detail}))
 
 
-def run_build(order: Order, sender: Connection) -> BuildReport:
+def run_build(order: Order, sender: Connection) -> BuildProgress:
     """Build, train, and return how it ended."""
     from jointplay.catalogue.building.build import Progress, build
     from jointplay.catalogue.building.executors import count_processors
@@ -78,15 +78,15 @@ def run_build(order: Order, sender: Connection) -> BuildReport:
             "seconds_left": state.eta,
             "message": "",
         }
-        sender.send(BuildReport("progress", values))
+        sender.send(BuildProgress("progress", values))
 
     def networks(done: int, total: int) -> None:
         sender.send(
-            BuildReport("progress", {"seconds_left": None, "message": f"{done} of {total} networks are trained"})
+            BuildProgress("progress", {"seconds_left": None, "message": f"{done} of {total} networks are trained"})
         )
 
     def said(text: str) -> None:
-        sender.send(BuildReport("progress", {"message": text}))
+        sender.send(BuildProgress("progress", {"message": text}))
 
     machine, plan = parse_machine(order.machine), parse_plan(order.plan)
     with ExitStack() as stack:
@@ -100,7 +100,7 @@ def run_build(order: Order, sender: Connection) -> BuildReport:
     found = {"catalogue_id": Catalogue.open(order.folder).id}
     if report.lost:
         message = f"{len(report.lost)} cases could not be computed: {report.lost_reason}; a further build tries them"
-        return BuildReport("failed", {**found, "message": message})
+        return BuildProgress("failed", {**found, "message": message})
     train_networks(order.folder, workers=workers, progress=networks)
     failed = ", ".join(f"{count} {status}" for status, count in sorted(report.failed.items()))
-    return BuildReport("done", {**found, "message": f"cases without a spectrum: {failed}" if failed else ""})
+    return BuildProgress("done", {**found, "message": f"cases without a spectrum: {failed}" if failed else ""})

@@ -20,7 +20,7 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from jointplay.app.jobs.build_process import BuildReport, Order, work
+from jointplay.app.jobs.build_process import BuildProgress, Order, work
 from jointplay.app.logs import DEFAULT_LOG, LogSettings, of_request
 from jointplay.app.storage.build_queue import BuildQueue, BuildRow
 
@@ -185,11 +185,11 @@ class BuildRunner:
         return None
 
 
-def receive(receiver: Connection, seconds: float, told: dict[str, Any]) -> tuple[BuildReport | None, bool]:
+def receive(receiver: Connection, seconds: float, told: dict[str, Any]) -> tuple[BuildProgress | None, bool]:
     """Add what a process tells within some time to `told`; returns its last word, and whether it went without one."""
     try:
         while receiver.poll(seconds):
-            word: BuildReport = receiver.recv()
+            word: BuildProgress = receiver.recv()
             told.update(word.values)
             if word.kind != "progress":
                 return word, False

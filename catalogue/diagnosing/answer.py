@@ -94,7 +94,7 @@ class SensorFlaw(_Frozen):
     said: str
 
 
-class Hypothesis(_Frozen):
+class RankedHypothesis(_Frozen):
     """One explanation.
 
     Attributes
@@ -339,7 +339,7 @@ class Answer(_Frozen):
     `unknown`: nothing explains the measurement."""
     joints: Mapping[str, JointState]
     """Every joint of the catalogue by itself."""
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[RankedHypothesis, ...]
     """The most probable first; no joints: no wear."""
     causes: tuple[Cause, ...]
     """Other than play, the most probable first; empty: none is needed or known."""

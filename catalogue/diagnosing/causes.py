@@ -204,7 +204,7 @@ MOST_STEPS = 20
 
 
 @dataclass(eq=False)
-class _Search:
+class _CauseSearch:
     """Where a search is: middle (p,) and step of the values looked at next, and the best of those looked at."""
 
     middle: FloatArray
@@ -261,7 +261,7 @@ def least_of(
         start + step * _points(FIRST_LOOK[len(start)], len(start)) for start, step in zip(starts, steps, strict=True)
     ]
     lowest = [look[np.argmin(value)] for look, value in zip(looks, function(looks), strict=True)]
-    searches = [_Search(middle, step, middle) for middle, step in zip(lowest, steps, strict=True)]
+    searches = [_CauseSearch(middle, step, middle) for middle, step in zip(lowest, steps, strict=True)]
     for _ in range(MOST_STEPS):
         values = function([search.around()[: 0 if search.done else None] for search in searches])
         for search, value, first in zip(searches, values, steps, strict=True):

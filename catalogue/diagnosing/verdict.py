@@ -10,14 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, Hypothesis, JointClearance, Verdict
+from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, JointClearance, RankedHypothesis, Verdict
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
 from jointplay.catalogue.diagnosing.frame_modes import find_mode
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
 
@@ -45,7 +45,7 @@ def judge(
     result: MatchResult,
     coverage: float,
     causes: Sequence[NamedCause] = (),
-    flaws: Sequence[SensorFlaw] = (),
+    flaws: Sequence[SensorContradiction] = (),
 ) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
@@ -92,9 +92,9 @@ def _nearest(catalogue: Catalogue, match: HypothesisMatch) -> IntArray:
     return rows[np.sort(np.argsort(np.sum(away**2, axis=1), kind="stable")[:NEAREST])]
 
 
-def hypothesis_shown(match: HypothesisMatch) -> Hypothesis:
+def hypothesis_shown(match: HypothesisMatch) -> RankedHypothesis:
     """Return a hypothesis as the answer shows it."""
-    return Hypothesis(
+    return RankedHypothesis(
         label=match.label,
         joints={
             found.joint: JointClearance(

@@ -168,7 +168,7 @@ def evaluate(
     known_methods = {**METHODS, **{name: partial(as_matcher, each, name) for name, each in (methods or {}).items()}}
     _check(setups, known_methods)
     networks = networks_of(catalogue, setups, most)
-    run = _Run(catalogue, count, seed, tuple(setups), known_methods, recordings or Recordings(), most, networks)
+    run = _StudyRun(catalogue, count, seed, tuple(setups), known_methods, recordings or Recordings(), most, networks)
     for protocol in wanted:
         run.hypotheses(protocol)  # Refused before anything is simulated.
     total = sum(2 if protocol.foreign else 1 for protocol in wanted) * count
@@ -226,7 +226,7 @@ class _Found:
 
 
 @dataclass(frozen=True)
-class _Run:
+class _StudyRun:
     catalogue: Catalogue
     count: int
     seed: int

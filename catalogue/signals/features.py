@@ -17,7 +17,7 @@ from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep, note_step
-from jointplay.catalogue.signals.sensor_flaws import SensorFlaw, find_sensor_flaws
+from jointplay.catalogue.signals.sensor_flaws import SensorContradiction, find_sensor_flaws
 from jointplay.catalogue.signals.sensors import SensorMap, map_sensors, without_columns
 from jointplay.catalogue.signals.spectrum_features import prepare_spectrum
 from jointplay.catalogue.signals.steadiness import (
@@ -317,7 +317,7 @@ def _floor_note(floor: NoiseFloor, sensing: SensorMap) -> str:
     return text
 
 
-def _flaws_note(flaws: tuple[SensorFlaw, ...], sensing: SensorMap) -> str:
+def _flaws_note(flaws: tuple[SensorContradiction, ...], sensing: SensorMap) -> str:
     if flaws:
         return "; ".join(flaw.text for flaw in flaws)
     if np.linalg.matrix_rank(sensing.transform) < len(sensing.sensors):

@@ -21,7 +21,7 @@ from jointplay.catalogue.measurements.drivespeed import SpeedEstimate
 from jointplay.catalogue.signals.disturbances import Disturbance
 from jointplay.catalogue.signals.hum import SteadyLine
 from jointplay.catalogue.signals.noise import NoiseFloor
-from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.signals.sensors import SensorMap
 from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, join_bands
 from jointplay.solver.arrays import ComplexArray, FloatArray
@@ -112,7 +112,7 @@ class PreparedMeasurement:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     steps: tuple[RecipeStep, ...]
-    flaws: tuple[SensorFlaw, ...] = ()
+    flaws: tuple[SensorContradiction, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
     left_out: float = 0.0
     hum_power: FloatArray | None = None

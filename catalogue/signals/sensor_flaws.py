@@ -50,7 +50,7 @@ FAR_WEAKER = 1e-4
 
 
 @dataclass(frozen=True)
-class SensorFlaw:
+class SensorContradiction:
     """A sensor, or several, that cannot be as the machine file has them.
 
     Parameters
@@ -83,7 +83,7 @@ class _Explained:
     correction: float
 
 
-def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) -> tuple[SensorFlaw, ...]:
+def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) -> tuple[SensorContradiction, ...]:
     """Find sensors that contradict each other on orders 1 to 20.
 
     Parameters
@@ -139,7 +139,7 @@ def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) 
     if best > least:
         names = ", ".join(sensing.sensors)
         text = f"sensors {names} contradict each other as parts of one rigid frame: no single change explains it"
-        return (SensorFlaw("contradicts", sensing.sensors, text),)
+        return (SensorContradiction("contradicts", sensing.sensors, text),)
     return (_choose([each for each in candidates if each.misfit < best + AS_GOOD], sensing.sensors),)
 
 
@@ -183,7 +183,7 @@ def _changes(count: int) -> Iterator[_Change]:
         yield _Change(tuple(order))
 
 
-def _choose(found: list[_Explained], names: tuple[str, ...]) -> SensorFlaw:
+def _choose(found: list[_Explained], names: tuple[str, ...]) -> SensorContradiction:
     """Explanations that are as good as each other in one flaw, of the kind of the best."""
     kinds: list[FlawKind] = []
     texts, concerned = [], []
@@ -205,11 +205,11 @@ def _choose(found: list[_Explained], names: tuple[str, ...]) -> SensorFlaw:
             sign = "inverted and " if factor < 0 else ""
             texts.append(f"{names[free]} is {sign}{abs(factor):.2g} times as large as it should be")
     text = f"the sensors contradict each other as parts of one rigid frame, unless {', or '.join(texts)}"
-    return SensorFlaw(kinds[0], tuple(dict.fromkeys(concerned)), text)
+    return SensorContradiction(kinds[0], tuple(dict.fromkeys(concerned)), text)
 
 
-def _dead(name: str) -> SensorFlaw:
-    return SensorFlaw("dead", (name,), f"sensor {name} is dead: it shows nothing of the machine's motion")
+def _dead(name: str) -> SensorContradiction:
+    return SensorContradiction("dead", (name,), f"sensor {name} is dead: it shows nothing of the machine's motion")
 
 
 def _nothing_heard(own: FloatArray, noise: FloatArray) -> BoolArray:

@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 Each = TypeVar("Each")
 
 
-class Rows(NamedTuple, Generic[Each]):
+class WorkRows(NamedTuple, Generic[Each]):
     """Something of every quantity of a work array, in the order in which they lie there.
 
     How many rows it has, these rows, or the first of them, which is what compiled drivers take.
@@ -81,7 +81,7 @@ class Rows(NamedTuple, Generic[Each]):
     hoisted: Each
 
 
-def work_rows(n: int, parameters: int, memories: int, **own: int) -> Rows[range]:
+def work_rows(n: int, parameters: int, memories: int, **own: int) -> WorkRows[range]:
     """Rows of a method's work array.
 
     Parameters
@@ -91,9 +91,9 @@ def work_rows(n: int, parameters: int, memories: int, **own: int) -> Rows[range]
     **own : int
         Rows of the quantities that the method has beside those that every method has; of all others there are none.
     """
-    counts = dict.fromkeys(Rows._fields, 0) | {
+    counts = dict.fromkeys(WorkRows._fields, 0) | {
         "time": 1, "step": 1, "z": n, "v": n, "a": n, "kept": 2 * n, "jam": 1,
         "parameters": parameters, "memory": memories,
     }  # fmt: skip
-    table = Rows(**counts | own)
-    return Rows(*(range(end - count, end) for count, end in zip(table, accumulate(table), strict=True)))
+    table = WorkRows(**counts | own)
+    return WorkRows(*(range(end - count, end) for count, end in zip(table, accumulate(table), strict=True)))

@@ -12,7 +12,7 @@ import numpy as np
 from jointplay.solver.arrays import FloatArray, IntArray, StructuredArray
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.native import compiled, inlined
-from jointplay.solver.compiler.rows import Rows
+from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.integrators.control import (
     CAUTION,
     DIVERGING,
@@ -37,7 +37,7 @@ from jointplay.solver.integrators.lanes import BUSY, ENDED, FREE, NEXT, STALE, L
 
 @compiled
 def load(
-    w: FloatArray, rows: Rows[int], cases: StructuredArray, starts: FloatArray, parameters: FloatArray,
+    w: FloatArray, rows: WorkRows[int], cases: StructuredArray, starts: FloatArray, parameters: FloatArray,
     lanes: StructuredArray, remembering: IntArray, free: IntArray, cursor: IntArray,
 ) -> int:  # fmt: skip
     """Give idle lanes the next cases of the queue, as long as there is room for their records; how many got one."""
@@ -71,8 +71,8 @@ def load(
 
 @inlined
 def put_away(
-    w: FloatArray, rows: Rows[int], lane: int, outcome: int, reached: int, cases: StructuredArray, starts: FloatArray,
-    lanes: StructuredArray, ended: IntArray, cursor: IntArray,
+    w: FloatArray, rows: WorkRows[int], lane: int, outcome: int, reached: int, cases: StructuredArray,
+    starts: FloatArray, lanes: StructuredArray, ended: IntArray, cursor: IntArray,
 ) -> None:  # fmt: skip
     """Put the lane's case away: how it ended, and where it stands."""
     mine = lanes[lane]
@@ -90,7 +90,9 @@ def put_away(
 
 
 @compiled
-def restore_closures(project: int, w: FloatArray, rows: Rows[int], lanes: StructuredArray, saved: FloatArray) -> bool:
+def restore_closures(
+    project: int, w: FloatArray, rows: WorkRows[int], lanes: StructuredArray, saved: FloatArray
+) -> bool:
     """Restore the closures of the lanes that are due, and only of them; whether there were any.
 
     The others are left exactly as they are, so that no result depends on which cases run beside it.
@@ -122,7 +124,7 @@ def restore_closures(project: int, w: FloatArray, rows: Rows[int], lanes: Struct
 
 
 @inlined
-def _remember_impacts(w: FloatArray, rows: Rows[int], remembering: IntArray, lane: int) -> None:
+def _remember_impacts(w: FloatArray, rows: WorkRows[int], remembering: IntArray, lane: int) -> None:
     """Bring what the contacts of a lane remember up to date with an accepted state."""
     for m in range(remembering.size):
         contact = remembering[m]
@@ -130,7 +132,7 @@ def _remember_impacts(w: FloatArray, rows: Rows[int], remembering: IntArray, lan
 
 
 @inlined
-def _remember_contacts(w: FloatArray, rows: Rows[int], lane: int, old: FloatArray) -> None:
+def _remember_contacts(w: FloatArray, rows: WorkRows[int], lane: int, old: FloatArray) -> None:
     """Penetration, its rate and the switch function now are those at the start of the next step."""
     for j in range(rows.switch - rows.touching):
         old[0, j, lane] = w[rows.penetration + j, lane]
@@ -140,7 +142,7 @@ def _remember_contacts(w: FloatArray, rows: Rows[int], lane: int, old: FloatArra
 
 @inlined
 def _first_switch(
-    w: FloatArray, rows: Rows[int], lane: int, step: float, precision: float, shortest: float, old: FloatArray
+    w: FloatArray, rows: WorkRows[int], lane: int, step: float, precision: float, shortest: float, old: FloatArray
 ) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step (-1 for none), and the shorter step to it, or 0.
 
@@ -164,7 +166,7 @@ def _first_switch(
 
 
 @inlined
-def _switch(w: FloatArray, rows: Rows[int], lane: int, event: int) -> bool:
+def _switch(w: FloatArray, rows: WorkRows[int], lane: int, event: int) -> bool:
     """Let the contact of the event push or cease to, with those that switched at the same time; whether it pushes."""
     for j in range(rows.switch - rows.touching):
         pushes = w[rows.touching + j, lane] > 0.5
@@ -174,7 +176,7 @@ def _switch(w: FloatArray, rows: Rows[int], lane: int, event: int) -> bool:
 
 
 @inlined
-def _any_contact(w: FloatArray, rows: Rows[int], lane: int) -> bool:
+def _any_contact(w: FloatArray, rows: WorkRows[int], lane: int) -> bool:
     """Whether any contact of the lane pushes over the step."""
     pushing = 0.0
     for i in range(rows.touching, rows.switch):
@@ -184,7 +186,7 @@ def _any_contact(w: FloatArray, rows: Rows[int], lane: int) -> bool:
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: FloatArray, rows: Rows[int], queue: Queue, records: Records, state: Lanes
+    kernel: tuple[int, int, int, int], w: FloatArray, rows: WorkRows[int], queue: Queue, records: Records, state: Lanes
 ) -> None:  # fmt: skip
     """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 

@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.native import compiled, inlined
-from jointplay.solver.compiler.rows import Rows
+from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.integrators.lanes import GROUP, PHASES
 
 
@@ -135,7 +135,7 @@ _write_in_turn: Any = intrinsic(_in_turn)
 
 @inlined
 def record(
-    w: FloatArray, rows: Rows[int], lane: int, begin: float, t: float, step: float, first: int, last: int,
+    w: FloatArray, rows: WorkRows[int], lane: int, begin: float, t: float, step: float, first: int, last: int,
     slot: int, channels: IntArray, interval: float, head: int, velocities: FloatArray,
     coordinates: FloatArray, accelerations: FloatArray, memories: FloatArray,
 ) -> None:  # fmt: skip

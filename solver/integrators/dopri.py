@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from jointplay.solver.compiler.ir import Block
-from jointplay.solver.compiler.rows import Rows, work_rows
+from jointplay.solver.compiler.rows import WorkRows, work_rows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import SAFETY
 
@@ -41,7 +41,7 @@ _LEAST_ROOT = 0.5623
 DENSE_ROWS = 4
 
 
-def adaptive_rows(model: Model, recorded: int) -> Rows[range]:
+def adaptive_rows(model: Model, recorded: int) -> WorkRows[range]:
     """Work array of the error-controlled step, with dense output of so many coordinates."""
     n, contacts = model.size, len(model.contacts)
     return work_rows(
@@ -71,7 +71,7 @@ def _growth(block: Block, error: str) -> tuple[str, str]:
     )
 
 
-def dopri_step(rows: Rows[range], recorded: Sequence[int], scales: Sequence[float]) -> str:
+def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[float]) -> str:
     """``dopri``: a trial step from (z, v, first slopes) with the step and time rows.
 
     Parameters

@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.compiler.ir import LANES, Block
 from jointplay.solver.compiler.native import compiled
-from jointplay.solver.compiler.rows import Rows, work_rows
+from jointplay.solver.compiler.rows import WorkRows, work_rows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import remember
 
@@ -44,13 +44,13 @@ _STAGES = (
 )
 
 
-def gill_rows(model: Model) -> Rows[range]:
+def gill_rows(model: Model) -> WorkRows[range]:
     """Work array of a step; penetration and approach are those of the contacts that remember."""
     memories = len(model.remembering)
     return work_rows(model.size, len(model.parameters), memories, penetration=memories, approach=memories)
 
 
-def gill_step(rows: Rows[range]) -> str:
+def gill_step(rows: WorkRows[range]) -> str:
     """One step as vector code: ``void gill(double* work)``, with the first right-hand side evaluated already."""
     block = Block()
     n = len(rows.z)
@@ -90,7 +90,7 @@ call: Any = intrinsic(_call)
 
 
 @compiled
-def _remember(w: FloatArray, rows: Rows[int]) -> None:
+def _remember(w: FloatArray, rows: WorkRows[int]) -> None:
     """Memories of all lanes after the right-hand side of an accepted state.
 
     It need not be evaluated again: with nothing remembered it took the same velocity that is remembered now.
@@ -101,7 +101,7 @@ def _remember(w: FloatArray, rows: Rows[int]) -> None:
 
 
 @compiled
-def _note(w: FloatArray, rows: Rows[int], lane: int, how: int, finals: FloatArray) -> None:
+def _note(w: FloatArray, rows: WorkRows[int], lane: int, how: int, finals: FloatArray) -> None:
     """Keep how a lane has ended, its time and its state."""
     finals[lane, 0] = how
     finals[lane, 1] = w[rows.time, lane]
@@ -109,7 +109,7 @@ def _note(w: FloatArray, rows: Rows[int], lane: int, how: int, finals: FloatArra
 
 
 @compiled
-def _note_jams(w: FloatArray, rows: Rows[int], finals: FloatArray) -> None:
+def _note_jams(w: FloatArray, rows: WorkRows[int], finals: FloatArray) -> None:
     """Keep time and state of lanes that have just jammed."""
     for lane in range(LANES):
         if finals[lane, 0] == RUNNING and w[rows.jam, lane] > 0.5:
@@ -118,7 +118,7 @@ def _note_jams(w: FloatArray, rows: Rows[int], finals: FloatArray) -> None:
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: FloatArray, rows: Rows[int], begins: FloatArray, h: float,
+    kernel: tuple[int, int, int, int], w: FloatArray, rows: WorkRows[int], begins: FloatArray, h: float,
     substeps: int, record: IntArray, out: FloatArray, broken: IntArray,
     counts: IntArray, finals: FloatArray,
 ) -> None:  # fmt: skip

@@ -12,7 +12,7 @@ from jointplay.solver.arrays import FloatArray
 from jointplay.solver.compiler import native
 from jointplay.solver.compiler.emit import Program, straight_line
 from jointplay.solver.compiler.ir import DECLARATIONS, LANES
-from jointplay.solver.compiler.rows import Rows
+from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.gill import gill_rows, gill_step
@@ -38,15 +38,15 @@ class Kernel:
         SHA-256 of code, processor and compiler.
     """
 
-    rows: Rows[range]
+    rows: WorkRows[range]
     functions: tuple[int, int, int, int]
     operations: int
     key: str
 
     @property
-    def first(self) -> Rows[int]:
+    def first(self) -> WorkRows[int]:
         """The first row of everything, for compiled code."""
-        return Rows(*(rows.start for rows in self.rows))
+        return WorkRows(*(rows.start for rows in self.rows))
 
     def work_array(self) -> FloatArray:
         """A zeroed, aligned work array, (rows, LANES)."""
@@ -61,7 +61,7 @@ class KernelCode:
     """Source of a model, before compilation."""
 
     text: str
-    rows: Rows[range]
+    rows: WorkRows[range]
     operations: int
     constrained: bool
 
@@ -79,7 +79,7 @@ def _printed(name: str, reads: Placed, writes: Placed, hoist_at: int) -> Program
 
 
 def _code(
-    model: Model, rows: Rows[range], name: str, reads: Placed, writes: Placed, jam: ca.SX, step: str
+    model: Model, rows: WorkRows[range], name: str, reads: Placed, writes: Placed, jam: ca.SX, step: str
 ) -> KernelCode:
     """Right-hand side `name`, projection, ``prepare`` and one step of a method; `reads` beside the state."""
     state = [(rows.time, model.t), (rows.z, model.z), (rows.v, model.v), (rows.parameters, model.p)]

@@ -8,7 +8,7 @@ import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from jointplay.app.jobs.build_process import BuildReport, Order
+from jointplay.app.jobs.build_process import BuildProgress, Order
 from jointplay.app.jobs.workers import prepare
 from jointplay.app.logs import LogSettings
 
@@ -26,14 +26,14 @@ def noted(folder: Path, catalogue: str) -> list[int]:
 
 def quick(order: Order, sender: Connection) -> None:
     note(order)
-    sender.send(BuildReport("progress", {"cases_done": 3, "cases_total": 12}))
-    sender.send(BuildReport("done", {"catalogue_id": "c" * 64, "cases_done": 12, "message": ""}))
+    sender.send(BuildProgress("progress", {"cases_done": 3, "cases_total": 12}))
+    sender.send(BuildProgress("done", {"catalogue_id": "c" * 64, "cases_done": 12, "message": ""}))
 
 
 def endless(order: Order, sender: Connection) -> None:
     prepare(LogSettings())
     note(order)
-    sender.send(BuildReport("progress", {"cases_done": 3, "cases_total": 12}))
+    sender.send(BuildProgress("progress", {"cases_done": 3, "cases_total": 12}))
     time.sleep(600)
 
 
@@ -43,4 +43,4 @@ def deadly(order: Order, sender: Connection) -> None:
 
 
 def refused(order: Order, sender: Connection) -> None:
-    sender.send(BuildReport("failed", {"message": "plan: breaks a rule"}))
+    sender.send(BuildProgress("failed", {"message": "plan: breaks a rule"}))

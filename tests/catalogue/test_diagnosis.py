@@ -28,7 +28,7 @@ from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
-from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import shipped_machine
@@ -363,5 +363,5 @@ def test_a_machine_that_is_not_as_its_file_is_never_in_order_and_worn_only_where
     named = [Cause(name=name, size=1.0, unit="kg m", probability=0.9) for name in causes]
     assert judge(found, 0.95, named)[1] == verdict
     # What sensors contradict is unknown, whatever else there is.
-    flaw = SensorFlaw("dead", ("s1-x",), "s1-x is dead")
+    flaw = SensorContradiction("dead", ("s1-x",), "s1-x is dead")
     assert judge(found, 0.95, named, [flaw])[1] == "unknown"

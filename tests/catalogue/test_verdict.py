@@ -19,11 +19,11 @@ from jointplay.catalogue.diagnosing.verdict import (
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
-from jointplay.catalogue.signals.sensor_flaws import SensorFlaw
+from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 
 NOTHING = np.zeros(1)
 MOUNT = NamedCause("mount 1", 0.5, "x stiffness", 0.9)
-FLAW = SensorFlaw("inverted", ("s1-x",), "s1-x is inverted")
+FLAW = SensorContradiction("inverted", ("s1-x",), "s1-x is inverted")
 
 
 def answer(trusted_p_value: float | None = 0.5, **hypotheses: tuple[float, float]) -> MatchResult:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import error_scales
-from jointplay.solver.compiler.rows import Rows
+from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators import adaptive, dense, dopri, lanes
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
@@ -67,7 +67,7 @@ def _in_place(function: Callable[[Values], None]) -> Callable[[Work], None]:
     return call
 
 
-def _held(model: Model, rows: Rows[range]) -> Callable[[Values], None]:
+def _held(model: Model, rows: WorkRows[range]) -> Callable[[Values], None]:
     outputs = [model.held_acceleration]
     outputs += [
         ca.vertcat(*(getattr(c, name) for c in model.contacts)) for name in ("switch", "penetration", "approach")
@@ -86,7 +86,7 @@ def _held(model: Model, rows: Rows[range]) -> Callable[[Values], None]:
     return held
 
 
-def _project(model: Model, rows: Rows[range]) -> Callable[[Values], None]:
+def _project(model: Model, rows: WorkRows[range]) -> Callable[[Values], None]:
     def project(w: Values) -> None:
         z, v, p = (np.array([w[i] for i in place]) for place in (rows.z, rows.v, rows.parameters))
         z = z + model.projection(w[0], z, v, p)[0].full()[:, 0]
