@@ -28,8 +28,8 @@ from jointplay.catalogue.matching.matcher import TrainingSet
 from jointplay.catalogue.matching.model_library import Observed, library_of
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.observation import Sensing
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,6 @@ from itertools import zip_longest
 import numpy as np
 
 from jointplay.catalogue.plans.entry import Entry, Recipe, content_digest
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.shard import OK, CaseOutcome
 from jointplay.solver.arrays import AnyComplexArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
@@ -22,6 +21,7 @@ from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import band_matrix
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 LEAST_POWER = 1e-9
 """Bands below this part of the largest band of the same motion are rounding and do not count."""

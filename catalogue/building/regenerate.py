@@ -14,10 +14,10 @@ from jointplay.catalogue.building.executors import Executor, InProcess, LocalPro
 from jointplay.catalogue.errors import CatalogueMismatchError
 from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.storage.cross_power import pack
-from jointplay.catalogue.storage.feature_bands import LEAST_POWER
 from jointplay.catalogue.storage.manifest import package_versions, this_platform
 from jointplay.catalogue.storage.shard import CaseOutcome
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.spectra.bands import LEAST_POWER
 
 TOLERANCE_DB = 1.0
 """Mean difference over all cases compared that another processor may make. Machines with play are chaotic: where sums

@@ -9,9 +9,9 @@ import numpy as np
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.cross_power import unpack
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, LEAST_POWER
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
+from jointplay.solver.spectra.bands import FEATURE_ORDERS, LEAST_POWER
 
 #: Decibels of a relative change of power by one.
 DECIBELS = 10.0 / np.log(10.0)

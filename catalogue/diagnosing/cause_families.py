@@ -17,10 +17,10 @@ import numpy as np
 from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Wrench, family_wrenches
 from jointplay.catalogue.signals.suspension import accelerance
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 #: Factors on the stiffness of mounts that a search starts from.
 STIFFNESSES = (0.02, 0.1, 0.3, 0.5, 0.7, 1.3, 2.0)

@@ -16,12 +16,12 @@ import numpy as np
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.parameters import DRIVE_SPEED
 from jointplay.catalogue.plans.variants import output_load
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.simulation.simulate import simulate_batch
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 SAMPLES = 256
 """Points of a revolution: orders up to 20 need a fraction of them, rough loads more."""

@@ -21,13 +21,14 @@ from jointplay.catalogue.diagnosing.answer import Suggestion
 from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.signals.feature_bands import join_bands
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensors import free_motions
-from jointplay.catalogue.storage.feature_bands import LEAST_POWER, join_bands
 from jointplay.catalogue.storage.matrix import FeatureMatrix
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.bands import LEAST_POWER
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 
 #: Hypotheses that are told apart, and the least probability of one that is worth it.

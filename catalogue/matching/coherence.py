@@ -13,9 +13,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.arrays import ComplexArray, FloatArray, IntArray
 from jointplay.solver.spectra.band_power import CYCLES
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 REFERENCE_ORDERS = 8
 """Orders whose cyclic coherences say together where in a revolution a recording begins: what moves by its kinematics

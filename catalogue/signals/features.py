@@ -14,6 +14,7 @@ from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.tacho import track_of, usual_speed
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep, note_step
@@ -36,14 +37,10 @@ from jointplay.catalogue.signals.undisturbed import (
     remove_disturbances,
     without_lines,
 )
-from jointplay.catalogue.storage.feature_bands import (
-    FEATURE_ORDERS,
-    usable_cuts,
-)
 from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.band_power import HOP_REVOLUTIONS, WINDOW_REVOLUTIONS
-from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.bands import FEATURE_ORDERS, BandScheme
 
 #: Revolutions below which a recording is refused, and warned of.
 MIN_REVOLUTIONS = 3.0

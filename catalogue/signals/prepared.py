@@ -19,14 +19,14 @@ from jointplay.catalogue import FEATURES_VERSION
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate
 from jointplay.catalogue.signals.disturbances import Disturbance
+from jointplay.catalogue.signals.feature_bands import FeatureAxis, feature_axes, feature_vector, join_bands
 from jointplay.catalogue.signals.hum import SteadyLine
 from jointplay.catalogue.signals.noise import NoiseFloor
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.signals.sensors import SensorMap
-from jointplay.catalogue.storage.feature_bands import LEAST_POWER, FeatureAxis, feature_axes, feature_vector, join_bands
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.spectra.band_power import BandMatrix, transform_power
-from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.bands import LEAST_POWER, BandScheme
 
 
 class RecipeStep(BaseModel):

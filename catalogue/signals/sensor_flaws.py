@@ -18,9 +18,9 @@ import numpy as np
 from jointplay.catalogue.signals.hum import MAINS, MULTIPLES
 from jointplay.catalogue.signals.noise import NoiseFloor
 from jointplay.catalogue.signals.sensors import SensorMap
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.spectra.band_power import BandMatrix
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 FlawKind = Literal["swapped", "inverted", "dead", "gain", "contradicts"]
 

@@ -11,14 +11,14 @@ from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, SEARCH_RANGE, SpeedEstimate
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LINES_TOGETHER, NoiseFloor
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
 from jointplay.catalogue.signals.sensors import map_sensors, sensors_one_by_one
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS, usable_cuts
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.band_power import BandMatrix
-from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.bands import FEATURE_ORDERS, BandScheme
 
 #: Lines an order that a spectrum must have at least: coarser, an order is not to be told from its neighbours.
 LINES_AN_ORDER = 3.0

@@ -10,11 +10,11 @@ import numpy as np
 
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
 from jointplay.catalogue.signals.sensors import MOTIONS
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.band_power import CYCLES, transform_power
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 
 def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: FloatArray) -> ComplexArray:

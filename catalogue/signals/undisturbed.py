@@ -20,9 +20,9 @@ from jointplay.catalogue.signals.disturbances import (
     patch,
     stretches_of,
 )
+from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.hum import Cleaned, remove_hum
 from jointplay.catalogue.signals.sensors import SensorMap
-from jointplay.catalogue.storage.feature_bands import usable_cuts
 from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, BandMatrix, band_matrix
 from jointplay.solver.spectra.bands import BandScheme

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from jointplay.catalogue.errors import EntryNotFoundError
 from jointplay.catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED
 from jointplay.catalogue.storage.directory import replacing
-from jointplay.catalogue.storage.feature_bands import LEAST_POWER
 from jointplay.catalogue.storage.hdf5 import write_growing
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.table import EntryTable
 from jointplay.solver.arrays import FloatArray, IntArray
+from jointplay.solver.spectra.bands import LEAST_POWER
 
 _UNITS = {
     "band_edges": "orders",

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from jointplay.catalogue.plans.entry import HEALTHY, Hypothesis
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.storage.cross_power import COLUMNS
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, MatrixBlock, MatrixHeader
 from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.bands import FEATURE_ORDERS, BandScheme
 
 Numbers = NDArray[Any]
 """A column: numbers of a type that the column has by its name."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum
 from jointplay.catalogue.plans.variants import Variant
 from jointplay.catalogue.storage.cross_power import CYCLIC, pack, pack_cyclic, unpack, unpack_cyclic
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.solver.arrays import AnyComplexArray, FloatArray
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 OK = "ok"
 """Status of a case whose spectrum is stored."""

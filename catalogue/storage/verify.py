@@ -12,7 +12,6 @@ from jointplay.catalogue.errors import CatalogueError, CatalogueFileError, Catal
 from jointplay.catalogue.plans.entry import Entry, entry_key
 from jointplay.catalogue.storage.cross_power import CYCLIC, pack, unpack
 from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
-from jointplay.catalogue.storage.feature_bands import FEATURE_ORDERS
 from jointplay.catalogue.storage.hdf5 import decode_shard
 from jointplay.catalogue.storage.index import EntriesPresentError, Index
 from jointplay.catalogue.storage.location import IndexLocation
@@ -22,6 +21,7 @@ from jointplay.catalogue.storage.sealing import seal
 from jointplay.catalogue.storage.shard import OK, Shard, ShardHeader
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.machine import parse_machine
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 
 def check_shard(shard: Shard, path: Path) -> None:

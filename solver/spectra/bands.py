@@ -11,6 +11,12 @@ import numpy as np
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.errors import SettingsError
 
+#: Single orders that are compared; a recording must reach them.
+FEATURE_ORDERS = 20
+
+#: A power that stands for "nothing at all": far below any sensor, far above rounding.
+LEAST_POWER = 1e-20
+
 
 @dataclass(frozen=True)
 class BandScheme:

@@ -13,10 +13,10 @@ from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
+from jointplay.catalogue.signals.feature_bands import feature_axes, feature_vector, join_bands, usable_cuts
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep
 from jointplay.catalogue.signals.sensors import map_sensors
-from jointplay.catalogue.storage.feature_bands import feature_axes, feature_vector, join_bands, usable_cuts
 from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.fault import parse_fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine

@@ -11,8 +11,8 @@ from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import SCALE, common_noise, compose, decompose, noise_alike, with_more_noise
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, group, observe, round_sensing, round_up
 from jointplay.catalogue.matching.transfer import RandomTransfer
+from jointplay.catalogue.signals.feature_bands import feature_vector
 from jointplay.catalogue.storage.cross_power import pack, pack_cyclic
-from jointplay.catalogue.storage.feature_bands import feature_vector
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 
 NOTHING = Discrepancy(gain=0.0, level_db=0.0, noise_level_db=0.0, delay=0.0, phase=0.0, cyclic=0.0)

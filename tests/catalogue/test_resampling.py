@@ -9,8 +9,8 @@ import pytest
 import scipy.ndimage
 
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
+from jointplay.catalogue.signals.feature_bands import feature_vector, usable_cuts
 from jointplay.catalogue.signals.steadiness import at_mean_speed, interpolate
-from jointplay.catalogue.storage.feature_bands import feature_vector, usable_cuts
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 

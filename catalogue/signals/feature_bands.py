@@ -9,15 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.bands import FEATURE_ORDERS, LEAST_POWER, BandScheme
 
-#: Single orders in a feature vector; a recording must reach them.
-FEATURE_ORDERS = 20
 #: Part of the sample rate up to which a recording is used. Anti-alias filters and simulated spectra are flat to 0.4;
 #: the little more lets a drive 3 % above nominal keep its last third octave.
 USABLE = 0.4 * 1.035
-#: A power that stands for "nothing at all": far below any sensor, far above rounding.
-LEAST_POWER = 1e-20
 
 
 @dataclass(frozen=True)
