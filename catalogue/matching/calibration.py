@@ -59,7 +59,7 @@ def folds(training: TrainingSet, count: int, seed: int = 0) -> Iterator[tuple[Tr
         yield replace(training, hypotheses=learned), replace(training, hypotheses=held)
 
 
-def hold_out(entry: IntArray) -> BoolArray:
+def is_held_out(entry: IntArray) -> BoolArray:
     """Return which entries nothing that is calibrated may learn from: a fifth of them, whoever asks.
 
     Draws of a hypothesis follow each other in a pattern that fills their range, so that every fifth one would be one
@@ -71,7 +71,7 @@ def hold_out(entry: IntArray) -> BoolArray:
 
 
 def split_held_out(training: TrainingSet) -> tuple[TrainingSet, TrainingSet]:
-    """Split a training set into what may be learned and what :func:`held_out` keeps for calibration.
+    """Split a training set into what may be learned and what :func:`is_held_out` keeps for calibration.
 
     Where that leaves fewer than two cases of a hypothesis on a side, every fifth of its cases is held out; of a single
     case, every fifth row.
@@ -79,8 +79,8 @@ def split_held_out(training: TrainingSet) -> tuple[TrainingSet, TrainingSet]:
     learned, held = [], []
     for draws in training.hypotheses:
         cases, case = np.unique(draws.entry, return_inverse=True)
-        apart = hold_out(cases)[case]
-        if not 2 <= np.sum(hold_out(cases)) <= len(cases) - 2:
+        apart = is_held_out(cases)[case]
+        if not 2 <= np.sum(is_held_out(cases)) <= len(cases) - 2:
             apart = (case if len(cases) > 1 else np.arange(len(case))) % 5 == 0
         learned.append(draws.rows(~apart))
         held.append(draws.rows(apart))

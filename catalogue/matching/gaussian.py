@@ -97,7 +97,7 @@ def fit_gaussian(
     projection : ndarray, shape (d, r), optional
         Whitening found before; found anew unless given.
     opinion : Opinion, optional
-        Of a network that was trained without :func:`~jointplay.catalogue.matching.calibration.held_out` entries. It
+        Of a network that was trained without :func:`~jointplay.catalogue.matching.calibration.is_held_out` entries. It
         counts where there are many cases.
     witness : Opinion, optional
         Of a network of strata, trained so, too: a recording that it takes for one of a machine that differs from

@@ -22,7 +22,7 @@ from scipy.linalg import block_diag
 from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
-from jointplay.catalogue.matching.calibration import hold_out
+from jointplay.catalogue.matching.calibration import is_held_out
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, rows_of
 from jointplay.catalogue.matching.observation import Sensing, observe
@@ -200,7 +200,7 @@ class NetworkTraining:
         counts = []
         classes = _classes(matrix, learning, speed)
         for known, rows in classes:
-            apart = int(np.sum(hold_out(rows)))
+            apart = int(np.sum(is_held_out(rows)))
             if min(apart, len(rows) - apart) < LEAST_ON_EITHER_SIDE:
                 return False
             if known.joints:
@@ -339,7 +339,7 @@ def _pools(matrix: SpectraSource, learning: Learning, speed: float | None) -> li
     """
     learning = replace(learning, most=learning.reach)
     return [
-        [rows[~hold_out(rows)] for _, rows in _classes(matrix, each, speed)]
+        [rows[~is_held_out(rows)] for _, rows in _classes(matrix, each, speed)]
         for each in (learning, replace(learning, mode="robust"))
     ]
 

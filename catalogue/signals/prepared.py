@@ -90,7 +90,7 @@ class PreparedMeasurement:
         What was understood and done, without alarm.
     steps : tuple of RecipeStep
         What was done, in order.
-    flaws : tuple of SensorFlaw
+    flaws : tuple of SensorContradiction
         Sensors that cannot be as the machine file has them. Nothing was corrected: levels are as recorded.
     disturbances : tuple of Disturbance
         What is not of the machine, and was left out.

@@ -96,7 +96,7 @@ def find_sensor_flaws(sensing: SensorMap, bands: BandMatrix, floor: NoiseFloor) 
 
     Returns
     -------
-    tuple of SensorFlaw
+    tuple of SensorContradiction
         Empty where all is well, or nothing can be told: as many sensors as motions have no redundancy, and only a
         dead one shows.
 

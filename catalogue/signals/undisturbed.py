@@ -125,7 +125,7 @@ def remove_disturbances(
     sample_rate : float
         Hz.
     flawed : dict of kind to (n, c) array of bool
-        What is known to be missing, see :func:`flawed_samples`.
+        What is known to be missing, see :func:`find_flawed`.
     tracking : callable
         Finds the course of the speed in a signal.
     about : float

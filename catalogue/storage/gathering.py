@@ -57,7 +57,7 @@ def gather(
     scheme : BandScheme
         Bands of all shards.
     shards : iterable of Shard
-        In the order in which :attr:`place` counts them; taken one at a time, so that memory holds only one. An entry
+        In the order in which `place` counts them; taken one at a time, so that memory holds only one. An entry
         that is in several counts in the first.
     waiting : binary file
         Empty and open for writing and reading; keeps the grouped spectra until their order is known, so that memory

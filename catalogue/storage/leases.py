@@ -33,7 +33,7 @@ _POLL = 0.05
 class BuilderLock:
     """A builder's part of the lock of a catalogue: alone at first if nobody else is there, later shared.
 
-    It is the lock that :meth:`CatalogueDirectory.locked` holds alone, and it ends with the process, however that ends.
+    It is the lock that `CatalogueDirectory.hold_alone` holds alone, and it ends with the process, however that ends.
     Where files cannot be locked in common (Windows), a builder stays alone, and a second one is refused.
 
     Parameters

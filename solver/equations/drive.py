@@ -75,7 +75,7 @@ def interpolate(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
 
 
 def linear_integral(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
-    """Integral of :func:`linear` from 0 to `x`, exact, for x >= 0.
+    """Integral of :func:`interpolate` from 0 to `x`, exact, for x >= 0.
 
     Its second derivative at a point of the table is the slope that follows: comparisons, because that of `fmin` and
     `fmax` where both are equal would be half of either, and runs begin at such a point.

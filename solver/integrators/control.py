@@ -60,7 +60,7 @@ def accepts(
         The step, and the first one of the case, s.
     tolerance : float
     over : bool
-        Whether the step is one again that shorter ones only made worse (:func:`refused`).
+        Whether the step is one again that shorter ones only made worse (:func:`shrink`).
     forced : int
         Steps of the case that were taken for noise before.
     """
@@ -206,7 +206,7 @@ def shrink(
     Parameters
     ----------
     step, e, jammed, tolerance, forced
-        As in :func:`accepted`.
+        As in :func:`accepts`.
     growth : float
         Next step in parts of this one, as the error wants it.
     smooth : bool
@@ -239,7 +239,7 @@ def next_step(
     Parameters
     ----------
     step, first
-        As in :func:`accepted`.
+        As in :func:`accepts`.
     growth : float
         Next step in parts of this one, as the errors of this step and of the one before want it; not asked after a
         step short enough for its error to be noise.

@@ -101,7 +101,7 @@ class Average:
     Parameters
     ----------
     allowed_db : float
-        As for :func:`settled`.
+        As for :func:`has_settled`.
 
     Attributes
     ----------

@@ -97,7 +97,7 @@ def find_comparable(reference: npt.ArrayLike) -> BoolArray:
 
 
 def mean_difference_db(levels: npt.ArrayLike, reference: npt.ArrayLike) -> float:
-    """Mean of absolute differences of levels (..., k), dB, over those that are :func:`compared`."""
+    """Mean of absolute differences of levels (..., k), dB, over those that are :func:`find_comparable`."""
     kept = find_comparable(reference)
     return float(np.mean(np.abs(np.asarray(levels)[..., kept] - np.asarray(reference)[kept])))
 

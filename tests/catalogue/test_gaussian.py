@@ -11,7 +11,7 @@ from feature_model import HIGH, LOW, FeatureModel
 
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.matching import gaussian
-from jointplay.catalogue.matching.calibration import calibration_error, hold_out, log_loss
+from jointplay.catalogue.matching.calibration import calibration_error, is_held_out, log_loss
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.matcher import DrawnFeatures, TrainingSet
 
@@ -195,7 +195,7 @@ def test_many_draws_are_split_once_and_few_are_held_out_in_turn(monkeypatch: pyt
     split = fit_gaussian(many)
     monkeypatch.setattr(gaussian, "SPLIT_CASES", 1000)
     in_turn = fit_gaussian(many)
-    assert len(split.calibration.distances[0].values) == np.sum(hold_out(np.arange(240)))
+    assert len(split.calibration.distances[0].values) == np.sum(is_held_out(np.arange(240)))
     assert len(in_turn.calibration.distances[0].values) == 240
     features, truth, _ = MODEL.queries(60, np.random.default_rng(27))
     # Both know about the same: log-losses measured 0.003 apart.

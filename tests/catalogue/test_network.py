@@ -16,7 +16,7 @@ from spectra_model import WATCHED, SpectraModel, sensing
 from jointplay.catalogue.building.executors import InProcess
 from jointplay.catalogue.building.network_building import train_networks
 from jointplay.catalogue.errors import BuildError, CatalogueFileError
-from jointplay.catalogue.matching.calibration import fit_shares, hold_out, split_held_out
+from jointplay.catalogue.matching.calibration import fit_shares, is_held_out, split_held_out
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.matcher import TrainingSet
@@ -105,13 +105,13 @@ def test_never_learns_from_entries_that_calibration_holds_out(monkeypatch: pytes
     replace(SMALL, rows=24_000, blocks=40).train(MODEL, sensing(), TRUSTED)
     rows = np.array(sorted(seen))
     every = np.arange(len(MODEL.label))
-    seldom = (MODEL.stratum == "wide") | hold_out(every)
-    assert not hold_out(rows).any()
+    seldom = (MODEL.stratum == "wide") | is_held_out(every)
+    assert not is_held_out(rows).any()
     assert set(every[~seldom]) < set(rows)  # all others are seen, and machines that differ, too
 
 
 def test_held_out_entries_are_a_fifth_and_no_pattern_of_the_sequence() -> None:
-    apart = hold_out(np.arange(40_000))
+    apart = is_held_out(np.arange(40_000))
     assert np.mean(apart) == pytest.approx(0.2, abs=0.01)
     for modulus in (2, 3, 4, 5, 8, 64):
         shares = [np.mean(apart[start::modulus]) for start in range(modulus)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from spectra_model import WATCHED, SpectraModel, sensing
 
-from jointplay.catalogue.matching.calibration import hold_out
+from jointplay.catalogue.matching.calibration import is_held_out
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.model_library import ModelLibrary
@@ -56,7 +56,7 @@ def opinion_of(network: Network) -> Opinion:
 def unseen(label: str, stratum: str, copies: int = 2) -> FloatArray:
     """Levels of entries that were held out, seen anew."""
     rows = np.flatnonzero((MODEL.label == label) & (MODEL.stratum == stratum))
-    rows = rows[hold_out(rows)]
+    rows = rows[is_held_out(rows)]
     return observe(MODEL.packed(rows), sensing(), TRUSTED.discrepancy, np.full(len(rows), copies), 7)[0]
 
 
@@ -79,7 +79,7 @@ def test_learns_from_both_strata_and_from_nothing_that_is_held_out(monkeypatch: 
     monkeypatch.setattr(SpectraModel, "packed", noted)
     SMALL.train(MODEL, sensing(), STRATA)
     every = np.arange(len(MODEL.label))
-    assert seen == set(every[~hold_out(every)].tolist())
+    assert seen == set(every[~is_held_out(every)].tolist())
 
 
 def p_values(model: FittedGaussian, label: str, stratum: str) -> FloatArray:

@@ -36,7 +36,7 @@ class Cell:
 
         Parameters
         ----------
-        kind : Kind
+        kind : FileKind
         data : bytes
         source : str
             What messages call it.

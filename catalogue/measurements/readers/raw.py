@@ -174,7 +174,7 @@ def encode(raw: RawRecording) -> dict[str, Any]:
 
 
 def decode(head: dict[str, Any], body: bytes, source: str) -> RawRecording:
-    """Recording of an answer; the inverse of :func:`encoded`.
+    """Recording of an answer; the inverse of :func:`encode`.
 
     Parameters
     ----------
