@@ -41,7 +41,7 @@ class Asked:
         Its catalogue.
     asset : AssetRow or None
         Its asset.
-    question : Question
+    question : DiagnosisTask
         What a worker is told of them.
     """
 

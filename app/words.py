@@ -8,12 +8,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator
 
 from jointplay.app.rows import between, joint_rows, length, percent, plays
-from jointplay.catalogue.diagnosing.answer import Answer, Cause, JointState
+
+if TYPE_CHECKING:
+    from jointplay.catalogue.diagnosing.answer import Answer, Cause, JointState
 
 CLEARLY = 0.8
 """Probability from which on a joint is said to be beyond its limit, or within."""
@@ -271,7 +273,7 @@ def in_utc(moment: datetime) -> datetime:
 
 
 def spell_moment(moment: datetime) -> str:
-    """Return a moment as a person reads it, in UTC."""
+    """Return a moment of UTC, such as those that are stored, as a person reads it."""
     return f"{moment:%Y-%m-%d %H:%M}"
 
 

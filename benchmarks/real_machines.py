@@ -23,7 +23,7 @@ from jointplay.app.tables import table
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.errors import CatalogueError
-from jointplay.catalogue.matching.matcher import Effort
+from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.storage.store import Catalogue
 

@@ -23,7 +23,7 @@ from typing import Any, cast
 from jointplay.app.tables import table
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
-from jointplay.catalogue.matching.matcher import Effort, ModeAsked
+from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.storage.store import Catalogue
 

@@ -19,6 +19,7 @@ from jointplay.app.commands.parameters import (
     print_json,
     refuse_given,
 )
+from jointplay.app.errors import BadFieldError
 from jointplay.app.rows import hypothesis_rows, joint_rows, percent
 from jointplay.app.storage.told import FILE_FIELDS, PROFILE, with_said
 from jointplay.app.tables import indent, table
@@ -26,7 +27,7 @@ from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Diagnosis
-    from jointplay.catalogue.matching.matcher import Effort, ModeAsked
+    from jointplay.catalogue.matching.modes import Effort, ModeAsked
     from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 
@@ -129,14 +130,15 @@ def command(
     from jointplay.catalogue.measurements.measurement import read_measurement
     from jointplay.catalogue.storage.store import Catalogue
 
-    sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
     said = read_file_options(told)
+    described = with_options(profile_of(measurement, profile), said)
+    sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
-    recording = read_recording(measurement, **told_too, profile=with_said(profile_of(measurement, profile), said))
+    recording = read_recording(measurement, **told_too, profile=described)
     in_order = None
     if baseline is not None:
         shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
-        in_order = read_measurement(baseline, **told_too, profile=with_said(profile_of(baseline, profile), shared))
+        in_order = read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
     diagnosis = diagnose(
         recording,
         opened,
@@ -168,6 +170,16 @@ def weight_of(joint: str, said: str) -> float:
         return float(said)
     except ValueError:
         raise click.BadParameter(f'"{joint}={said}": the weight must be a number', param_hint="--prior") from None
+
+
+def with_options(profile: ImportProfile, said: Mapping[str, Any]) -> ImportProfile:
+    """Return a profile with what options say, which win over it; a refusal names the option."""
+    try:
+        return with_said(profile, said)
+    except BadFieldError as error:
+        option = next((each.option for each in FILE_FIELDS if each.name == error.field), error.field)
+        rule = str(error).removeprefix(f"{error.field}: ")
+        raise click.BadParameter(rule, param_hint=f"'--{option}'") from None
 
 
 def read_file_options(told: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Diagnosis
-    from jointplay.catalogue.matching.matcher import Effort, ModeAsked
+    from jointplay.catalogue.matching.modes import Effort, ModeAsked
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
     from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.storage.store import Catalogue
@@ -82,7 +82,7 @@ def diagnose(
     ----------
     path, name, told
         As for :func:`summarise`.
-    question : Question
+    question : DiagnosisTask
         What to compare it with, and how.
     """
     return diagnose_measured(read(path, name, told), question)

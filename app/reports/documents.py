@@ -35,7 +35,7 @@ def pdf(report: Report, figures: ReportFigures) -> bytes:
     Parameters
     ----------
     report : Report
-    figures : Figures
+    figures : ReportFigures
     """
     from reportlab.pdfgen.canvas import Canvas
     from reportlab.platypus import Frame, KeepInFrame
@@ -221,7 +221,7 @@ def html(report: Report, figures: ReportFigures) -> str:
     ----------
     report : Report
         Every text in it is escaped.
-    figures : Figures
+    figures : ReportFigures
         SVG of our own making.
     """
     template = environment().get_template("report.html")

@@ -64,5 +64,5 @@ def in_memory(service: Service, name: str, key: str, kind: str) -> Rendered | No
 def look_up(service: Service, request: Request, name: str, key: str, kind: str) -> Rendered:
     """Return an entry in a form, with its body unless the client holds that."""
     offer = service.shelf.find(name)
-    found = service.entries.tag(offer, key, kind)
+    found = service.entries.find_tagged(offer, key, kind)
     return found if matches(request, found.key) else service.entries.whole(offer, key, kind)

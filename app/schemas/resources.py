@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
-from jointplay.catalogue.matching.matcher import Effort, ModeAsked
+from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 

@@ -63,7 +63,7 @@ class EntryShelf:
         with self._lock:
             return self._kept.get(place)
 
-    def tag(self, offer: Offer, key: str, kind: str) -> Rendered:
+    def find_tagged(self, offer: Offer, key: str, kind: str) -> Rendered:
         """Return an entry in a form, with a body only if that is in memory; no shard is opened.
 
         Raises
@@ -89,7 +89,7 @@ class EntryShelf:
         CatalogueFileError
             When its shard is damaged.
         """
-        found = self.tag(offer, key, kind)
+        found = self.find_tagged(offer, key, kind)
         if found.body is None:
             with self._reading:
                 entry = self._catalogue(offer).entry(key)

@@ -135,7 +135,7 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
     BackupError
         It is no complete backup, something in it is not what it was, or there is something at the place already.
     """
-    content = seal(source)
+    content = read_seal(source)
     if (source / "catalogues").is_dir() and any(find_catalogues(place)):
         raise BackupError(f"{place.catalogues}: holds catalogues already")
     for name in ("measurements", "machines"):
@@ -158,7 +158,7 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
     return content
 
 
-def seal(source: Path) -> dict[str, Any]:
+def read_seal(source: Path) -> dict[str, Any]:
     """Return what a backup says of itself.
 
     Raises

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from jointplay.catalogue.matching.matcher import Effort, Mode, ModeAsked
-from jointplay.catalogue.signals.prepared import RecipeStep
+from jointplay.catalogue.matching.modes import Effort, Mode, ModeAsked
+from jointplay.catalogue.signals.recipe_steps import RecipeStep
 
 Verdict = Literal["worn", "in_order", "changed", "unknown"]
 Bound = Literal["none", "at_least", "at_most"]

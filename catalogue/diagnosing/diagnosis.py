@@ -39,8 +39,9 @@ from jointplay.catalogue.diagnosing.verdict import (
     speed_warnings,
 )
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.matcher import Effort, MatchResult, ModeAsked
+from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary, library_of, one_thread
+from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
@@ -234,7 +235,7 @@ def answer(
             p_value, verdict = judge(other, question.coverage)
             verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
-    if question.effort == "thorough":
+    if question.effort == "thorough" and library.simulates_anew:
         if verdict == "unknown":
             spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
         elif needs_cause(result) or causes:

@@ -48,7 +48,7 @@ def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> 
             limit_um=1e6 * limit,
             clearance_um=median,
             interval_um=(low, high),
-            bound=_limit(posterior, catalogue),
+            bound=_find_bound(posterior, catalogue),
             detectable_from_um=None if least is None else 1e6 * least,
         )
     return states
@@ -80,7 +80,7 @@ def _span(catalogue: Catalogue, joint: str) -> tuple[float, float] | None:
     return min(low for low, _ in found), min(max(high for _, high in found), catalogue.plan.clearance.high)
 
 
-def _limit(posterior: JointPosterior, catalogue: Catalogue) -> Bound:
+def _find_bound(posterior: JointPosterior, catalogue: Catalogue) -> Bound:
     span = _span(catalogue, posterior.joint)
     if span is None or posterior.p_worn < 0.5:
         return "none"

@@ -16,14 +16,8 @@ from scipy.special import softmax
 from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import compose
-from jointplay.catalogue.matching.matcher import (
-    NORMAL_90,
-    ClearanceEstimate,
-    HypothesisMatch,
-    MatchResult,
-    Mode,
-    rank,
-)
+from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, HypothesisMatch, MatchResult, rank
+from jointplay.catalogue.matching.modes import Mode
 from jointplay.catalogue.matching.observation import Sensing, group
 from jointplay.catalogue.matching.population import Population, weigh
 from jointplay.catalogue.plans.entry import Entry, Stratum, seed_from

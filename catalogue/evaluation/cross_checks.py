@@ -9,6 +9,7 @@ from importlib.metadata import EntryPoint
 from typing import Any, Protocol
 
 import numpy as np
+from cachetools import LRUCache
 
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.evaluation.nearest_entry import (
@@ -22,8 +23,9 @@ from jointplay.catalogue.evaluation.nearest_entry import (
 from jointplay.catalogue.matching.calibration import fit_temperature, folds, probabilities, row_weights
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.learning import Learning, SpectraSource
-from jointplay.catalogue.matching.matcher import Effort, MatchResult, TrainingSet, rank
+from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet, rank
 from jointplay.catalogue.matching.model_library import ModelLibrary, Observed
+from jointplay.catalogue.matching.modes import Effort
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.extensions import entry_points_of
 
@@ -59,25 +61,33 @@ class Matcher(Protocol):
 class MethodLibrary(ModelLibrary):
     """Answers by a method in place of the product's own, at every effort by models for about the recording's noise.
 
+    Effort thorough simulates nothing anew: what that would say of probabilities follows from the product's own matcher.
+
     Parameters
     ----------
-    matrix : Spectra
+    matrix : SpectraSource
         Feature matrix of the catalogue.
     method : Matcher
     """
 
+    simulates_anew = False
+
     def __init__(self, matrix: SpectraSource, method: Matcher) -> None:
         super().__init__(matrix)
         self.name, self.version, self._method = method.name, method.version, method
-        self._fitted: dict[str, FittedMatcher] = {}
+        self._fitted: LRUCache[str, FittedMatcher] = LRUCache(int(self._known.maxsize))
 
     def match(self, observed: Observed, effort: Effort, learning: Learning) -> MatchResult:
         """Return the answer of the method, having learned in one of the modes."""
         coarse = self.coarse(observed)
         key = self.key(coarse, learning)
-        if key not in self._fitted:
-            self._fitted[key] = self._method.fit(self.training(coarse, learning))
-        return replace(self._fitted[key].match(coarse.feature), mode=learning.mode, notes=self.notes(learning))
+        with self._lock:
+            fitted = self._fitted.get(key)
+        if fitted is None:
+            fitted = self._method.fit(self.training(coarse, learning))
+            with self._lock:
+                self._fitted[key] = fitted
+        return replace(fitted.match(coarse.feature), mode=learning.mode, notes=self.notes(learning))
 
 
 @dataclass(frozen=True)

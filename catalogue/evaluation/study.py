@@ -20,8 +20,8 @@ from jointplay.catalogue.evaluation.protocols import Protocol, draw_truth, proto
 from jointplay.catalogue.evaluation.recordings import TOGETHER, Recordings, hidden, recorded
 from jointplay.catalogue.evaluation.spoiling import with_spoiling
 from jointplay.catalogue.evaluation.truth import Truth
-from jointplay.catalogue.matching.matcher import Effort, ModeAsked
 from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.network_shelf import NetworkShelf, own_sensing
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.signals.features import prepare
@@ -56,7 +56,7 @@ class Row:
     setup : Setup
     failed, refused : int
         Cases that could not be simulated; recordings that were refused (their drive speed could not be found, ...).
-    figures : Figures
+    figures : FiguresOfMerit
     """
 
     protocol: Protocol

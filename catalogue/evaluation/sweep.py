@@ -41,7 +41,7 @@ class SweepPoint:
     build_seconds : float
         Processor time that simulating them took when they were built.
     setup : Setup
-    figures : Figures
+    figures : FiguresOfMerit
     """
 
     accuracy: str

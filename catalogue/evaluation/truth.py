@@ -246,7 +246,7 @@ class Truth:
         What differs beside play, in the words of answers; empty where no answer has a name for it.
     disturbance : Disturbance, optional
         What shakes the frame besides.
-    flaw : Flaw, optional
+    flaw : RecorderFlaw, optional
         What is wrong with sensors or the recorder.
     """
 

@@ -11,7 +11,8 @@ from typing import Literal, Protocol, Self
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.matching.matcher import DrawnFeatures, Mode, TrainingSet
+from jointplay.catalogue.matching.matcher import DrawnFeatures, TrainingSet
+from jointplay.catalogue.matching.modes import Mode
 from jointplay.catalogue.matching.observation import Discrepancy, PackedArray, Sensing, observe
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.transfer import RandomTransfer
@@ -152,7 +153,7 @@ def training_set(
 
     Parameters
     ----------
-    matrix : Spectra
+    matrix : SpectraSource
     sensing : Sensing
         Of the measurement that is to be compared.
     watched : ndarray of bool, shape (features,)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from scipy.special import ndtr
 
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.matching.conformal import CandidateSet, Conformal
+from jointplay.catalogue.matching.modes import Mode
 from jointplay.catalogue.matching.sightings import Sightings
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
@@ -23,15 +23,6 @@ HEALTHY = "healthy"
 
 NORMAL_90 = 1.645
 """Half the width of a central 90 % interval, in standard deviations of a normal law."""
-
-Mode = Literal["trusted", "robust"]
-"""How far a model is believed: as simulated, or with everything that may differ in the real machine."""
-
-ModeAsked = Literal["auto", "trusted", "robust"]
-"""A mode, or what the recording says for itself."""
-
-Effort = Literal["fast", "standard", "thorough"]
-"""How much an answer may cost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +107,7 @@ class TrainingSet:
 
     Parameters
     ----------
-    hypotheses : tuple of Draws
+    hypotheses : tuple of DrawnFeatures
         At least one; labels are unique and feature lengths equal.
     watched : ndarray of bool, shape (l,)
         Levels checked one by one besides the overall distance: the low orders, where foreign forces show. The first l

@@ -19,8 +19,9 @@ from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, training_set
-from jointplay.catalogue.matching.matcher import Effort, MatchResult, ModeAsked, TrainingSet
-from jointplay.catalogue.matching.modelfile import as_read, read_model, time_written, write_model
+from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
+from jointplay.catalogue.matching.modelfile import age_key, as_read, read_model, write_model
+from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.network import Network
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.observation import Sensing, round_sensing
@@ -49,7 +50,7 @@ class ModelLibrary:
 
     Parameters
     ----------
-    matrix : Spectra
+    matrix : SpectraSource
         Feature matrix of the catalogue.
     folder : Path, optional
         Where models are kept as files; nothing is written unless given. Files may be deleted at any time.
@@ -61,6 +62,8 @@ class ModelLibrary:
 
     name = NAME
     version = str(MATCHER_VERSION)
+    simulates_anew = True
+    """Whether effort thorough may put what it simulates in the place of an answer."""
 
     def __init__(
         self, matrix: SpectraSource, folder: Path | None = None, networks: NetworkShelf | None = None, *, size: int = 16
@@ -191,7 +194,7 @@ class ModelLibrary:
         """
         if self._folder is None:
             return 0
-        files = sorted(self._folder.glob(f"{self._state}-*.npz"), key=time_written, reverse=True)
+        files = sorted(self._folder.glob(f"{self._state}-*.npz"), key=age_key, reverse=True)
         most = min(most, int(self._known.maxsize))
         found = [(file.stem, read_model(self._folder, file.stem)) for file in files[:most]]
         with self._lock:

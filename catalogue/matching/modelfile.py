@@ -42,7 +42,7 @@ def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
         _write(folder, key, model)
     except CatalogueFileError:
         return False
-    for file in sorted(folder.glob("*.npz"), key=time_written)[:-KEPT]:
+    for file in sorted(folder.glob("*.npz"), key=age_key)[:-KEPT]:
         file.unlink(missing_ok=True)
     return True
 
@@ -71,7 +71,7 @@ def _write(folder: Path, key: str, model: FittedGaussian | Network) -> None:
     publish(folder / f"{key}.npz", content.getvalue())
 
 
-def time_written(file: Path) -> tuple[float, str]:
+def age_key(file: Path) -> tuple[float, str]:
     """When a file was written, 0 if it is gone by now, and its name: sorts files by age."""
     try:
         return file.stat().st_mtime, file.name

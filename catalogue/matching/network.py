@@ -220,7 +220,7 @@ class NetworkTraining:
 
         Parameters
         ----------
-        matrix : Spectra
+        matrix : SpectraSource
         sensing : Sensing
             Its noise and length do not matter.
         learning : Learning

@@ -16,8 +16,8 @@ import numpy as np
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.learning import Learning, SpectraSource
-from jointplay.catalogue.matching.matcher import Mode
 from jointplay.catalogue.matching.modelfile import read_network, write_network
+from jointplay.catalogue.matching.modes import Mode
 from jointplay.catalogue.matching.network import Network, NetworkTraining
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.plans.entry import content_digest
@@ -36,7 +36,7 @@ class NetworkShelf:
 
     Parameters
     ----------
-    matrix : Spectra
+    matrix : SpectraSource
     own : Sensing or None
         What all sensors of the machine see, with any noise; None where they see nothing: then there are no networks.
     folder : Path, optional

@@ -33,7 +33,7 @@ class Refit:
 
     Parameters
     ----------
-    matrix : Spectra
+    matrix : SpectraSource
     model : FittedGaussian
         Gives the whitening.
     learning : Learning

@@ -103,7 +103,7 @@ class Recording:
         Everything that was understood, one line each.
     sha256 : str
         Of the bytes as they came, hexadecimal.
-    flaws : tuple of Flaw
+    flaws : tuple of ChannelFlaw
         Clipping, dropouts and offsets that the warnings speak of.
     turns : (k,) array or None
         Ends of revolutions of the drive in samples, where a tacho says them.

@@ -49,7 +49,7 @@ class Plan(Part):
         Families of hypotheses: no worn joint; one; two; three. Joints that are not worn have the play of their fits.
     sets : tuple of tuple of str
         Further hypotheses: chosen sets of worn joints.
-    draws : Draws
+    draws : DrawCounts
         Draws of each hypothesis.
     clearance : ClearanceRange
         Of worn joints.

@@ -17,7 +17,8 @@ from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
-from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep, note_step
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.recipe_steps import RecipeStep, note_step
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction, find_sensor_flaws
 from jointplay.catalogue.signals.sensors import SensorMap, map_sensors, without_columns
 from jointplay.catalogue.signals.spectrum_features import prepare_spectrum

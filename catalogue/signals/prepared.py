@@ -1,8 +1,7 @@
 """A recording as it is compared with a catalogue: band powers of its sensors, their noise, and the feature vector.
 
 Features are levels in dB: orders 1 to 20, one order wide each, then third octaves to 4 kHz, of x, y and theta (or of
-the sensors there are), clipped below at the noise of the band. What was done to the recording stands beside them as
-named steps in order, with the numbers they used and what they found.
+the sensors there are), clipped below at the noise of the band.
 """
 
 from __future__ import annotations
@@ -13,53 +12,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
-from jointplay.catalogue import FEATURES_VERSION
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate
 from jointplay.catalogue.signals.disturbances import Disturbance
 from jointplay.catalogue.signals.feature_bands import FeatureAxis, feature_axes, feature_vector, join_bands
 from jointplay.catalogue.signals.hum import SteadyLine
 from jointplay.catalogue.signals.noise import NoiseFloor
+from jointplay.catalogue.signals.recipe_steps import RecipeStep, note_step
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.signals.sensors import SensorMap
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.spectra.band_power import BandMatrix, transform_power
 from jointplay.solver.spectra.bands import LEAST_POWER, BandScheme
-
-
-class RecipeStep(BaseModel):
-    """One step from a recording to the levels that are compared.
-
-    Parameters
-    ----------
-    name : str
-        "sensors", "steady part", "disturbances", "drive speed", "hum", "noise floor", "angular resampling", "bands",
-        "sensors checked", "gains".
-    version : str
-        Of all features of the program that took it: raised when any step would do something else.
-    parameters : mapping of str to number or str
-        Settings of the step, SI.
-    found : str
-        What it found in this recording, one line.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    name: str
-    version: str
-    parameters: Mapping[str, float | str]
-    found: str
-
-    def __str__(self) -> str:
-        """Return name and finding in one line."""
-        return f"{self.name}: {self.found}"
-
-
-def note_step(name: str, found: str, parameters: Mapping[str, float | str] | None = None) -> RecipeStep:
-    """Return a step as this program takes it, see :class:`RecipeStep`."""
-    return RecipeStep(name=name, version=str(FEATURES_VERSION), parameters=parameters or {}, found=found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LINES_TOGETHER, NoiseFloor
-from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.recipe_steps import note_step
 from jointplay.catalogue.signals.sensors import map_sensors, sensors_one_by_one
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine

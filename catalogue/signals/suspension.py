@@ -8,7 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jointplay.catalogue.signals.prepared import PreparedMeasurement, note_step
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.recipe_steps import note_step
 from jointplay.catalogue.signals.sensors import MOTIONS
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine

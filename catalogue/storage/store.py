@@ -6,12 +6,11 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from operator import attrgetter
 from pathlib import Path
 from typing import Self
 
 import numpy as np
-from cachetools import LRUCache, cachedmethod
+from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import CatalogueFileError, EntryNotFoundError
@@ -332,10 +331,15 @@ class Catalogue:
         power.flags.writeable = spread.flags.writeable = False
         return power, spread
 
-    @cachedmethod(attrgetter("_shards"), lock=attrgetter("_lock"))
     def _shard(self, name: str) -> Shard:
         """A shard, from memory if it is one of those that were asked for last; threads may share the catalogue."""
-        return self._read(name)
+        with self._lock:
+            shard = self._shards.get(name)
+        if shard is None:
+            shard = self._read(name)
+            with self._lock:
+                self._shards[name] = shard
+        return shard
 
     def _read(self, name: str) -> Shard:
         path = self._layout.shard(name)

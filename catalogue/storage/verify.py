@@ -187,6 +187,8 @@ class _Check:
         self._layout, self._again = layout, again
         self._findings: list[Finding] = []
         self._header: ShardHeader | None = None
+        #: Shards of another layout, met before any sound one had said what the lost manifest should.
+        self._strangers: list[tuple[Path, CatalogueMismatchError]] = []
 
     def run(self) -> VerifyReport:
         leftovers = self._layout.remove_temporaries()
@@ -202,6 +204,10 @@ class _Check:
                 manifest = self._check(name, path, content, manifest, sound, sizes)
             except OSError as error:
                 raise CatalogueFileError(path, f"cannot be read ({error.strerror or error})") from error
+        if manifest is None and self._strangers:
+            raise self._strangers[0][1]  # a whole catalogue of another layout, that has lost its manifest
+        for path, wrong in self._strangers:
+            self._put_aside(path, wrong)
         if manifest is None:
             raise CatalogueFileError(self._layout.manifest, "is missing, and no shard tells what it should say")
         if self._again:
@@ -222,6 +228,10 @@ class _Check:
             with location.open(anew=True) as index:
                 index.remove_shards(list(index.shards()))
         self._layout.remove_folder(self._layout.matrices)
+
+    def _put_aside(self, path: Path, error: CatalogueFileError) -> None:
+        aside = self._layout.move_to_quarantine(path)
+        self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
 
     def _note(self, path: Path, what: str, action: str) -> None:
         self._findings.append(Finding(path, what, action))
@@ -264,9 +274,9 @@ class _Check:
                 raise CatalogueFileError(path, "belongs to another machine, other settings or other numbers")
         except CatalogueFileError as error:
             if manifest is None and isinstance(error, CatalogueMismatchError):
-                raise  # a whole catalogue of another layout, that has lost its manifest
-            aside = self._layout.move_to_quarantine(path)
-            self._note(path, error.rule, f"moved to {aside.relative_to(self._layout.root)}")
+                self._strangers.append((path, error))  # nothing is moved before it is known whose folder this is
+                return None
+            self._put_aside(path, error)
         else:
             # What follows asks for the table only; spectra, and a machine for every shard, would not fit into memory.
             self._header = self._header or header

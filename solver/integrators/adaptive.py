@@ -25,9 +25,9 @@ from jointplay.solver.integrators.control import (
     after_switch,
     arrival,
     next_step,
+    refuse_step,
     remember,
     shorten,
-    shrink,
     switch_part,
 )
 from jointplay.solver.integrators.dense import record, samples_until
@@ -196,7 +196,7 @@ def integrate(
         Addresses of ``prepare``, ``held``, ``dopri`` and ``project`` (0 for none).
     w : (rows, LANES) array
         Work array.
-    rows : Rows of int
+    rows : WorkRows of int
         Its first rows.
     queue : Queue
     records : Records
@@ -272,7 +272,7 @@ def integrate(
                     mine.natural, mine.h = max(mine.natural, step), shorter
             else:
                 smooth = project != 0 and not _any_contact(w, rows, lane)
-                mine.h, mine.uncut, mine.uncut_error, over, restore = shrink(
+                mine.h, mine.uncut, mine.uncut_error, over, restore = refuse_step(
                     step, e, jammed, w[rows.growth, lane], case.tolerance, mine.forced, smooth, mine.uncut,
                     mine.uncut_error,
                 )  # fmt: skip

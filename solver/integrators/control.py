@@ -60,7 +60,7 @@ def accepts(
         The step, and the first one of the case, s.
     tolerance : float
     over : bool
-        Whether the step is one again that shorter ones only made worse (:func:`shrink`).
+        Whether the step is one again that shorter ones only made worse (:func:`refuse_step`).
     forced : int
         Steps of the case that were taken for noise before.
     """
@@ -197,7 +197,7 @@ def after_switch(
 
 
 @inlined
-def shrink(
+def refuse_step(
     step: float, e: float, jammed: bool, growth: float, tolerance: float, forced: int, smooth: bool, uncut: float,
     uncut_error: float,
 ) -> tuple[float, float, float, bool, bool]:  # fmt: skip

@@ -145,7 +145,7 @@ def record(
     ----------
     w : (rows, LANES) array
         Work array.
-    rows : Rows of int
+    rows : WorkRows of int
         Its first rows.
     lane : int
     begin, t, step : float

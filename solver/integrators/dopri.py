@@ -76,7 +76,7 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
 
     Parameters
     ----------
-    rows : Rows
+    rows : WorkRows
         As :func:`adaptive_rows` has them.
     recorded : sequence of int
         Coordinates with dense output.

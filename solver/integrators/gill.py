@@ -130,7 +130,7 @@ def integrate(
         Addresses of the kernel's ``prepare``, ``rhs``, ``gill`` and ``project``; the last 0 for none.
     w : (rows, LANES) array
         Work array with parameters, coordinates and velocities at the start.
-    rows : Rows of int
+    rows : WorkRows of int
         Its first rows.
     begins : (LANES,) array
         Time of the first sample, s.

@@ -26,7 +26,7 @@ class Kernel:
 
     Attributes
     ----------
-    rows : Rows of range
+    rows : WorkRows of range
         Where everything is in the work array.
     functions : tuple of int
         Addresses of ``void f(double* work)``: ``prepare`` (what depends on the parameters alone), the right-hand side,

@@ -38,6 +38,13 @@ def test_help_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
 
 
+def test_options_of_no_command_import_numbers() -> None:
+    heavy = ("numpy", "scipy", "casadi", "numba", "matplotlib", "sqlalchemy", "h5py")
+    modules = ", ".join(f"jointplay.app.commands.{name.replace('-', '_')}" for name in sorted(COMMANDS))
+    code = f"import sys, {modules}; print([name for name in {heavy!r} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
+
+
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_every_command_explains_itself(name: str) -> None:
     result = invoke(name, "--help")

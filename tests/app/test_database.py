@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -18,11 +19,12 @@ from sqlalchemy import event, inspect, text
 from uploaded import SHA256, SIZE, uploaded
 
 from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
+from jointplay.app.rows import joint_rows
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.backup import TABLES
 from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
 from jointplay.app.storage.keys import Keys
-from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
+from jointplay.app.storage.store import DiagnosisRow, NewDiagnosis, Store, measurement_key
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.storage.database import Database
 
@@ -106,6 +108,14 @@ def test_tables_of_version_1_become_those_of_now(tmp_path: Path) -> None:
         with store.database.engine.connect() as found:
             assert revision_of(found) == REVISION
         assert differences(store) == []
+
+
+def test_answers_of_version_1_are_read() -> None:
+    """A member that is added later has a default, and none goes: whoever kept an answer finds it again."""
+    kept = json.loads((Path(__file__).parents[1] / "data/service/answer-1.json").read_text())
+    answer = DiagnosisRow(result=kept).answer
+    assert answer.model_dump(mode="json", exclude_unset=True) == kept
+    assert [row.name for row in joint_rows(answer)] == ["B", "A", "O"]
 
 
 def test_what_is_said_of_a_measurement_is_part_of_what_it_is(store: Store) -> None:

@@ -72,7 +72,8 @@ def test_diagnose_takes_volts_and_pulses(shelf: Path, recording: Path, tmp_path:
     document = json.loads(result.stdout)
     assert document["hypotheses"][0]["joints"].keys() == {"B"}
     assert document["drive_speed_rpm"] == pytest.approx(60 * 10_000 / 989, rel=1e-4)
-    assert_refused(invoke("diagnose", path, *catalogue, "--pulses", "2"), 2, "says something of a tacho only")
+    assert_refused(invoke("diagnose", path, *catalogue, "--pulses", "2"), 2, "'--pulses': says something of a tacho")
+    assert_refused(invoke("diagnose", path, *catalogue, *told, "--pulses", "two"), 2, "'--pulses': two: ")
     (tmp_path / "volts.csv.yaml").write_text("tacho: {column: key}\n")
     beside = invoke("diagnose", path, *catalogue, *told[:2], "--json")
     assert json.loads(beside.stdout)["drive_speed_rpm"] == document["drive_speed_rpm"]

@@ -16,12 +16,14 @@ from second_simulator.machine_file import read
 from second_simulator.recording import write
 
 from jointplay.catalogue.building.build import build
-from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, FittedNumber
+from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, EffortSpent, FittedNumber
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
 from jointplay.catalogue.diagnosing.verdict import judge, number_warnings
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
+from jointplay.catalogue.evaluation.cross_checks import MethodLibrary
+from jointplay.catalogue.evaluation.nearest_entry import NearestEntry
 from jointplay.catalogue.matching.gaussian import NAME
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary
@@ -193,6 +195,10 @@ def test_effort_is_reported_as_used(small_catalogue: Catalogue, worn: Diagnosis)
     assert "certain already" in thorough.effort_spent.note
     assert thorough.hypotheses == worn.hypotheses
     assert thorough.id != worn.id
+    other = diagnose(
+        recording(2), small_catalogue, effort="thorough", library=MethodLibrary(small_catalogue.matrix, NearestEntry())
+    )
+    assert other.effort_spent == EffortSpent(simulations=0, generations=0, note="")  # nothing replaces its answer
 
 
 def test_a_recording_of_the_machine_in_order_takes_gain_errors_out(small_catalogue: Catalogue, worn: Diagnosis) -> None:

@@ -15,7 +15,8 @@ from jointplay.catalogue.measurements.measurement import Channel, Recording, mea
 from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
 from jointplay.catalogue.signals.feature_bands import feature_axes, feature_vector, join_bands, usable_cuts
 from jointplay.catalogue.signals.features import prepare
-from jointplay.catalogue.signals.prepared import PreparedMeasurement, RecipeStep
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.recipe_steps import RecipeStep
 from jointplay.catalogue.signals.sensors import map_sensors
 from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.fault import parse_fault

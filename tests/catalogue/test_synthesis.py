@@ -15,8 +15,9 @@ from jointplay.catalogue.diagnosing.synthesis import Recorded, Refined, refine
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.truth import Truth
-from jointplay.catalogue.matching.matcher import MatchResult, Mode, rank
+from jointplay.catalogue.matching.matcher import MatchResult, rank
 from jointplay.catalogue.matching.model_library import library_of
+from jointplay.catalogue.matching.modes import Mode
 from jointplay.catalogue.matching.population import Population
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.entry import Entry, Hypothesis

@@ -260,6 +260,25 @@ def test_shard_of_another_layout_is_put_aside(directory: Path, monkeypatch: pyte
     assert report.entries == TOTAL
 
 
+def test_a_stray_shard_of_another_layout_does_not_keep_a_lost_manifest_from_being_made_again(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = sorted(path.stem for path in (directory / "shards").iterdir())
+    shard = decode_shard((directory / "shards" / f"{names[-1]}.h5").read_bytes(), directory)
+    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 2)
+    content = encode_shard(shard)
+    monkeypatch.undo()
+    stray = directory / "shards" / f"{sha256_of(content)}.h5"
+    stray.write_bytes(content)
+    monkeypatch.setattr(
+        CatalogueDirectory, "shard_names", lambda _: [stray.stem, *names]
+    )  # it is met before all others
+    (directory / "manifest.json").unlink()
+    report = verify(directory)
+    assert {finding.path for finding in report.findings} == {stray, directory / "manifest.json"}
+    assert report.entries == TOTAL
+
+
 def with_nan(shard: Shard) -> Shard:
     power = shard.power.copy()
     power[0, 3, 4] = np.nan

@@ -23,8 +23,8 @@ from spectra_model import WATCHED, SpectraModel, sensing
 from jointplay import catalogue
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
-from jointplay.catalogue.matching.matcher import Effort, ModeAsked
 from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.network import NetworkTraining
 from jointplay.catalogue.matching.observation import observe
 from jointplay.catalogue.measurements.measured_spectrum import read_recording

@@ -107,7 +107,7 @@ def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, sk
 
     Returns
     -------
-    Layout or None
+    TableLayout or None
         The dialect that makes some lines in a row a table of numbers, by preference one whose fields are as many in the
         line above (the header), then the one with most columns. None when no dialect does.
     """
