@@ -51,6 +51,18 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 
+JSON_BYTES = 1_000_000
+RECORDINGS = f"{API}/measurements"
+DIAGNOSES = f"{API}/diagnoses"
+RECORDING_BYTES = 16_000_000
+"""Largest recording as JSON, which is held in memory; a file is not."""
+
+log = logging.getLogger(__name__)
+HEADER = "X-Request-ID"
+SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")
+GONE = 499
+"""Status in the log of a request whose client went before there was an answer."""
+
 
 class SecurityHeaders:
     """Middleware that adds the headers to every answer, errors included."""
@@ -72,13 +84,6 @@ class SecurityHeaders:
             await send(message)
 
         await self._app(scope, receive, with_headers if scope["type"] == "http" else send)
-
-
-JSON_BYTES = 1_000_000
-RECORDINGS = f"{API}/measurements"
-DIAGNOSES = f"{API}/diagnoses"
-RECORDING_BYTES = 16_000_000
-"""Largest recording as JSON, which is held in memory; a file is not."""
 
 
 class BodyLimit:
@@ -147,9 +152,6 @@ def too_large(limit: int) -> UploadTooLargeError:
     return UploadTooLargeError(f"the request body is larger than {limit / 1e6:g} MB, the limit of this service")
 
 
-log = logging.getLogger(__name__)
-
-
 class State(Collector):
     """How a service is at the moment it is asked.
 
@@ -211,12 +213,6 @@ class State(Collector):
 def gauge(name: str, says: str, value: float) -> Metric:
     """Return a number that goes up and down."""
     return GaugeMetricFamily(f"jointplay_{name}", says, value=value)
-
-
-HEADER = "X-Request-ID"
-SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")
-GONE = 499
-"""Status in the log of a request whose client went before there was an answer."""
 
 
 class RequestLog:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import BaselineShown, FittedNumber
-from jointplay.catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics
+from jointplay.catalogue.diagnosing.baseline_levels import GAIN_SCATTER, LevelStatistics, OrderLevels, class_statistics
 from jointplay.catalogue.diagnosing.healthy_machine import STEP, HealthyMachine, Motion, quantities
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.entry import HEALTHY
@@ -25,8 +25,6 @@ from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 
-#: Standard deviation of the logarithm of a sensor's gain, before anything was measured.
-GAIN_SCATTER = 0.03
 #: Steps at most from each of the best starts, and the gain in squared distance after which there is none more.
 MOST_STEPS = 8
 SETTLED = 0.05

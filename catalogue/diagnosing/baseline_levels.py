@@ -15,6 +15,8 @@ from jointplay.solver.spectra.bands import FEATURE_ORDERS, LEAST_POWER
 
 #: Decibels of a relative change of power by one.
 DECIBELS = 10.0 / np.log(10.0)
+#: Standard deviation of the logarithm of a sensor's gain, before anything was measured.
+GAIN_SCATTER = 0.03
 #: What a level of a model is not better known to than [dB]: two simulators that share no code agree to 0.2 to 0.5 dB
 #: on the low orders of healthy machines, gains aside.
 MODEL_DB = 0.4

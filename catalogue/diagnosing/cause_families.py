@@ -14,7 +14,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
+from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, GAIN_SCATTER, LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Wrench, family_wrenches
 from jointplay.catalogue.signals.suspension import accelerance
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, ComplexArray, FloatArray
@@ -233,8 +233,6 @@ def _frame(machine: Machine, mass: float, inertia: float) -> dict[str, float]:
     }
 
 
-#: Standard deviation, relative, of a sensor's gain.
-GAIN_SCATTER = 0.03
 #: What a change that shifts a level is not better known to than, as a part of the shift.
 SHIFT_ERROR = 0.1
 #: What a level is not better known to after a change, dB, as far as the ideal machine does not explain it before: links
