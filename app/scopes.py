@@ -25,7 +25,7 @@ class Scope(StrEnum):
 def scope_of(method: str, path: str) -> Scope | None:
     """Return the scope that a request needs; ``None`` where none is needed.
 
-    An address that is not known needs `read`: what is forgotten here is closed, not open.
+    An address that is not known needs `read` to look and `match` to change: what is forgotten here is closed, not open.
 
     Parameters
     ----------

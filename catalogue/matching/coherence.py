@@ -2,7 +2,7 @@
 
 A level says how much a channel moves, a coherence whether two channels move together, and which of them leads. Real and
 imaginary part of the complex coherence X_ij / sqrt(P_i P_j) stand behind the levels, times :data:`SCALE`, and those of
-the cyclic coherences of every channel (:mod:`jointplay.catalogue.matching.coherence`) behind them.
+the cyclic coherences of every channel behind them.
 """
 
 from __future__ import annotations

@@ -219,7 +219,8 @@ class HypothesisMatch:
     distance_db : float
         Root mean square difference between measured and predicted levels, dB.
     p_value : float
-        Share of held-out draws of this hypothesis that lie further from their prediction, in (0, 1].
+        How rarely a held-out draw of this hypothesis is as far from its prediction, in (0, 1]: ranks of the distance,
+        of the orders, and of doubts where there are any, joined by Bonferroni's bound.
     predicted, spread : ndarray, shape (l,)
         Expected levels at the best clearance and their standard deviation, dB.
     """

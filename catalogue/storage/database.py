@@ -194,7 +194,7 @@ class Database:
 
 
 class IndexDatabase(Database):
-    """The database of an index; its tables are those of :mod:`jointplay.catalogue.storage.database`.
+    """The database of an index; its tables stand above.
 
     Parameters
     ----------

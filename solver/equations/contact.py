@@ -31,7 +31,7 @@ _LEAST = 1e-30
 
 @dataclass(frozen=True)
 class NormalForce:
-    """Force along the normal, N, and the switch of :class:`jointplay.solver.equations.contact.ContactForce`, m."""
+    """Force along the normal, N, and the switch of :class:`ContactForce`, m."""
 
     elastic: ca.SX
     switch: ca.SX
@@ -91,7 +91,7 @@ class ContactNumbers:
     pin_radius: Number
 
 
-#: (penetration, approach) -> normal force: a law of :mod:`jointplay.solver.equations.contact` with its numbers.
+#: (penetration, approach) -> normal force: one of the laws above with its numbers.
 NormalLaw: TypeAlias = Callable[[ca.SX, ca.SX], NormalForce]
 
 
