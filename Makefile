@@ -20,7 +20,8 @@ LOWEST_TESTS := $(addprefix tests/app/test_,$(addsuffix .py,api_keys cli gate ht
   $(addprefix tests/solver/test_,$(addsuffix .py,drawing machine native simulate spectrum))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test quick lint format unit docs lowest fuzz fuzz-readers schemathesis serve bench pins clean
+.PHONY: help install demo test quick lint format unit docs lowest fuzz fuzz-readers schemathesis serve bench openapi pins
+.PHONY: clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -76,6 +77,9 @@ bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/measured/b
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \
 	  || echo 'the other programs could not all be installed: those missing are named in the table' >&2
 	$(BIN)/python -m benchmarks $(BENCH)
+
+openapi: $(STAMP) ## the OpenAPI document made anew, with what a service answers now; another one has another version
+	PYTHONPATH=tests $(BIN)/python tests/app/make_openapi.py
 
 pins: ## make constraints.txt anew from the newest versions that fit pyproject.toml
 	rm -rf $(VENV)

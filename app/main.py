@@ -13,6 +13,7 @@ from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
 from jointplay.app.http import handlers, openapi
+from jointplay.app.http.examples import read_document
 from jointplay.app.http.gate import Gate
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.query import refuse_unknown
@@ -98,7 +99,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     application = FastAPI(
         title="jointplay",
         summary="Which joints of a machine have play, and how much, from the vibration of its frame.",
-        version=openapi.API_VERSION,
+        version=read_document()["info"]["version"],
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,  # a redirect would name http, also where a proxy speaks TLS

@@ -8,11 +8,12 @@ A test sends them all to a running service, and compares what it answers with th
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-ANSWERS = Path(__file__).with_name("example_answers.json")
-"""Operation, status and media type to example: what a service really answered."""
+DOCUMENT = Path(__file__).with_name("openapi.json")
+"""The document of a service that asks for keys, made by `make openapi`: its examples are what a service answered."""
 
 ITEMS = 3
 TEXT = 400
@@ -48,9 +49,16 @@ PUT_NAME = "press-7"
 WITHOUT = frozenset({"cursor"})
 
 
+@cache
+def read_document() -> dict[str, Any]:
+    """Return the document that was made: examples of answers are taken from it, and the version of the interface."""
+    found: dict[str, Any] = json.loads(DOCUMENT.read_text(encoding="utf-8"))
+    return found
+
+
 def with_examples(document: dict[str, Any]) -> dict[str, Any]:
     """Add the examples to an OpenAPI document."""
-    answers: dict[str, dict[str, dict[str, Any]]] = json.loads(ANSWERS.read_text(encoding="utf-8"))
+    made = read_document()["paths"]
     document["info"]["description"] = NOTE
     schemas = document["components"]["schemas"]
     moved = []
@@ -65,9 +73,12 @@ def with_examples(document: dict[str, Any]) -> dict[str, Any]:
                 if "example" in schema:
                     media["example"] = schema["example"]
                     moved.append(schema)
-            for status, contents in answers.get(f"{method} {path}", {}).items():
-                for kind, example in contents.items():
-                    operation["responses"][status]["content"][kind]["example"] = example
+            answered = made.get(path, {}).get(method, {}).get("responses", {})
+            for status, response in operation["responses"].items():
+                for kind, media in response.get("content", {}).items():
+                    shown = answered.get(status, {}).get("content", {}).get(kind, {})
+                    if "example" in shown:
+                        media["example"] = shown["example"]
     for schema in moved:
         schema.pop("example", None)
     return document

@@ -16,9 +16,6 @@ from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.schemas.resources import ProblemDocument
 from jointplay.app.scopes import API, scope_of
 
-API_VERSION = "1.0.0"
-DIGEST = "45ff531552c1d182"
-"""Of the document of that version: a test computes it, and another document has another version."""
 REFERENCE = {"$ref": "#/components/schemas/ProblemDocument"}
 
 DESCRIPTIONS = {

@@ -36,7 +36,7 @@ ANSWER: dict[str, Any] = {
         "machine_sha256": "d" * 64,
         "solver_version": "1",
         "catalogue_solver_version": "1",
-        "matcher": {"name": "gaussian", "version": "1"},
+        "matcher": {"name": "gaussian", "version": "2"},
         "recipe": [],
     },
     "hash": "h",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,7 @@ from jointplay.app.errors import BusyError, DatabaseGoneError, KeyInUseError, Ti
 from jointplay.app.http import examples
 from jointplay.app.http.gate import Gate
 from jointplay.app.jobs.webhook_sender import WebhookSender
+from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.build_queue import BuildRow
 from jointplay.app.storage.store import Store
@@ -43,6 +45,9 @@ CREATED = {
     "/api/v1/webhooks": examples.WEBHOOK,
     "/api/v1/measurements": examples.MEASUREMENT,
 }
+
+#: Operation, status and media type to answer.
+Answers = dict[str, dict[str, dict[str, Any]]]
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,7 @@ class ExampleService:
             "workers": 1,
             "builds": 0,
             "max_upload_mb": UPLOAD_MB,
+            "time_limit_s": 600.0,  # by the clock, beside whatever other work
         }
         self._stack = ExitStack()
         enter = self._stack.enter_context
@@ -155,6 +161,22 @@ class ExampleService:
                         other = replace(call, query=query, headers={"Accept": kind})
                         found.append(Answered(other, other.made(self.client)))
         return found
+
+    def answers(self, successes: list[Answered]) -> Answers:
+        """What is answered now, errors included, with the invented ids in place of the real ones."""
+        found: Answers = {}
+        for each in successes:
+            if each.response.content and each.kind not in BINARY:
+                place = found.setdefault(f"{each.call.method} {each.call.path}", {})
+                place.setdefault(str(each.response.status_code), {}).setdefault(each.kind, shown(each.response))
+        for method, path, status, response in self.refusals():
+            assert status in (str(response.status_code), "default"), (method, path, status, response.text)
+            found.setdefault(f"{method} {path}", {})[status] = {MEDIA_TYPE: shown(response)}
+        text = json.dumps(found)
+        for real, invented in self.invented.items():
+            text = text.replace(real, invented)
+        replaced: Answers = json.loads(text)
+        return replaced
 
     def learn(self, answered: Answered) -> None:
         """Note the id of what was created."""
@@ -289,6 +311,18 @@ WRONG: dict[int, Callable[[Call, dict[str, Any]], Call]] = {
     415: of_no_type,
     422: wrong,
 }
+
+
+def examples_of(document: dict[str, Any]) -> Answers:
+    """The examples of answers in a document."""
+    found: Answers = {}
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            for status, response in operation["responses"].items():
+                for kind, media in response.get("content", {}).items():
+                    if "example" in media:
+                        found.setdefault(f"{method} {path}", {}).setdefault(status, {})[kind] = media["example"]
+    return found
 
 
 def shown(answered: httpx.Response) -> Any:
