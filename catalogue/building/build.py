@@ -122,6 +122,7 @@ def build(
     Parameters
     ----------
     machine : Machine
+        Held without the clearances that its file gives to joints: the plan says what is worn.
     plan : Plan
     directory : str or Path
         The catalogue's folder; made where there is none.
@@ -161,6 +162,7 @@ def build(
         The machine cannot be assembled, or the solver refuses a parameter or a setting of the plan.
     """
     started = time.monotonic()
+    machine = machine.without_clearances()
     plan = plan.resolve(machine)
     wanted = entries_of(plan, machine)
     check_assembly(machine)

@@ -67,8 +67,13 @@ def _with_law(machine: Machine, law: str) -> Machine:
     for joint in machine.turning_joints:
         own = contact_of(machine, joint)
         scale = 1.0 / math.sqrt(HERTZ_LENGTH) if own.law == "linear" else 1.0
-        kept = {name: getattr(own, name) for name in ("friction", "viscous", "friction_velocity")}
-        contact = {**kept, "law": law, "stiffness": own.stiffness * scale, **LAWS[law]}
+        contact = {
+            **own.own_friction,
+            "viscous": own.viscous,
+            "law": law,
+            "stiffness": own.stiffness * scale,
+            **LAWS[law],
+        }
         tree["joints"][joint]["contact"] = contact
     return _machine(tree, machine)
 

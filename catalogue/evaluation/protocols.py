@@ -29,7 +29,7 @@ LARGEST_SET = 3
 
 
 @dataclass(frozen=True)
-class Protocol:
+class EvaluationProtocol:
     """Conditions of held-out recordings.
 
     Parameters
@@ -93,7 +93,7 @@ class Protocol:
         """Length of a recording that can be diagnosed, in turns of its drive."""
         return max(self.revolutions, 1.01 * LEAST_REVOLUTIONS)
 
-    def of(self, catalogue: Catalogue) -> Protocol:
+    def of(self, catalogue: Catalogue) -> EvaluationProtocol:
         """Return the protocol with clearances in place of multiples of the largest that a catalogue tells."""
         if self.beyond is None:
             return self
@@ -132,7 +132,7 @@ class Protocol:
         return tuple(Hypothesis.of(worn) for worn in combinations(joints, count))
 
 
-_HARD = Protocol("hard")
+_HARD = EvaluationProtocol("hard")
 _MODEL_ERRORS = {
     "a": ("law",),
     "b": ("resonance",),
@@ -151,11 +151,11 @@ _SENSOR_FLAWS = ("swapped", "inverted", "dead")
 _DROP_OUTS = {"short": 15.0, "long": 50.0}
 """Revolutions of recordings that lack 25 ms and half a second: 3 and 10 s at 300 rpm."""
 
-PROTOCOLS: Mapping[str, Protocol] = {
+PROTOCOLS: Mapping[str, EvaluationProtocol] = {
     protocol.name: protocol
     for protocol in (
-        Protocol("matched", sensor_noise=0.02, frame_noise=(0.0, 0.0, 0.0)),
-        Protocol("noisy", sensor_noise=0.1, frame_noise=(0.0, 0.0, 0.0)),
+        EvaluationProtocol("matched", sensor_noise=0.02, frame_noise=(0.0, 0.0, 0.0)),
+        EvaluationProtocol("noisy", sensor_noise=0.1, frame_noise=(0.0, 0.0, 0.0)),
         _HARD,
         replace(_HARD, name="healthy", kind="healthy"),
         replace(_HARD, name="pairs", kind="pairs"),
@@ -189,7 +189,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 """Names that stand for several protocols."""
 
 
-def protocols_of(names: Sequence[str | Protocol]) -> tuple[Protocol, ...]:
+def protocols_of(names: Sequence[str | EvaluationProtocol]) -> tuple[EvaluationProtocol, ...]:
     """Return protocols by name, groups written out, each once.
 
     Raises
@@ -197,9 +197,9 @@ def protocols_of(names: Sequence[str | Protocol]) -> tuple[Protocol, ...]:
     DiagnosisError
         A name that is not known, or a difference or spoiling that is not.
     """
-    found: dict[str, Protocol] = {}
+    found: dict[str, EvaluationProtocol] = {}
     for name in names:
-        if isinstance(name, Protocol):
+        if isinstance(name, EvaluationProtocol):
             unknown = set(name.differences) - set(DIFFERENCES)
             if unknown:
                 known = ", ".join(DIFFERENCES)
@@ -216,12 +216,12 @@ def protocols_of(names: Sequence[str | Protocol]) -> tuple[Protocol, ...]:
     return tuple(found.values())
 
 
-def with_noise(protocol: Protocol, noise: float) -> Protocol:
+def with_noise(protocol: EvaluationProtocol, noise: float) -> EvaluationProtocol:
     """Return a protocol with so much noise, and named so.
 
     Parameters
     ----------
-    protocol : Protocol
+    protocol : EvaluationProtocol
     noise : float
         Rms, m/s2: of the frame's x and y where the protocol has vibration from elsewhere, with theta in proportion;
         else of each sensor.
@@ -241,7 +241,7 @@ def with_noise(protocol: Protocol, noise: float) -> Protocol:
     return replace(protocol, name=name, frame_noise=(factor * x, factor * y, factor * theta))
 
 
-def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: Protocol, seed: int, number: int) -> Truth:
+def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: EvaluationProtocol, seed: int, number: int) -> Truth:
     """Draw a machine of a hypothesis under the conditions of a protocol, without the protocol's differences.
 
     What is drawn follows from seed, hypothesis and number alone where protocols ask for the same ranges: so the

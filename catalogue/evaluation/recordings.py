@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from jointplay import solver
-from jointplay.catalogue.evaluation.protocols import Protocol
+from jointplay.catalogue.evaluation.protocols import EvaluationProtocol
 from jointplay.catalogue.evaluation.truth import Truth, transform_of
 from jointplay.catalogue.measurements.measurement import Recording, measurement_of
 from jointplay.catalogue.measurements.readers import RawRecording
@@ -52,7 +52,7 @@ class Recordings:
     folder: Path | None = None
     limit: int = 2_000_000_000
 
-    def ideal(self, protocol: Protocol, truths: Sequence[Truth]) -> Iterator[tuple[int, FloatArray | None]]:
+    def ideal(self, protocol: EvaluationProtocol, truths: Sequence[Truth]) -> Iterator[tuple[int, FloatArray | None]]:
         """Yield the number and the ideal sensors' signals (n, s), m/s2, of every truth; None for one that failed.
 
         Those that are kept come first, the others as they are simulated.
@@ -80,7 +80,7 @@ class Recordings:
                     yield index, signal
         self._drop()
 
-    def key(self, protocol: Protocol, truth: Truth) -> str:
+    def key(self, protocol: EvaluationProtocol, truth: Truth) -> str:
         """Return what a simulation is kept under: a digest of everything that determines it."""
         settings = _settings(protocol)
         return content_digest(
@@ -141,7 +141,7 @@ class Recordings:
             total -= size
 
 
-def _settings(protocol: Protocol) -> Settings:
+def _settings(protocol: EvaluationProtocol) -> Settings:
     # Every machine's own revolutions, and a little more, so that the last sample is there.
     revolutions = 0.1 + protocol.least_revolutions
     return Settings(sample_rate=protocol.sample_rate, accuracy="standard", revolutions=revolutions)
@@ -161,12 +161,12 @@ def _ideal(machine: Machine, history: History, seconds: float) -> FloatArray | N
     )
 
 
-def recorded(protocol: Protocol, truth: Truth, ideal: FloatArray) -> Recording:
+def recorded(protocol: EvaluationProtocol, truth: Truth, ideal: FloatArray) -> Recording:
     """Return what the real sensors of a protocol record.
 
     Parameters
     ----------
-    protocol : Protocol
+    protocol : EvaluationProtocol
     truth : Truth
     ideal : ndarray, shape (n, s)
         Of ideal sensors on a rigid frame, m/s2.
@@ -195,7 +195,7 @@ SEEN_FROM = 0.1
 
 
 def hidden(
-    protocol: Protocol, truths: Sequence[Truth], signals: dict[int, FloatArray], recordings: Recordings
+    protocol: EvaluationProtocol, truths: Sequence[Truth], signals: dict[int, FloatArray], recordings: Recordings
 ) -> frozenset[int]:
     """Return the numbers of the recordings of worn machines that nobody could tell from the same machine in order.
 
@@ -203,7 +203,7 @@ def hidden(
 
     Parameters
     ----------
-    protocol : Protocol
+    protocol : EvaluationProtocol
     truths : sequence of Truth
     signals : dict of int to ndarray
         What ideal sensors report of each truth.
@@ -230,7 +230,7 @@ def _in_order(truth: Truth) -> Truth:
     return replace(truth, clearances={}, parameters=kept)
 
 
-def _noise(protocol: Protocol, truth: Truth) -> float:
+def _noise(protocol: EvaluationProtocol, truth: Truth) -> float:
     """Root mean square of the noise of all sensors, m/s2."""
     power = (transform_of(truth.machine) * np.array(protocol.frame_noise)) ** 2
     return float(np.sqrt(np.mean(power.sum(axis=1) + protocol.sensor_noise**2)))

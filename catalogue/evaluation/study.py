@@ -16,7 +16,7 @@ from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.evaluation.cross_checks import METHODS, OWN, Matcher, MethodLibrary, as_matcher
 from jointplay.catalogue.evaluation.differences import with_differences
 from jointplay.catalogue.evaluation.metrics import Answered, FiguresOfMerit, figures
-from jointplay.catalogue.evaluation.protocols import Protocol, draw_truth, protocols_of
+from jointplay.catalogue.evaluation.protocols import EvaluationProtocol, draw_truth, protocols_of
 from jointplay.catalogue.evaluation.recordings import TOGETHER, Recordings, hidden, recorded
 from jointplay.catalogue.evaluation.spoiling import with_spoiling
 from jointplay.catalogue.evaluation.truth import Truth
@@ -52,14 +52,14 @@ class Row:
 
     Parameters
     ----------
-    protocol : Protocol
+    protocol : EvaluationProtocol
     setup : Setup
     failed, refused : int
         Cases that could not be simulated; recordings that were refused (their drive speed could not be found, ...).
     figures : FiguresOfMerit
     """
 
-    protocol: Protocol
+    protocol: EvaluationProtocol
     setup: Setup
     failed: int
     refused: int
@@ -120,7 +120,7 @@ def _check(setups: Sequence[Setup], known: Mapping[str, object]) -> None:
 
 def evaluate(
     catalogue: Catalogue,
-    protocols: Sequence[str | Protocol] = ("hard",),
+    protocols: Sequence[str | EvaluationProtocol] = ("hard",),
     count: int = 120,
     seed: int = 1,
     *,
@@ -135,7 +135,7 @@ def evaluate(
     Parameters
     ----------
     catalogue : Catalogue
-    protocols : sequence of str or Protocol
+    protocols : sequence of str or EvaluationProtocol
         Names in :data:`jointplay.catalogue.evaluation.protocols.PROTOCOLS`, groups of them, or conditions of one's own.
     count : int
         Recordings a protocol, at least one a hypothesis; of sets of joints fewer.
@@ -180,7 +180,7 @@ def evaluate(
         if progress is not None:
             progress(min(done, total), total)
 
-    known: dict[tuple[Protocol, tuple[str, ...]], dict[Setup, list[Answered]]] = {}
+    known: dict[tuple[EvaluationProtocol, tuple[str, ...]], dict[Setup, list[Answered]]] = {}
     rows: list[Row] = []
     for protocol in wanted:
         without = run.without(protocol)
@@ -236,14 +236,14 @@ class _StudyRun:
     most: int | None
     networks: NetworkShelf
 
-    def hypotheses(self, protocol: Protocol) -> tuple[Hypothesis, ...]:
+    def hypotheses(self, protocol: EvaluationProtocol) -> tuple[Hypothesis, ...]:
         found = protocol.hypotheses(self.catalogue, self.seed)
         if self.count < len(found) and protocol.kind != "sets":
             rule = f"must be at least {len(found)}, one a hypothesis of protocol {protocol.name}"
             raise DiagnosisError(f"count: {self.count}: {rule}")
         return found
 
-    def without(self, protocol: Protocol) -> tuple[str, ...]:
+    def without(self, protocol: EvaluationProtocol) -> tuple[str, ...]:
         """Hypotheses that are taken out of the catalogue."""
         worn = {len(each.joints) for each in self.hypotheses(protocol)} if protocol.unlisted else set()
         return tuple(each.label for each in self.catalogue.entries.hypotheses if len(each.joints) in worn)
@@ -252,7 +252,7 @@ class _StudyRun:
         listed = self.catalogue.entries.hypotheses
         return {each.label: frozenset(each.joints) for each in listed if each.label not in without}
 
-    def truths(self, protocol: Protocol) -> list[Truth]:
+    def truths(self, protocol: EvaluationProtocol) -> list[Truth]:
         machine, hypotheses = self.catalogue.machine, self.hypotheses(protocol)
         found = []
         for index in range(self.count):
@@ -262,14 +262,14 @@ class _StudyRun:
             found.append(with_spoiling(truth, protocol.spoiling, self.seed, number))
         return found
 
-    def library(self, method: str) -> ModelLibrary:
+    def make_library(self, method: str) -> ModelLibrary:
         made = self.methods[method]
         matrix = self.catalogue.matrix
         return ModelLibrary(matrix, networks=self.networks) if made is None else MethodLibrary(matrix, made())
 
-    def answers(self, protocol: Protocol, without: tuple[str, ...], told: Callable[[], None]) -> _Found:
+    def answers(self, protocol: EvaluationProtocol, without: tuple[str, ...], told: Callable[[], None]) -> _Found:
         truths, found = self.truths(protocol), _Found({setup: [] for setup in self.setups})
-        libraries = {setup.method: self.library(setup.method) for setup in self.setups}
+        libraries = {setup.method: self.make_library(setup.method) for setup in self.setups}
         numbers: dict[Setup, list[int]] = {setup: [] for setup in self.setups}
         signals: dict[int, FloatArray] = {}
         worn = sorted({joint for joints in self.columns(without).values() for joint in joints})

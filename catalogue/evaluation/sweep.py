@@ -15,7 +15,7 @@ from jointplay import solver
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.metrics import FiguresOfMerit
-from jointplay.catalogue.evaluation.protocols import Protocol, protocols_of
+from jointplay.catalogue.evaluation.protocols import EvaluationProtocol, protocols_of
 from jointplay.catalogue.evaluation.recordings import Recordings
 from jointplay.catalogue.evaluation.study import Setup, evaluate
 from jointplay.catalogue.plans.entry import content_digest
@@ -59,13 +59,13 @@ class Sweep:
     Parameters
     ----------
     machine : str
-    protocol : Protocol
+    protocol : EvaluationProtocol
     seed, count : int
     points : tuple of Point
     """
 
     machine: str
-    protocol: Protocol
+    protocol: EvaluationProtocol
     seed: int
     count: int
     points: tuple[SweepPoint, ...]
@@ -79,7 +79,7 @@ def trade_off(
     catalogue: Catalogue,
     draws: Sequence[int],
     accuracies: Sequence[str],
-    protocol: str | Protocol = "hard",
+    protocol: str | EvaluationProtocol = "hard",
     count: int = 120,
     seed: int = 1,
     *,

@@ -15,7 +15,6 @@ from cachetools import LRUCache, cached
 from threadpoolctl import ThreadpoolController
 
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
-from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, training_set
@@ -119,14 +118,10 @@ class ModelLibrary:
         Raises
         ------
         DiagnosisError
-            A setting breaks a rule, or the catalogue holds too little.
+            The catalogue holds too little.
         MatchingError
             The feature vector does not fit the sensing.
         """
-        if effort not in ("fast", "standard", "thorough"):
-            raise DiagnosisError(f"effort: {effort}: must be fast, standard or thorough")
-        if mode not in ("auto", "trusted", "robust"):
-            raise DiagnosisError(f"mode: {mode}: must be auto, trusted or robust")
         observed = Observed(sensing, feature, watched, speed, weights)
         with one_thread():
             if mode == "robust":

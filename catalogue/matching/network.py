@@ -143,6 +143,9 @@ FEW_CASES = 4000
 for the normal form of single precision, and processors take many times longer for those (832 cases: 104 s a network,
 and 29 in double precision; 24 064 cases: 24 and 36)."""
 
+CASE_ROWS = 75
+"""Recordings of a case, at most, of networks that tell hypotheses apart: more say nothing new (docs/decisions/0143)."""
+
 FULL_BAND = 5000.0
 """Bandwidth [Hz] that noise is stated over: half of 10 kHz."""
 
@@ -177,7 +180,7 @@ class NetworkTraining:
     Parameters
     ----------
     rows : int
-        Recordings in all, every hypothesis having the same share.
+        Recordings in all, at most, every hypothesis having the same share.
     blocks : int
         Different noises and lengths among them.
     layers : tuple of int
@@ -238,12 +241,14 @@ class NetworkTraining:
         total = self.blocks + 10 * MEMBERS
         with threadpool_limits(limits=1, user_api="blas"):
             pools = _pools(matrix, learning, speed)
-            inputs, index, noise = self._recordings(matrix, sensing, learning, pools, lambda done: tell(done, total))
-            centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
             cases = len(np.unique(np.concatenate([rows for pool in pools for rows in pool])))
-            penalty, epochs = PENALTY / cases, self.epochs
+            count, penalty, epochs = min(self.rows, CASE_ROWS * cases), PENALTY / cases, self.epochs
             if learning.subject == "strata":
-                penalty, epochs = STRATA_PENALTY, self.strata_epochs
+                count, penalty, epochs = self.rows, STRATA_PENALTY, self.strata_epochs
+            inputs, index, noise = self._recordings(
+                matrix, sensing, learning, pools, count, lambda done: tell(done, total)
+            )
+            centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
             # In place: of a machine with forty bands they are 0.6 GB.
             inputs -= centre
             inputs /= scale
@@ -266,16 +271,17 @@ class NetworkTraining:
         sensing: Sensing,
         learning: Learning,
         pools: Sequence[Sequence[IntArray]],
+        count: int,
         tell: Callable[[int], None],
     ) -> tuple[FloatArray, IntArray, tuple[float, float]]:
-        """Inputs (n, d + c), class (n,), and the least and largest mean noise, dB."""
+        """Of `count` recordings inputs (n, d + c), class (n,), and the least and largest mean noise, dB."""
         edges_hz = np.array(matrix.edges) * abs(matrix.nominal_speed) / (2.0 * math.pi)
         width = np.diff(edges_hz)[: sensing.bands]
         middle = np.sqrt(np.maximum(edges_hz[:-1], 0.5 * edges_hz[1]) * edges_hz[1:])[: sensing.bands]
         shortest = max(LENGTHS[0], 5.0 * 2.0 * math.pi / abs(matrix.nominal_speed))
         quiet_db, loud_db = (10.0 * math.log10(each**2 / FULL_BAND) for each in NOISE)
         own_db = 10.0 * np.log10(np.sum(sensing.channels**2, axis=1))
-        share = max(1, self.rows // self.blocks // len(pools[0]))
+        share = max(1, count // self.blocks // len(pools[0]))
         generator = np.random.default_rng(learning.seed)
         inputs, index = [], []
         for block in range(self.blocks):

@@ -7,22 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Self, get_args
 
-from jointplay.solver.machines.joints import Contact, TurningJoint
+from jointplay.solver.machines.equal_contact import equal_contact
+from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import Load, Ripple, RotationDrive
 
 LawChoice = Literal["own", "linear", "hertz"]
 """Contact law of the turning joints: as the machine file has it, or another one fitted to it."""
-
-EQUAL_PENETRATION = 40e-6
-"""Penetration [m] at which a fitted law is as stiff as the one it stands for (docs/reference/plan.md)."""
-
-USUAL_HYSTERESIS = 3.0
-"""Hysteresis [s/m] of a Hertzian contact that stands for a linear one."""
-
-DAMPING_RATIO = 0.1
-"""Damping ratio of a linear contact that stands for another one, at the lighter link's mass."""
-
 
 _PHASES = (0.0, math.pi / 2)
 """Of the sine and the cosine of an order."""
@@ -132,7 +123,7 @@ def _machine(base: Machine, variant: Variant) -> Machine:
     changes: dict[str, Any] = {}
     if variant.law != "own":
         changes["joints"] = {
-            name: joint.model_copy(update={"contact": _contact(base, joint, variant.law)})
+            name: joint.model_copy(update={"contact": equal_contact(base, joint, variant.law)})
             if isinstance(joint, TurningJoint)
             else joint
             for name, joint in base.joints.items()
@@ -145,18 +136,3 @@ def _machine(base: Machine, variant: Variant) -> Machine:
         waves = [Load(link=variant.load, at=load.at, order=o, phase=p) for o in variant.load_orders for p in _PHASES]
         changes["loads"] = (*base.loads, Load(link=variant.load, at=load.at), *waves)
     return base.model_copy(update=changes) if changes else base
-
-
-def _contact(machine: Machine, joint: TurningJoint, law: LawChoice) -> Contact:
-    """The contact of a joint under another law, as stiff at :data:`EQUAL_PENETRATION`, its friction kept."""
-    own = joint.contact
-    same = own.law == law
-    if same:
-        return own
-    friction = {"friction": own.friction, "viscous": own.viscous, "friction_velocity": own.friction_velocity}
-    if law == "hertz":
-        secant = own.stiffness * EQUAL_PENETRATION ** ((own.exponent or 1.0) - 1.5)
-        return Contact(law="hertz", stiffness=secant, hysteresis=USUAL_HYSTERESIS, **friction)
-    stiffness = own.stiffness * EQUAL_PENETRATION ** ((own.exponent or 1.0) - 1.0)
-    mass = min(machine.links[link].mass or 1.0 for link in joint.links)
-    return Contact(stiffness=stiffness, damping=2 * DAMPING_RATIO * math.sqrt(stiffness * mass), **friction)

@@ -1,4 +1,4 @@
-"""Feature bands: single orders, then third octaves, as far as a sample rate reaches, and levels in them."""
+"""Feature bands: single orders, then third octaves, as far as a sample rate reaches."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.spectra.bands import FEATURE_ORDERS, LEAST_POWER, BandScheme
+from jointplay.solver.spectra.bands import FEATURE_ORDERS, BandScheme
 
 #: Part of the sample rate up to which a recording is used. Anti-alias filters and simulated spectra are flat to 0.4;
 #: the little more lets a drive 3 % above nominal keep its last third octave.
@@ -40,38 +39,6 @@ class FeatureAxis:
     single_order: bool
 
 
-def feature_vector(
-    power: npt.ArrayLike, cuts: tuple[int, ...], matrix: npt.ArrayLike | None = None, noise: npt.ArrayLike | None = None
-) -> FloatArray:
-    """Levels in feature bands.
-
-    Parameters
-    ----------
-    power : (..., B, k, k) array
-        Cross-powers: of catalogue entries (motions), or of a recording (compared channels).
-    cuts : tuple of int, (G + 1,)
-        Of :func:`usable_cuts`.
-    matrix : (c, k) array, optional
-        Compared channels from the channels of ``power``; the identity unless given.
-    noise : (G, c) array, optional
-        Power levels are clipped at.
-
-    Returns
-    -------
-    (..., G * c) array
-        dB re 1 (m/s2)^2 or (rad/s2)^2; band by band, the channels of a band side by side.
-    """
-    table = np.asarray(power)
-    if matrix is None:
-        auto = np.diagonal(table, axis1=-2, axis2=-1).real
-    else:
-        mix = np.asarray(matrix, dtype=np.float64)
-        auto = np.einsum("ci,...bij,cj->...bc", mix, table.real, mix, optimize=True)
-    grouped = np.maximum(join_bands(auto, cuts), LEAST_POWER if noise is None else np.asarray(noise, dtype=np.float64))
-    levels = 10.0 * np.log10(grouped)
-    return np.asarray(levels.reshape(*levels.shape[:-2], -1), dtype=np.float64)
-
-
 def usable_cuts(scheme: BandScheme, drive_speed: float, sample_rate: float) -> tuple[int, ...]:
     """Feature bands of a scheme that a sample rate covers, as cuts between its bands.
 
@@ -95,7 +62,7 @@ def usable_cuts(scheme: BandScheme, drive_speed: float, sample_rate: float) -> t
 def feature_axes(
     scheme: BandScheme, cuts: tuple[int, ...], channels: tuple[str, ...], drive_speed: float
 ) -> tuple[FeatureAxis, ...]:
-    """Describe a feature vector, number by number; parameters as for :func:`feature_vector`."""
+    """Describe the levels of a feature vector, number by number: the channels of a band between `cuts` side by side."""
     orders, hertz = np.asarray(scheme.edges), scheme.edges_hz(drive_speed)
     return tuple(
         FeatureAxis(

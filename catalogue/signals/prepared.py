@@ -16,7 +16,7 @@ import numpy as np
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate
 from jointplay.catalogue.signals.disturbances import Disturbance
-from jointplay.catalogue.signals.feature_bands import FeatureAxis, feature_axes, feature_vector, join_bands
+from jointplay.catalogue.signals.feature_bands import FeatureAxis, feature_axes, join_bands
 from jointplay.catalogue.signals.hum import SteadyLine
 from jointplay.catalogue.signals.noise import NoiseFloor
 from jointplay.catalogue.signals.recipe_steps import RecipeStep, note_step
@@ -131,13 +131,8 @@ class PreparedMeasurement:
         return join_bands(self.sensor_bands.degrees_of_freedom[:, None], self.cuts)[:, 0]
 
     @property
-    def features(self) -> FloatArray:
-        """Feature vector, (G * c,), dB; see :func:`feature_vector`."""
-        return feature_vector(self.power, self.cuts, noise=self.group_noise)
-
-    @property
     def axes(self) -> tuple[FeatureAxis, ...]:
-        """What each number of the feature vector is, (G * c,)."""
+        """What each level of the feature vector is, (G * c,): band by band, the channels of a band side by side."""
         return feature_axes(self.scheme, self.cuts, self.channels, self.drive_speed)
 
     def with_gains(self, gains: Mapping[str, float]) -> PreparedMeasurement:

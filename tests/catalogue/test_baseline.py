@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from levels import levels_of
 
 from jointplay.catalogue.diagnosing.baseline import LEAST_WEIGHT, Baseline, KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
@@ -107,8 +108,8 @@ def test_gains_are_taken_out_of_recordings(small_catalogue: Catalogue) -> None:
     baseline = fit_baseline(crooked, small_catalogue)
     straight = baseline.correct(crooked, small_catalogue.machine)
     orders = slice(0, 60)
-    before = np.abs(crooked.features - right.features)[orders].max()
-    after = np.abs(straight.features - right.features)[orders].max()
+    before = np.abs(levels_of(crooked) - levels_of(right))[orders].max()
+    after = np.abs(levels_of(straight) - levels_of(right))[orders].max()
     # What two gains make of a level that nearly cancels: 3.6 dB, and 2.2 to 2.5 when gains are known to 2.5 %.
     assert before > 0.8 and after < 0.75 * before
     assert [step.name for step in straight.steps[-2:]] == ["gains", "suspension"]
@@ -174,7 +175,9 @@ def test_recordings_are_converted_to_the_machine_of_the_file(small_catalogue: Ca
     crooked, right = found
     straight = with_filed_suspension(crooked, machine, other)
     orders = slice(0, 30)
-    before, after = (np.sqrt(np.mean((each.features - right.features)[orders] ** 2)) for each in (crooked, straight))
+    before, after = (
+        np.sqrt(np.mean((levels_of(each) - levels_of(right))[orders] ** 2)) for each in (crooked, straight)
+    )
     assert after < 0.5 * before
     assert straight.steps[-1].name == "suspension"
     # And so is what is locked to the crank, where the links more than the joints make it: 0.048 to 0.017 (m/s2)^2.
@@ -182,7 +185,7 @@ def test_recordings_are_converted_to_the_machine_of_the_file(small_catalogue: Ca
     assert near < 0.5 * far
     same = with_filed_suspension(crooked, machine, {})
     assert same.group_cyclic == pytest.approx(crooked.group_cyclic, abs=1e-9 * np.abs(crooked.group_cyclic).max())
-    assert with_filed_suspension(crooked, machine, {}).features == pytest.approx(crooked.features, abs=1e-6)
+    assert levels_of(with_filed_suspension(crooked, machine, {})) == pytest.approx(levels_of(crooked), abs=1e-6)
     # Two axes at one corner do not see the frame's rotation: nothing can be converted.
     bare = dataclasses.replace(crooked.sensing, compared=crooked.sensing.sensors, channels=np.eye(4))
     part = dataclasses.replace(crooked, sensing=bare)

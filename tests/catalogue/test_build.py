@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 from building import FAILING, KEYS, assert_complete, quick_build, with_draws
-from fake_simulator import MACHINE, PLAN
+from fake_simulator import MACHINE, PLAN, compute
 
-from jointplay.catalogue.building.build import BuildReport, Progress
+from jointplay.catalogue.building.build import BuildReport, Progress, build
 from jointplay.catalogue.building.executors import InProcess
 from jointplay.catalogue.errors import (
     CatalogueBusyError,
@@ -26,6 +26,7 @@ from jointplay.catalogue.storage.leases import BuilderLock, ChunkStatus, Leases
 from jointplay.catalogue.storage.location import adopt
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.verify import verify
+from jointplay.solver.machines.machine import parse_machine
 
 
 def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,6 +50,17 @@ def test_everything_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert sorted(path.name for path in (directory / "shards").iterdir()) == before
     assert sorted((tmp_path / "log").read_text().split()) == sorted(KEYS)
     assert_complete(directory)
+
+
+def test_clearances_of_the_file_are_left_aside(tmp_path: Path) -> None:
+    report = quick_build(tmp_path)
+    tree = MACHINE.model_dump()
+    tree["joints"]["A"]["clearance"] = "0.2 mm"
+    filed = parse_machine(tree)
+    assert filed.content_key != MACHINE.content_key
+    again = build(filed, PLAN, tmp_path, workers=0, compute=compute, chunk_size=4)
+    assert (again.added, again.present) == (0, report.added)
+    assert Catalogue.open(tmp_path).machine == MACHINE
 
 
 def test_chunks_have_one_set_of_joints_and_their_state_is_kept(tmp_path: Path) -> None:

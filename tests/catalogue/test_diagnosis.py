@@ -287,6 +287,8 @@ def test_refuses_settings_and_catalogues_it_cannot_use(small_catalogue: Catalogu
         diagnose(recording(2), small_catalogue, coverage=1.0)
     with pytest.raises(DiagnosisError, match="effort: most: must be fast, standard or thorough"):
         diagnose(recording(2), small_catalogue, effort="most")  # type: ignore[arg-type]
+    with pytest.raises(DiagnosisError, match="mode: brave: must be auto, trusted or robust"):
+        diagnose(recording(2), small_catalogue, mode="brave")  # type: ignore[arg-type]
     plan = parse_plan({"hypotheses": ["healthy"], "draws": {"healthy": 2}, "seconds": 0.5})
     build(shipped_machine("slider-crank"), plan, tmp_path / "sparse", workers=0)
     with pytest.raises(DiagnosisError, match="2 entries of hypothesis healthy: at least 3 needed"):

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from levels import levels_of
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, rough_track
@@ -68,7 +69,7 @@ def test_shocks_cost_their_time(name: str, size: float) -> None:
     assert [each.begin for each in shocks] == [pytest.approx(0.4, abs=0.03), pytest.approx(1.9, abs=0.03)]
     assert 0.0 < disturbed.left_out < 0.4
     assert any(each.startswith("shock from outside 2 times, at") for each in disturbed.warnings)
-    off = np.sqrt(np.mean((disturbed.features - before.features) ** 2))
+    off = np.sqrt(np.mean((levels_of(disturbed) - levels_of(before)) ** 2))
     assert off < 1.5
 
 
@@ -88,7 +89,7 @@ def test_steady_lines_are_told_as_disturbances() -> None:
     lines = [each for each in prepared.disturbances if each.kind == "line"]
     assert any(each.frequency == pytest.approx(24.27, abs=0.02) for each in lines) and prepared.left_out == 0.0
     before = prepare(measurement, machine)
-    assert np.sqrt(np.mean((prepared.features - before.features) ** 2)) < 0.3
+    assert np.sqrt(np.mean((levels_of(prepared) - levels_of(before)) ** 2)) < 0.3
 
 
 # --- the pieces -------------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from jointplay.catalogue.diagnosing.separation import _more_sensors
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation import sweep
 from jointplay.catalogue.evaluation.differences import DIFFERENCES, with_differences
-from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, draw_truth, protocols_of
+from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, EvaluationProtocol, draw_truth, protocols_of
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.study import Setup, evaluate, setups_of
 from jointplay.catalogue.evaluation.sweep import trade_off
@@ -44,11 +44,11 @@ SHORT = replace(PROTOCOLS["matched"], revolutions=10.0, clearance=(80e-6, 700e-6
 MACHINE = shipped_machine("slider-crank")
 
 
-def truth_of(*joints: str, protocol: Protocol = SHORT, number: int = 0) -> Truth:
+def truth_of(*joints: str, protocol: EvaluationProtocol = SHORT, number: int = 0) -> Truth:
     return draw_truth(MACHINE, Hypothesis.of(joints), protocol, 3, number)
 
 
-def ideal_of(truth: Truth, protocol: Protocol = SHORT) -> np.ndarray:
+def ideal_of(truth: Truth, protocol: EvaluationProtocol = SHORT) -> np.ndarray:
     ((_, signal),) = Recordings().ideal(protocol, [truth])
     assert signal is not None
     return signal
@@ -271,17 +271,17 @@ def test_a_cyclic_load_works_against_one_stroke_and_shares_its_model(machine: st
 def test_recordings_carry_noise_gains_and_structure_of_the_protocol() -> None:
     truth = truth_of()
     ideal = ideal_of(truth)
-    clean = recorded(Protocol("none", frame_noise=(0.0, 0.0, 0.0)), truth, ideal)
+    clean = recorded(EvaluationProtocol("none", frame_noise=(0.0, 0.0, 0.0)), truth, ideal)
     assert clean.signal == pytest.approx(ideal)
     assert clean.channel_names == tuple(sensor.name for sensor in MACHINE.sensors)
     noisy = recorded(replace(SHORT, sensor_noise=0.1), truth, ideal)
     assert (noisy.signal - clean.signal).std(axis=0) == pytest.approx(0.1, rel=0.1)
     assert noisy.sha256 != clean.sha256
-    quiet = Protocol("gain", frame_noise=(0.0, 0.0, 0.0))
+    quiet = EvaluationProtocol("gain", frame_noise=(0.0, 0.0, 0.0))
     gains = recorded(quiet, with_differences(truth, ("gain",), 1, 0), ideal).signal / clean.signal
     assert np.allclose(gains, gains[0])
     assert 0.005 < np.abs(gains[0] - 1.0).max() <= 0.15
-    shaken = recorded(Protocol("frame", frame_noise=(0.1, 0.0, 0.0)), truth, ideal).signal - ideal
+    shaken = recorded(EvaluationProtocol("frame", frame_noise=(0.1, 0.0, 0.0)), truth, ideal).signal - ideal
     along_x = [sensor.direction[0] == 1.0 for sensor in MACHINE.sensors]
     assert shaken[:, along_x].std() == pytest.approx(0.1, rel=0.1)
     assert not shaken[:, np.logical_not(along_x)].any()
@@ -289,7 +289,7 @@ def test_recordings_carry_noise_gains_and_structure_of_the_protocol() -> None:
 
 def test_noise_of_the_whole_frame_does_not_average_out_over_its_sensors() -> None:
     truth = truth_of()
-    shaken = Protocol("frame", frame_noise=(0.1, 0.1, 0.5))
+    shaken = EvaluationProtocol("frame", frame_noise=(0.1, 0.1, 0.5))
     prepared = prepare(recorded(shaken, truth, ideal_of(truth)), MACHINE)
     width = np.diff(prepared.scheme.edges_hz(prepared.drive_speed))
     true = np.outer(width / (0.5 * shaken.sample_rate), np.square(shaken.frame_noise))
@@ -299,7 +299,7 @@ def test_noise_of_the_whole_frame_does_not_average_out_over_its_sensors() -> Non
 
 def test_baselines_conversions_and_suggestions_know_the_noise_of_the_whole_frame() -> None:
     truth = truth_of()
-    shaken = Protocol("frame", frame_noise=(0.1, 0.1, 0.5))
+    shaken = EvaluationProtocol("frame", frame_noise=(0.1, 0.1, 0.5))
     prepared = prepare(recorded(shaken, truth, ideal_of(truth)), MACHINE)
     sensors = len(prepared.sensing.sensors)
     levels = OrderLevels.of(prepared).noise.reshape(-1, sensors + 3)[:, sensors:]
@@ -431,9 +431,9 @@ def test_refuses_what_it_cannot_do(small_catalogue: Catalogue) -> None:
     with pytest.raises(DiagnosisError, match="count: 3: must be at least 4, one a hypothesis of protocol matched"):
         evaluate(small_catalogue, ["matched"], 3)
     with pytest.raises(DiagnosisError, match="protocol mine: difference colour: must be one of law"):
-        evaluate(small_catalogue, [Protocol("mine", differences=("colour",))])
+        evaluate(small_catalogue, [EvaluationProtocol("mine", differences=("colour",))])
     with pytest.raises(DiagnosisError, match="protocol mine: spoiling rust: must be one of shocks"):
-        evaluate(small_catalogue, [Protocol("mine", spoiling="rust")])
+        evaluate(small_catalogue, [EvaluationProtocol("mine", spoiling="rust")])
     with pytest.raises(DiagnosisError, match="method: best: must be one of gaussian"):
         setups_of(["best"], ["standard"], ["auto"])
     with pytest.raises(DiagnosisError, match="protocol: model-error: stands for 7 protocols, must be one"):

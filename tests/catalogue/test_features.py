@@ -7,13 +7,14 @@ import math
 
 import numpy as np
 import pytest
+from levels import defined_levels, levels_of
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Channel, Recording, measurement_of, read_measurement
 from jointplay.catalogue.measurements.readers import RawColumn, RawRecording
-from jointplay.catalogue.signals.feature_bands import feature_axes, feature_vector, join_bands, usable_cuts
+from jointplay.catalogue.signals.feature_bands import feature_axes, join_bands, usable_cuts
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.recipe_steps import RecipeStep
@@ -71,8 +72,8 @@ def test_the_frames_motion_comes_back(machine: Machine) -> None:
     direct = band_matrix(motion, FS, prepared.drive_speed, prepared.scheme)
     # The first 40 bands hold the orders; between them and above is rounding only.
     assert prepared.power[:40] == pytest.approx(direct.power[:40], rel=1e-6, abs=1e-12)
-    assert prepared.features == pytest.approx(
-        feature_vector(direct.power, prepared.cuts, noise=prepared.group_noise), abs=1e-4
+    assert levels_of(prepared) == pytest.approx(
+        defined_levels(direct.power, prepared.cuts, noise=prepared.group_noise), abs=1e-4
     )
     assert prepared.warnings == () and prepared.revolutions == pytest.approx(20.0, rel=1e-5)
     assert any("drive speed 300 rpm" in note for note in prepared.notes)
@@ -87,9 +88,9 @@ def test_a_catalogues_power_and_a_recording_meet(machine: Machine) -> None:
     assert any("do not see all motions" in warning for warning in prepared.warnings)
     stored = band_matrix(motion, FS, prepared.drive_speed, prepared.scheme).power
     matrix = prepared.sensing.channels @ prepared.sensing.transform
-    seen = feature_vector(stored, prepared.cuts, matrix, prepared.group_noise)
-    assert prepared.features == pytest.approx(seen, abs=1e-4)
-    many = feature_vector(np.stack([stored, 4 * stored]), prepared.cuts, matrix)
+    seen = defined_levels(stored, prepared.cuts, matrix, prepared.group_noise)
+    assert levels_of(prepared) == pytest.approx(seen, abs=1e-4)
+    many = defined_levels(np.stack([stored, 4 * stored]), prepared.cuts, matrix)
     assert many.shape == (2, len(seen))
     assert (many[1] - many[0])[:40] == pytest.approx(np.full(40, 10 * math.log10(4)), abs=1e-9)
 
@@ -125,7 +126,7 @@ def test_noise_goes_through_the_least_squares(machine: Machine) -> None:
     scatter = 10 / math.log(10) * np.sqrt(2 / prepared.group_degrees_of_freedom)
     assert np.all(np.abs(excess) < 0.4 + 5 * scatter[:, None])
     assert np.abs(np.median(excess)) < 0.4
-    assert np.all(prepared.features >= 10 * np.log10(prepared.group_noise).ravel() - 1e-9)
+    assert np.all(levels_of(prepared) >= 10 * np.log10(prepared.group_noise).ravel() - 1e-9)
     assert prepared.floor.rms == pytest.approx(np.full(4, 0.1), rel=0.05)
 
 
@@ -140,8 +141,8 @@ def test_other_quantities_become_accelerations(machine: Machine, quantity: str) 
     direct = prepare(recorded(at_sensors(machine, motion)), machine)
     orders = slice(0, 20 * 3)
     # (2 pi f)^2k is not the same on the three lines of a Hann window on order 1: 1 dB there, less above.
-    assert np.abs(prepared.features[orders] - direct.features[orders]).max() < 1.2
-    assert np.abs(prepared.features[15:60] - direct.features[15:60]).max() < 0.1
+    assert np.abs(levels_of(prepared)[orders] - levels_of(direct)[orders]).max() < 1.2
+    assert np.abs(levels_of(prepared)[15:60] - levels_of(direct)[15:60]).max() < 0.1
 
 
 def test_axes_say_what_each_feature_is(machine: Machine) -> None:
@@ -160,7 +161,7 @@ def test_low_sample_rates_compare_fewer_bands(machine: Machine) -> None:
     prepared = prepare(recorded(slow, fs=1000.0), machine)
     assert any("bands above 405 Hz" in w for w in prepared.warnings)
     assert prepared.axes[-1].high_hz <= 0.42 * 1000.0
-    assert len(prepared.features) == len(prepared.axes) == prepared.group_noise.size
+    assert len(levels_of(prepared)) == len(prepared.axes) == prepared.group_noise.size
     with pytest.raises(MeasurementError, match=r"made: sample rate 200 Hz: does not reach order 20"):
         prepare(recorded(at_sensors(machine, frame_motion(fs=200.0)), fs=200.0), machine)
 
@@ -254,7 +255,7 @@ def prepared_recording(name: str) -> tuple[PreparedMeasurement, Machine]:
 
 def test_preparation_gives_three_motions_of_forty_bands() -> None:
     prepared, _ = prepared_recording("quick-return-01")
-    assert len(prepared.features) == 120
+    assert len(levels_of(prepared)) == 120
 
 
 def test_hum_would_raise_a_third_octave() -> None:
@@ -299,7 +300,7 @@ def disagreement(prepared: PreparedMeasurement, made_of: Machine, case: Case) ->
     history = simulate(made_of, case, settings)
     steady = history.band_limited_acceleration[history.t >= history.transient]
     bands = band_matrix(steady, FS, history.drive_speed, prepared.scheme)
-    difference = prepared.features - feature_vector(bands.power, prepared.cuts, noise=prepared.group_noise)
+    difference = levels_of(prepared) - defined_levels(bands.power, prepared.cuts, noise=prepared.group_noise)
     return np.asarray(np.sqrt(np.mean(difference.reshape(-1, 3) ** 2, axis=0)))
 
 
@@ -362,7 +363,7 @@ def test_a_clipped_column_is_left_out_where_the_others_see_as_much(machine: Mach
     assert any("looks clipped" in warning for warning in prepared.warnings)
     assert any("left out, as the others see as much of the frame: s2-y" in warning for warning in prepared.warnings)
     # A quarter of the sensors is missing, so there is more noise; measured 0.12 dB.
-    assert np.abs(prepared.features - whole.features)[:60].max() < 0.25
+    assert np.abs(levels_of(prepared) - levels_of(whole))[:60].max() < 0.25
     # Two sensors that see different things are both needed, clipped or not.
     both = prepare(as_read(clipped[:, [0, 3]], ("s1-x", "s2-y")), machine)
     assert both.sensing.sensors == ("s1-x", "s2-y") and not any("left out" in w for w in both.warnings)
@@ -381,18 +382,18 @@ def test_dropouts_cost_their_time(machine: Machine) -> None:
     assert gap.begin == pytest.approx(0.899) and gap.end == pytest.approx(0.906)
     assert "drop-out of s2-x at 0.899 s: 0.18 % of the time left out" in prepared.warnings
     assert prepared.revolutions == pytest.approx(20 * (1 - 70 / 40_000), rel=1e-3)
-    assert np.abs(prepared.features - whole.features)[:60].max() < 0.05
+    assert np.abs(levels_of(prepared) - levels_of(whole))[:60].max() < 0.05
     every = signal.copy()
     every[9000:10_000] = every[9000]
     cut = prepare(as_read(every), machine)
     assert cut.left_out == pytest.approx(0.0255, abs=1e-3) and cut.disturbances[0].sensors == ()
-    assert np.abs(cut.features - whole.features)[:60].max() < 0.1
+    assert np.abs(levels_of(cut) - levels_of(whole))[:60].max() < 0.1
     within = signal.copy()
     within[9000:20_000, :3] = within[9000, :3]
     within[10_000:11_000, 3] = within[10_000, 3]
     long = prepare(as_read(within), machine)
     assert long.revolutions == pytest.approx(14.5, rel=5e-3)
-    assert np.abs(long.features - whole.features)[:60].max() < 0.1
+    assert np.abs(levels_of(long) - levels_of(whole))[:60].max() < 0.1
 
 
 def test_a_sensor_that_misses_much_is_left_out_where_the_others_see_as_much(machine: Machine) -> None:
@@ -431,9 +432,9 @@ def test_gains_are_divided_out(machine: Machine) -> None:
     gains = {"s1-x": 1.06, "s1-y": 0.95, "s2-x": 1.0, "s2-y": 1.1}
     right = prepare(recorded(signal), machine)
     wrong = prepare(recorded(signal * np.array(list(gains.values()))), machine)
-    assert np.abs(wrong.features - right.features).max() > 0.5
+    assert np.abs(levels_of(wrong) - levels_of(right)).max() > 0.5
     again = wrong.with_gains(gains)
-    assert again.features == pytest.approx(right.features, abs=0.02)
+    assert levels_of(again) == pytest.approx(levels_of(right), abs=0.02)
     assert again.floor.rms == pytest.approx(right.floor.rms, rel=1e-3)
     assert again.group_noise == pytest.approx(right.group_noise, rel=1e-3)
     assert again.steps[-1].name == "gains" and "s2-y +10.0 %" in again.steps[-1].found

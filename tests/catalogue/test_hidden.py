@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointplay.catalogue.evaluation.differences import with_differences
-from jointplay.catalogue.evaluation.protocols import PROTOCOLS, Protocol, draw_truth
+from jointplay.catalogue.evaluation.protocols import PROTOCOLS, EvaluationProtocol, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, hidden
 from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.plans.entry import Hypothesis
@@ -40,7 +40,9 @@ def test_machines_in_order_and_failed_ones_are_not_looked_at() -> None:
     class Failing(Recordings):
         asked: int = 0
 
-        def ideal(self, _: Protocol, truths: Sequence[Truth]) -> Iterator[tuple[int, NDArray[np.float64] | None]]:
+        def ideal(
+            self, _: EvaluationProtocol, truths: Sequence[Truth]
+        ) -> Iterator[tuple[int, NDArray[np.float64] | None]]:
             for number, truth in enumerate(truths):
                 assert truth.clearances == {}
                 assert not any("contact" in path for path in truth.parameters)

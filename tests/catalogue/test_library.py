@@ -231,11 +231,6 @@ def test_few_models_are_kept_as_files(tmp_path: Path, monkeypatch: pytest.Monkey
     assert sorted(file.stem for file in tmp_path.glob("*.npz")) == ["c", "d"]
 
 
-def test_refuses_unknown_settings_and_empty_catalogues() -> None:
-    feature, _ = recording("A")
-    with pytest.raises(DiagnosisError, match="effort: slow: must be fast, standard or thorough"):
-        LIBRARY.answer(sensing(), feature, WATCHED, "slow")  # type: ignore[arg-type]
-    with pytest.raises(DiagnosisError, match="mode: brave: must be auto, trusted or robust"):
-        LIBRARY.answer(sensing(), feature, WATCHED, "fast", "brave")  # type: ignore[arg-type]
+def test_refuses_empty_catalogues() -> None:
     with pytest.raises(DiagnosisError, match="2 entries of hypothesis healthy: at least 3 needed"):
         training_set(SpectraModel(2), sensing(), WATCHED, Learning())

@@ -93,6 +93,21 @@ def test_a_network_of_two_hypotheses_answers_for_both() -> None:
     assert np.mean(opinion.log_evidences(features, held.labels).argmax(axis=1) == index) > 0.9
 
 
+def test_a_case_is_seen_no_more_often_than_it_has_to_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[np.ndarray] = []
+    packed = SpectraModel.packed
+
+    def noted(self: SpectraModel, rows: np.ndarray) -> np.ndarray:
+        seen.append(rows)
+        return packed(self, rows)
+
+    monkeypatch.setattr(SpectraModel, "packed", noted)
+    monkeypatch.setattr("jointplay.catalogue.matching.network.CASE_ROWS", 2)
+    SMALL.train(MODEL, sensing(), TRUSTED)
+    learned = np.sum(~is_held_out(np.arange(len(MODEL.label))))
+    assert 1.5 * learned < sum(map(len, seen)) <= 2 * learned < SMALL.rows
+
+
 def test_never_learns_from_entries_that_calibration_holds_out(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: set[int] = set()
     packed = SpectraModel.packed

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from levels import defined_levels
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import SCALE, common_noise, compose, decompose, noise_alike, with_more_noise
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, group, observe, round_sensing, round_up
 from jointplay.catalogue.matching.transfer import RandomTransfer
-from jointplay.catalogue.signals.feature_bands import feature_vector
 from jointplay.catalogue.storage.cross_power import pack, pack_cyclic
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 
@@ -47,11 +47,11 @@ def stored(power: np.ndarray) -> np.ndarray:
     return joined
 
 
-def test_without_noise_and_discrepancy_it_is_the_feature_vector() -> None:
+def test_without_noise_and_discrepancy_it_is_the_levels() -> None:
     power = entries()
     features, entry = observe(stored(power), BODY, NOTHING, np.ones(5, np.int64))
     assert list(entry) == [0, 1, 2, 3, 4]
-    assert np.allclose(features[:, :LEVELS], feature_vector(power, CUTS), atol=1e-3)
+    assert np.allclose(features[:, :LEVELS], defined_levels(power, CUTS), atol=1e-3)
     joint = np.add.reduceat(power[:, : CUTS[-1]], CUTS[:-1], axis=1)
     root = np.sqrt(np.einsum("ngii->ngi", joint).real)
     for place, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
@@ -68,7 +68,7 @@ def test_without_noise_and_discrepancy_it_is_the_feature_vector() -> None:
     assert features.shape[1] == BODY.features_count
     corner = Sensing(TRANSFORM[:2], np.eye(2), CUTS, np.full((4, 2), 1e-12), np.full(4, 40.0))
     features, _ = observe(stored(power), corner, NOTHING, np.ones(5, np.int64))
-    assert np.allclose(features[:, :8], feature_vector(power, CUTS, TRANSFORM[:2]), atol=1e-3)
+    assert np.allclose(features[:, :8], defined_levels(power, CUTS, TRANSFORM[:2]), atol=1e-3)
     without, _ = observe(stored(power), replace(corner, phases=False), NOTHING, np.ones(5, np.int64))
     assert np.allclose(without, features[:, :8], atol=2e-3)
 

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 import scipy.ndimage
+from levels import defined_levels
 
 from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, SpeedTrack, track_speed
-from jointplay.catalogue.signals.feature_bands import feature_vector, usable_cuts
+from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.steadiness import at_mean_speed, interpolate
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
@@ -59,9 +60,9 @@ def test_orders_come_out_as_without_wander(
         track = track_speed(signal, FS, 2 * math.pi * hertz)
         assert track.estimate.speed == pytest.approx(2 * math.pi * hertz, rel=1e-3)
         assert track.estimate.wander == pytest.approx(wander, rel=0.4)
-        expected = feature_vector(band_matrix(steady, FS, 2 * math.pi * hertz, scheme).power, cuts)
+        expected = defined_levels(band_matrix(steady, FS, 2 * math.pi * hertz, scheme).power, cuts)
         for signals, errors in ((signal, plain), (at_mean_speed(signal, FS, track), resampled)):
-            found = feature_vector(band_matrix(signals, FS, track.estimate.speed, scheme).power, cuts)
+            found = defined_levels(band_matrix(signals, FS, track.estimate.speed, scheme).power, cuts)
             errors.append((found - expected)[:40])
     assert np.sqrt(np.mean(np.square(plain))) > plain_db
     assert np.sqrt(np.mean(np.square(resampled))) < resampled_db

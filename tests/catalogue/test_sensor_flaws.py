@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from levels import levels_of
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.evaluation.truth import Response
@@ -52,7 +53,7 @@ def test_inverted_sensors_are_named(name: str, sensor: int) -> None:
     text = f"the sensors contradict each other as parts of one rigid frame, unless {NAMES[sensor]} is inverted"
     assert flaw.text == text and text in prepared.warnings and prepared.steps[-1].found == text
     # Nothing is put right on the quiet: the levels are those of the recording.
-    assert np.abs(prepared.features - changed(name, np.eye(4)).features).max() > 1.0
+    assert np.abs(levels_of(prepared) - levels_of(changed(name, np.eye(4)))).max() > 1.0
 
 
 @pytest.mark.parametrize("name", ["quick-return-03", "slider-crank-02", "four-bar-03"])

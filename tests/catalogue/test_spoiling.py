@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
-from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, Protocol, draw_truth
+from jointplay.catalogue.evaluation.protocols import GROUPS, PROTOCOLS, EvaluationProtocol, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.spoiling import SPOILINGS, Clipped, DropOut, FlawedSensors, with_spoiling
 from jointplay.catalogue.evaluation.truth import Blows, Bursts, Tones, Truth, transform_of
@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 MACHINE = shipped_machine("four-bar")
 NAMES = tuple(sensor.name for sensor in MACHINE.sensors)
-SILENT = Protocol("silent", frame_noise=(0.0, 0.0, 0.0), revolutions=15.0)
+SILENT = EvaluationProtocol("silent", frame_noise=(0.0, 0.0, 0.0), revolutions=15.0)
 RATE = SILENT.sample_rate
 TIME = np.arange(30_000) / RATE
 WRENCH = (0.6, 0.8, 0.1)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from levels import levels_of
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
@@ -79,7 +80,7 @@ def test_a_recording_that_begins_at_standstill_is_prepared_as_if_it_had_not() ->
     assert steady.drive_speed == pytest.approx(speed, rel=5e-4)
     orders = slice(0, 60)
     # Measured 1.1 dB, at an order that the noise nearly covers; with the run-up left in, 25 dB.
-    assert np.abs(whole.features[orders] - steady.features[orders]).max() < 2.0
+    assert np.abs(levels_of(whole)[orders] - levels_of(steady)[orders]).max() < 2.0
     part = next(step for step in whole.steps if step.name == "steady part")
     assert "left out" in part.found and part.parameters["speed_deviation"] == 0.03
 
