@@ -86,7 +86,7 @@ def trajectories(
         for name, (place, rate) in starts[run].items():
             k = names.index(name)
             work[rows.z[k], lane], work[rows.v[k], lane] = place, rate
-    record = np.array([*rows.z, *rows.v, *rows.memory])
+    record = np.array([*rows.z, *rows.v, *range(rows.memory.start, rows.slips.stop)])
     out = np.zeros((LANES, record.size, samples))
     broken = np.zeros(LANES, dtype=np.int64)
     counts, finals = np.full(LANES, samples), np.zeros((LANES, 2 + 2 * n))

@@ -43,6 +43,11 @@ class WorkRows(NamedTuple, Generic[Each]):
         end.
     stage_velocities
         Velocities of the stages between, n rows each.
+    pull, stage_pulls
+        What pulls at bristles in parts of their strength (:mod:`jointplay.solver.equations.friction`), k rows: at the
+        state evaluated last; of all stages, those at the start of the step first.
+    kept_bristles
+        Deflections of bristles at the start of the step, k rows; Gill's running correction of them.
     dense
         Dense output: four rows for each recorded coordinate, then for its velocity.
     jam
@@ -50,7 +55,9 @@ class WorkRows(NamedTuple, Generic[Each]):
     parameters
         Of the lane.
     memory
-        What contacts remember, see :mod:`jointplay.solver.equations.contact`.
+        What contacts remember (:mod:`jointplay.solver.equations.contact`).
+    bristles, slips
+        Deflections of bristles, and 1 or -1 where they slip over the step, 0 where they hold; k rows each.
     hoisted
         What depends on the parameters alone.
     """
@@ -74,26 +81,32 @@ class WorkRows(NamedTuple, Generic[Each]):
     slopes: Each
     last_slopes: Each
     stage_velocities: Each
+    pull: Each
+    stage_pulls: Each
+    kept_bristles: Each
     dense: Each
     jam: Each
     parameters: Each
     memory: Each
+    bristles: Each
+    slips: Each
     hoisted: Each
 
 
-def work_rows(n: int, parameters: int, memories: int, **own: int) -> WorkRows[range]:
+def work_rows(n: int, parameters: int, memories: int, bristles: int, **own: int) -> WorkRows[range]:
     """Rows of a method's work array.
 
     Parameters
     ----------
-    n, parameters, memories : int
-        Coordinates; lane parameters; contacts that remember.
+    n, parameters, memories, bristles : int
+        Coordinates; lane parameters; contacts that remember; surfaces that can stick.
     **own : int
         Rows of the quantities that the method has beside those that every method has; of all others there are none.
     """
     counts = dict.fromkeys(WorkRows._fields, 0) | {
         "time": 1, "step": 1, "z": n, "v": n, "a": n, "kept": 2 * n, "jam": 1,
         "parameters": parameters, "memory": memories,
+        "pull": bristles, "kept_bristles": bristles, "bristles": bristles, "slips": bristles,
     }  # fmt: skip
     table = WorkRows(**counts | own)
     return WorkRows(*(range(end - count, end) for count, end in zip(table, accumulate(table), strict=True)))

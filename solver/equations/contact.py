@@ -87,12 +87,13 @@ class ContactNumbers:
     clearance: Number
     friction: Number
     viscous: Number
-    friction_velocity: Number
     pin_radius: Number
 
 
 #: (penetration, approach) -> normal force: one of the laws above with its numbers.
 NormalLaw: TypeAlias = Callable[[ca.SX, ca.SX], NormalForce]
+#: Sliding velocity -> what stands for its sign in Coulomb's law.
+SlidingSign: TypeAlias = Callable[[ca.SX], ca.SX]
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,9 @@ class ContactForce:
 
 def impact_pair(
     e: Complex, e_rate: Complex, pin_omega: Number, socket_omega: Number, numbers: ContactNumbers, law: NormalLaw,
-    touching: ca.SX,
+    sign: SlidingSign, touching: ca.SX,
 ) -> ContactForce:  # fmt: skip
-    """A contact law along the normal, never attractive; regularised Coulomb and viscous friction across it.
+    """A contact law along the normal, never attractive; Coulomb and viscous friction across it.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def impact_pair(
     pin_omega, socket_omega : symbol
         Angular velocities of the two links, rad/s.
     numbers : ContactNumbers
-    law : callable
+    law, sign : callable
     touching : casadi.SX
         1 where the surfaces push, 0 where they do not: a symbol, replaced by ``switch > 0`` or held over a step.
 
@@ -151,7 +152,7 @@ def impact_pair(
     arm_socket = eccentricity + numbers.pin_radius
     # Velocity of the pin's body relative to the socket's at the common contact point, along the tangent (-n_y, n_x).
     slip = normal.cross(e_rate) + pin_omega * numbers.pin_radius - socket_omega * arm_socket
-    rubbing = numbers.friction * pushing * ca.tanh(slip / numbers.friction_velocity)
+    rubbing = numbers.friction * pushing * sign(slip)
     rubbing += ca.if_else(touching > 0, numbers.viscous * slip, 0)
     on_pin = normal * Complex(-pushing, -rubbing)
     moment_on_socket = rubbing * arm_socket

@@ -13,6 +13,11 @@ import casadi as ca
 from jointplay.solver.equations.forces import Scene
 from jointplay.solver.equations.geometry import GROUND, ONE, Complex, Terms
 
+#: Part of its diagonal that is added to the Schur complement of closures of which some follow from others, and how
+#: often what that takes from the reactions is given back: the rest is its power of one more.
+_GRIP = 1e-8
+_RETURNS = 2
+
 
 @dataclass(frozen=True)
 class Factors:
@@ -48,28 +53,40 @@ class ConstrainedSolver:
         M^-1 G', (n, m).
     schur : Factors or None
         Of G M^-1 G'; ``None`` when nothing is left to close.
+    grip : casadi.SX or None
+        Diagonal that :data:`_GRIP` adds to it where closures follow from others, (m, 1).
     """
 
     mass: Factors
     jacobian: ca.SX
     spread: ca.SX
     schur: Factors | None
+    grip: ca.SX | None = None
 
     @classmethod
-    def of(cls, mass: ca.SX, jacobian: ca.SX) -> ConstrainedSolver:
-        """Factorise once; `jacobian` may have no rows."""
+    def of(cls, mass: ca.SX, jacobian: ca.SX, *, shared: bool = False) -> ConstrainedSolver:
+        """Factorise once; `jacobian` may have no rows. `shared`: some of them follow from others."""
         factors = factorise(mass)
         if jacobian.shape[0] == 0:
             return cls(factors, jacobian, ca.SX(mass.shape[0], 0), None)
         spread = factors.solve(jacobian.T)
-        return cls(factors, jacobian, spread, factorise(ca.mtimes(jacobian, spread)))
+        schur = ca.mtimes(jacobian, spread)
+        if not shared:
+            return cls(factors, jacobian, spread, factorise(schur))
+        grip = _GRIP * ca.diag(schur)
+        return cls(factors, jacobian, spread, factorise(schur + ca.diag(grip)), grip)
 
     def solve(self, force: ca.SX, gamma: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Accelerations (n, k) and reactions (m, k) for forces (n, k) and right sides of the closures (m, k)."""
         free = self.mass.solve(force)
         if self.schur is None:
             return free, ca.SX(0, force.shape[1])
-        reactions = self.schur.solve(gamma - ca.mtimes(self.jacobian, free))
+        missing = gamma - ca.mtimes(self.jacobian, free)
+        reactions = self.schur.solve(missing)
+        if self.grip is not None:
+            # What the grip takes away comes back; without the reactions that do nothing, which it makes small.
+            for _ in range(_RETURNS):
+                reactions = self.schur.solve(missing + self.grip * reactions)
         return free + ca.mtimes(self.spread, reactions), reactions
 
 
@@ -105,10 +122,10 @@ class BorderedSolver:
     core: Factors
 
     @classmethod
-    def of(cls, mass: ca.SX, jacobian: ca.SX, border: list[int]) -> BorderedSolver:
+    def of(cls, mass: ca.SX, jacobian: ca.SX, border: list[int], *, shared: bool = False) -> BorderedSolver:
         """Factorise once, the coordinates `border` last."""
         inside = [i for i in range(mass.shape[0]) if i not in border]
-        inner = ConstrainedSolver.of(mass[inside, inside], jacobian[:, inside])
+        inner = ConstrainedSolver.of(mass[inside, inside], jacobian[:, inside], shared=shared)
         coupling, own = mass[inside, border], jacobian[:, border]
         response, reactions = inner.solve(coupling, own)
         core = mass[border, border] - ca.mtimes(coupling.T, response) + ca.mtimes(own.T, reactions)
@@ -128,7 +145,7 @@ class BorderedSolver:
 Solver = ConstrainedSolver | BorderedSolver
 
 
-def constrained_solver(mass: ca.SX, jacobian: ca.SX, frame: list[int]) -> Solver:
+def constrained_solver(mass: ca.SX, jacobian: ca.SX, frame: list[int], *, shared: bool = False) -> Solver:
     """The solver that needs fewer operations for a right-hand side: with the motions of the frame last, or not.
 
     Parameters
@@ -137,11 +154,13 @@ def constrained_solver(mass: ca.SX, jacobian: ca.SX, frame: list[int]) -> Solver
         M (n, n) and G (m, n).
     frame : list of int
         Coordinates of the frame that may come last; see :class:`BorderedSolver`.
+    shared : bool
+        Some closures follow from others: their reactions are the least squares, weighted with S_ii, of those that do.
     """
-    plain = ConstrainedSolver.of(mass, jacobian)
+    plain = ConstrainedSolver.of(mass, jacobian, shared=shared)
     if not frame or len(frame) == mass.shape[0]:
         return plain
-    bordered = BorderedSolver.of(mass, jacobian, frame)
+    bordered = BorderedSolver.of(mass, jacobian, frame, shared=shared)
     force, gamma = ca.SX.sym("force", mass.shape[0]), ca.SX.sym("gamma", jacobian.shape[0])
     plain_cost, bordered_cost = (ca.n_nodes(ca.vertcat(*found.solve(force, gamma))) for found in (plain, bordered))
     return bordered if bordered_cost < plain_cost else plain

@@ -6,7 +6,7 @@ follow by virtual work, Q = (d displacement / dz)' force, so no moment arm is ev
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import casadi as ca
 
@@ -21,8 +21,10 @@ from jointplay.solver.equations.contact import (
     linear_force,
 )
 from jointplay.solver.equations.drive import Harmonics, interpolate, interpolate_periodic, known_effort
+from jointplay.solver.equations.friction import Bristles, sliding_sign
 from jointplay.solver.equations.geometry import Complex, Kinematics, Vector, constant
 from jointplay.solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
+from jointplay.solver.machines.friction import FRICTION_NUMBERS
 from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount, Spring
@@ -45,6 +47,8 @@ class Scene:
         Travel of every sliding joint since drawn (m) and its rate (m/s).
     total : casadi.SX
         (n, 1) generalised forces written so far, the origins' in the axes of the frame.
+    bristles : Bristles
+        Surfaces that can stick, so far.
     """
 
     machine: Machine
@@ -53,6 +57,7 @@ class Scene:
     t: ca.SX
     slides: dict[str, tuple[ca.SX, ca.SX]]
     total: ca.SX
+    bristles: Bristles = field(default_factory=Bristles)
 
     def add(self, displacement: ca.SX, force: ca.SX) -> None:
         """A force along a scalar displacement."""
@@ -254,10 +259,11 @@ def viscous_joints(scene: Scene, open_joints: frozenset[str]) -> None:
         scene.add(displacement, -scene.number(f"joints.{name}.viscous", joint.viscous) * rate)
 
 
-def contact(scene: Scene, name: str, touching: ca.SX, memory: ca.SX) -> tuple[ca.SX, ContactForce]:
+def contact(scene: Scene, name: str, place: int, touching: ca.SX, memory: ca.SX) -> tuple[ca.SX, ContactForce]:
     """Contact of one clearance joint: the vector from socket to pin centre (m), and the force on the pin.
 
-    `memory` is what a law that takes a restitution remembers, see :mod:`jointplay.solver.equations.contact`.
+    `place` is the joint's among those with clearance; `memory` is what a law that takes a restitution remembers, see
+    :mod:`jointplay.solver.equations.contact`.
     """
     joint = scene.machine.joints[name]
     assert isinstance(joint, TurningJoint)
@@ -269,9 +275,16 @@ def contact(scene: Scene, name: str, touching: ca.SX, memory: ca.SX) -> tuple[ca
     nominal = {key: getattr(joint.contact, key, 0.0) for key in CONTACT_NUMBERS} | {"pin_radius": joint.pin_radius}
     known = [key for key in CONTACT_NUMBERS if joint.contact.has(key)]
     numbers = {key: scene.number(contact_path(name, key), nominal[key]) for key in known}
-    shared = ContactNumbers(**{field.name: numbers[field.name] for field in fields(ContactNumbers)})
+    shared = ContactNumbers(**{each.name: numbers[each.name] for each in fields(ContactNumbers)})
     law = _normal_law(joint.contact, numbers, memory)
-    force = impact_pair(e, terms.rate(vector), poses[pin].omega, poses[socket].omega, shared, law, touching)
+
+    def sign(slip: ca.SX) -> ca.SX:
+        if not joint.contact.friction and not scene.number.varies(contact_path(name, "friction")):
+            return ca.SX(0)
+        kind = joint.contact.friction_law
+        return sliding_sign(kind, slip, numbers[FRICTION_NUMBERS[kind][0]], place, scene.bristles)
+
+    force = impact_pair(e, terms.rate(vector), poses[pin].omega, poses[socket].omega, shared, law, sign, touching)
     # The force moves the centres apart; off the centres, at the common contact point, it also turns both links.
     scene.push(vector, force.on_pin)
     scene.twist(pin, force.moment_on_pin)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from jointplay.solver.equations.numbers import Number
-from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 
 #: Coefficients smaller than this (m) are rounding left over where two constants cancel.
 NOTHING = 1e-14
@@ -269,6 +269,13 @@ class Kinematics:
     def slide(self, joint: SlidingJoint) -> tuple[ca.SX, ca.SX]:
         """Sliding (along) and normal distance (across the line fixed in links[1]) of links[0] since drawn, m."""
         return slide(joint, self.poses, self.terms)
+
+    def position(self, joint: SlidingJoint | TurningJoint) -> ca.SX:
+        """How far links[0] of a joint has turned (rad) or slid (m) on links[1] since drawn."""
+        if isinstance(joint, SlidingJoint):
+            return self.slide(joint)[0]
+        first, second = (self.poses[link].theta for link in joint.links)
+        return first - second
 
 
 def slide(joint: SlidingJoint, poses: dict[str, Pose], terms: Terms) -> tuple[ca.SX, ca.SX]:

@@ -184,7 +184,7 @@ class Tree:
         while queue:
             here = queue.pop(0)
             for name, joint in self.machine.joints.items():
-                if not isinstance(joint, TurningJoint) or name in self.open or here not in joint.links:
+                if not isinstance(joint, TurningJoint) or name in self.open | self.rubbing or here not in joint.links:
                     continue
                 far = joint.links[1] if here == joint.links[0] else joint.links[0]
                 if far in self.poses or depth[here] >= MAX_DEPTH:
@@ -299,7 +299,7 @@ def kinematics(
     gravity : symbol or float
         m/s2 along -y.
     rubbing : frozenset of str
-        Sliding joints with Coulomb friction: they keep their closure, whose multiplier is the normal force.
+        Joints with Coulomb friction: they keep their closures, whose multipliers are the force that presses them.
     expanded : bool
         Coordinates of its own for every link and a closure for every joint and the drive: nothing is eliminated, and
         every reaction is a multiplier.

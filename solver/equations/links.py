@@ -31,6 +31,9 @@ class LinkMotion:
         By name: ``force_J`` (n, 2) on links[0] of turning joint J, N, global axes; ``force_J_on_pin`` (n, 2) for one
         with clearance; ``normal_J`` and ``couple_J`` (n,) on links[0] of a sliding joint, N and N m, the normal being
         the direction turned by +90 deg; ``drive_effort`` (n,) on links[0] of a prescribed drive, N m or N.
+    open : tuple of str
+        Those of joints that hold together more than there is to hold: their sum has a value, their shares have none.
+        Joints that repeat another have 0 here; the others share by least squares.
     """
 
     links: tuple[str, ...]
@@ -38,50 +41,70 @@ class LinkMotion:
     velocity: FloatArray
     acceleration: FloatArray
     reactions: dict[str, FloatArray]
+    open: tuple[str, ...] = ()
 
 
 @keep_by_machine(16)
-def _expand(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+def expand(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+    """The model in which nothing is eliminated, see :func:`jointplay.solver.equations.kinematics.kinematics`."""
     return build_model(machine, joints, varying, expanded=True)
+
+
+def _link_state(reduced: Model) -> tuple[ca.SX, ca.SX]:
+    """Displacements from the drawn pose and velocities of all links, (3N, 1)."""
+    kin, names = reduced.kinematics, reduced.machine.links
+    pose = ca.vertcat(*(
+        ca.vertcat(kin.terms.value(kin.poses[k].centre, ground=True).column, kin.poses[k].theta) for k in names
+    ))  # fmt: skip
+    drawn = ca.vertcat(*(ca.DM([*link.cg, 0.0]) for link in names.values()))
+    return pose - drawn, ca.jtimes(pose, reduced.z, reduced.v) + ca.jacobian(pose, reduced.t)
+
+
+def _places(full: Model) -> list[int]:
+    """Where the coordinates of the expanded model are among x, y, theta of all links."""
+    names = list(full.machine.links)
+    return [3 * names.index(name[name.index("(") + 1 : -1]) + "xyt".index(name[0]) for name in full.kinematics.names]
+
+
+def expanded_state(reduced: Model, full: Model) -> ca.Function:
+    """(t, z, v, p) of the reduced model -> coordinates and velocities of the expanded one."""
+    places = _places(full)
+    return reduced.function("expanded_state", *(part[places] for part in _link_state(reduced)))
 
 
 def _names(model: Model) -> list[str]:
     """Name of every column that :func:`_evaluation` puts out."""
-    columns = []
-    for closure in model.kinematics.closures:
-        joint, _, kind = closure.name.partition(".")
-        columns.append(
-            {"x": f"force_{joint}", "y": f"force_{joint}", "drive": "drive_effort"}.get(kind, f"{kind}_{joint}")
-        )
+    columns = [_name(closure) for closure in model.repeats.all]
     return columns + [f"force_{joint}_on_pin" for joint in model.clearance_joints for _ in range(2)]
+
+
+def _name(closure: str) -> str:
+    """Name of the reaction that a closure has."""
+    joint, _, kind = closure.partition(".")
+    return {"x": f"force_{joint}", "y": f"force_{joint}", "drive": "drive_effort"}.get(kind, f"{kind}_{joint}")
 
 
 def _evaluation(reduced: Model, full: Model) -> ca.Function:
     """(t, z, v, p, memory of the reduced model) -> pose, velocity, acceleration of links; reactions in global axes."""
-    kin = reduced.kinematics
-    names = list(reduced.machine.links)
-    pose = ca.vertcat(*(
-        ca.vertcat(kin.terms.value(kin.poses[k].centre, ground=True).column, kin.poses[k].theta) for k in names
-    ))  # fmt: skip
-    drawn = ca.vertcat(*(ca.DM([*reduced.machine.links[k].cg, 0.0]) for k in names))
-    displacement = pose - drawn
-    velocity = ca.jtimes(pose, reduced.z, reduced.v) + ca.jacobian(pose, reduced.t)
+    displacement, velocity = _link_state(reduced)
     acceleration = (
-        ca.mtimes(ca.jacobian(pose, reduced.z), reduced.acceleration)
+        ca.mtimes(ca.jacobian(displacement, reduced.z), reduced.acceleration)
         + ca.jtimes(velocity, reduced.z, reduced.v)
         + ca.jacobian(velocity, reduced.t)
     )
     # Coordinates of the expanded model are displacements of links: x(link), y(link), theta(link).
-    places = [3 * names.index(name[name.index("(") + 1 : -1]) + "xyt".index(name[0]) for name in full.kinematics.names]
+    places = _places(full)
     arguments = [reduced.t, displacement[places], velocity[places], reduced.p]
     terms = full.kinematics.terms
     forces: list[ca.SX] = []
-    for row, closure in enumerate(full.kinematics.closures):
-        kind = closure.name.partition(".")[2]
+    kept = {closure.name: row for row, closure in enumerate(full.kinematics.closures)}
+    every = ca.vertcat(*(full.reactions[kept[name]] if name in kept else 0 for name in full.repeats.all))
+    for row, name in enumerate(full.repeats.all):
+        kind = name.partition(".")[2]
         if kind == "x":
-            forces.append(terms.to_ground(_pair(full.reactions, row)).column)
+            forces.append(terms.to_ground(_pair(every, row)).column)
         elif kind != "y":
-            forces.append(full.reactions[row])
+            forces.append(every[row])
     forces += [terms.to_ground(_pair(push, 0)).column for push in full.push.values()]
     reactions = full.function_of_memory("reactions", ca.vertcat(*forces) if forces else ca.SX(0, 1))(
         *arguments, reduced.memory
@@ -111,13 +134,13 @@ def link_motion(
     """
     contact = {path for joint in reduced.clearance_joints for path in contact_paths(reduced.machine, joint)}
     varying = tuple(path for path in reduced.parameters if path not in contact and path != "drive.speed")
-    full = _expand(reduced.machine, reduced.clearance_joints, varying)
+    full = expand(reduced.machine, reduced.clearance_joints, varying)
     count = len(t)
     if count == 0:  # a case that failed at once: shapes are all there is
         t, z, v = np.zeros(1), np.zeros((1, reduced.size)), np.zeros((1, reduced.size))
     evaluate = _evaluation(reduced, full).map(len(t))
     if memory is None or count == 0:
-        memory = np.zeros((len(t), len(reduced.remembering)))
+        memory = np.zeros((len(t), reduced.memory.shape[0]))
     columns = np.repeat(np.array(p).reshape(-1, 1), len(t), axis=1)
     parts = [np.asarray(part.full()).T[:count] for part in evaluate(t[None, :], z.T, v.T, columns, memory.T)]
     names = tuple(reduced.machine.links)
@@ -125,4 +148,5 @@ def link_motion(
     reactions: dict[str, FloatArray] = {}
     for name, column in zip(_names(full), parts[3].T, strict=True):
         reactions[name] = np.column_stack([reactions[name], column]) if name in reactions else column
-    return LinkMotion(names, motion[0], motion[1], motion[2], reactions)
+    unsettled = tuple(dict.fromkeys(map(_name, full.repeats.open)))
+    return LinkMotion(names, motion[0], motion[1], motion[2], reactions, unsettled)

@@ -17,10 +17,12 @@ import casadi as ca
 from jointplay.solver.equations import drive, forces
 from jointplay.solver.equations.contact import ContactForce, remembers
 from jointplay.solver.equations.dynamics import Solver, constrained_solver, inertia
+from jointplay.solver.equations.friction import Bristles
 from jointplay.solver.equations.geometry import Kinematics
 from jointplay.solver.equations.kinematics import kinematics
 from jointplay.solver.equations.numbers import Numbers, contact_paths
-from jointplay.solver.equations.rubbing import Rubbing, rubbing_joints, solve_with_friction
+from jointplay.solver.equations.redundancy import Repeats, without_repeats
+from jointplay.solver.equations.rubbing import Rubbing, journals, rubbing_joints, solve_with_friction
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
@@ -51,6 +53,7 @@ class ModelFunctions:
     rubbing: Rubbing | None
     jam: ca.SX
     remembering: tuple[int, ...]
+    bristles: Bristles
     memory: ca.SX
 
     def function(self, name: str, *outputs: ca.SX) -> ca.Function:
@@ -67,9 +70,9 @@ class ModelFunctions:
 
     def forget(self, expression: ca.SX) -> ca.SX:
         """The expression with nothing remembered."""
-        if not self.remembering:
+        if not self.memory.shape[0]:
             return expression
-        return ca.substitute(expression, self.memory, ca.SX.zeros(len(self.remembering)))
+        return ca.substitute(expression, self.memory, ca.SX.zeros(*self.memory.shape))
 
     @cached_property
     def right_hand_side(self) -> ca.Function:
@@ -87,7 +90,7 @@ class ModelFunctions:
         assert rubbing is not None
         switch = ca.vertcat(*(contact.switch for contact in self.contacts))
         columns = [
-            rubbing.friction, rubbing.friction_velocity, rubbing.rate, rubbing.leverage, rubbing.mobility,
+            rubbing.friction, rubbing.slow, rubbing.rate, rubbing.leverage, rubbing.mobility,
             rubbing.acceleration, rubbing.normal,
         ]  # fmt: skip
         return self.function("rubbing_state", *with_contacts_decided(self.touching, switch, columns))
@@ -208,8 +211,13 @@ class Model(ModelFunctions):
         1 where they jam: accelerations and reactions have no meaning there; else 0.
     remembering : tuple of int
         Clearance joints (as in `contacts`) whose law remembers, see :mod:`jointplay.solver.equations.contact`.
+    bristles : Bristles
+        Rubbing surfaces that can stick.
     memory : casadi.SX
-        What they remember, m/s, a symbol each; 0 while the surfaces are apart.
+        Symbols of what the state has beside motion: what contacts remember, m/s, 0 while the surfaces are apart; the
+        bristles' deflections; their slips. All 0 is a state that nothing went before.
+    repeats : Repeats
+        Closures left out or kept that follow from others.
     """
 
     machine: Machine
@@ -236,7 +244,9 @@ class Model(ModelFunctions):
     rubbing: Rubbing | None
     jam: ca.SX
     remembering: tuple[int, ...]
+    bristles: Bristles
     memory: ca.SX
+    repeats: Repeats
 
     @property
     def size(self) -> int:
@@ -246,7 +256,7 @@ class Model(ModelFunctions):
     @property
     def degrees_of_freedom(self) -> int:
         """Coordinates less closures: motions to integrate."""
-        return self.size - len(self.kinematics.closures)
+        return self.size - len(self.kinematics.closures) + self.repeats.shared
 
     @property
     def frame_indices(self) -> tuple[int | None, int | None, int | None]:
@@ -302,12 +312,16 @@ def build_model(
 
     t = ca.SX.sym("t")
     motion = drive.prescribed_motion(machine, number, t)
-    rubbing_names = rubbing_joints(machine, number)
-    kin = kinematics(
-        machine, frozenset(open_joints), motion, number("gravity", machine.gravity),
-        rubbing=frozenset(rubbing_names), expanded=expanded,
-    )  # fmt: skip
+    rubbing_names, turning = rubbing_joints(machine, number), journals(machine, number, open_joints)
+    rubs, gravity = frozenset((*rubbing_names, *turning)), number("gravity", machine.gravity)
+
+    def moving(motion: drive.PrescribedMotion | None) -> Kinematics:
+        return kinematics(machine, frozenset(open_joints), motion, gravity, rubbing=rubs, expanded=expanded)
+
+    kin = moving(motion)
     z, v = kin.z, kin.v
+    kin, repeats = without_repeats(machine, kin, t, number, lambda: moving(None), rubs)
+    rubbing_names = tuple(name for name in rubbing_names if name not in repeats.joints)
     n = int(z.shape[0])
 
     def rate(expression: ca.SX) -> ca.SX:
@@ -326,7 +340,8 @@ def build_model(
     memory = ca.SX.sym("memory", len(remembering))
     memories = dict(zip(remembering, ca.vertsplit(memory), strict=True)) if remembering else {}
     contacts = {
-        name: forces.contact(scene, name, touching[i], memories.get(i, ca.SX(0))) for i, name in enumerate(open_joints)
+        name: forces.contact(scene, name, i, touching[i], memories.get(i, ca.SX(0)))
+        for i, name in enumerate(open_joints)
     }
 
     closed = bool(kin.closures)
@@ -334,11 +349,11 @@ def build_model(
     jacobian = ca.mtimes(ca.jacobian(phi, z), kin.axes) if closed else ca.SX(0, n)
     phi_rate = rate(phi) if closed else ca.SX(0, 1)
     gamma = -rate(phi_rate) if closed else ca.SX(0, 1)
-    solution = constrained_solver(mass, jacobian, _border(machine, kin))
+    solution = constrained_solver(mass, jacobian, _border(machine, kin), shared=repeats.shared > 0)
     rubbing, held_jam = None, ca.SX(0)
-    if rubbing_names:
-        held, reactions, rubbing = solve_with_friction(scene, rubbing_names, solution, gamma)
-        held_jam = rubbing.jam
+    if rubbing_names or turning:
+        held, reactions, rubbing = solve_with_friction(scene, rubbing_names, turning, solution, gamma)
+        held_jam = ca.SX(0) if rubbing is None else rubbing.jam
     else:
         held, reactions = solution.solve(scene.total, gamma)
     held = ca.mtimes(kin.axes, held)
@@ -356,5 +371,5 @@ def build_model(
         machine, open_joints, number.paths, number.nominal, t, z, v, number.vector, kin, mass, force,
         solution, phi, phi_rate, acceleration, reactions, eccentricity,
         dict(zip(contacts, pushes, strict=True)), tuple(contact for _, contact in contacts.values()), touching, held,
-        rubbing, jam, remembering, memory,
+        rubbing, jam, remembering, scene.bristles, ca.vertcat(memory, scene.bristles.memory), repeats,
     )  # fmt: skip

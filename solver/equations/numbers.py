@@ -19,7 +19,7 @@ Number = ca.SX | float
 #: machine file has as 0 and no case changes: friction, say, then costs nothing.
 CONTACT_NUMBERS = (
     "clearance", "stiffness", "damping", "restitution", "hysteresis", "friction", "viscous", "friction_velocity",
-    "pin_radius",
+    "presliding", "pin_radius",
 )  # fmt: skip
 
 
@@ -28,7 +28,7 @@ def contact_paths(machine: Machine, joint: str) -> list[str]:
     found = machine.joints[joint]
     assert isinstance(found, TurningJoint)
     values = {**found.contact.model_dump(), "pin_radius": found.pin_radius, "clearance": 1.0}
-    return [contact_path(joint, name) for name in CONTACT_NUMBERS if values[name]]
+    return [contact_path(joint, name) for name in CONTACT_NUMBERS if values.get(name)]
 
 
 def contact_path(joint: str, number: str) -> str:

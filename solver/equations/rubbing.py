@@ -1,6 +1,7 @@
 """Coulomb friction of sliding joints, whose normal forces depend on the accelerations that the friction changes.
 
-Along the line acts Ft = -k |Fn|, k = mu tanh(v / friction_velocity). The equations are linear in forces, so that with
+Along the line acts Ft = -k |Fn|, k = mu y, y standing for the sign of the velocity
+(:mod:`jointplay.solver.equations.friction`). The equations are linear in forces, so that with
 the normal forces c that the machine would have without friction, and W_ij, what a unit force along line j adds to the
 normal force of joint i,
 
@@ -9,11 +10,15 @@ normal force of joint i,
 Every choice of signs of Fn makes this linear; the one whose solution has these signs is the right one. Where none has,
 or several with different forces, rigid bodies have no motion under this law: the joint jams (P. Painleve, Lecons sur le
 frottement, 1895).
+
+A turning joint without clearance rubs as a journal: a torque M = -mu r y |F| against its rotation, r the radius of the
+pin and F its reaction, which changes with M by parts of r over the length of a link. So fixed-point steps find it; each
+takes an error down by mu r over that length.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -21,9 +26,11 @@ import casadi as ca
 
 from jointplay.solver.equations.dynamics import Solver
 from jointplay.solver.equations.forces import Scene
-from jointplay.solver.equations.numbers import Numbers
+from jointplay.solver.equations.friction import RETARDATION, sliding_sign
+from jointplay.solver.equations.numbers import Number, Numbers
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.friction import FRICTION_NUMBERS, DryFriction
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 
 #: Sliding joints with friction that a machine may have: the choices of signs double with each.
@@ -32,8 +39,23 @@ MOST = 6
 _ROUNDING = 1e-12
 #: Solutions further apart than this part of the largest normal force are different ones.
 _DIFFERENT = 1e-9
+#: Steps to the torques of journals: a friction of 1 on a pin of 8 mm in links of 0.2 m converges by 0.03 a step.
+_FIXED_POINT_STEPS = 8
+#: Square of a reaction that counts as none, N2: its root has a derivative.
+_LEAST = 1e-24
 #: In place of a pivot of exactly zero, a solution of no consequence: its normal force is beyond any machine.
 _TINY = 1e-30
+
+
+def journals(machine: Machine, number: Numbers, open_joints: Collection[str]) -> tuple[str, ...]:
+    """Turning joints without clearance that rub as journals, in the file or by a number that a case varies."""
+    return tuple(
+        name
+        for name, joint in machine.joints.items()
+        if isinstance(joint, TurningJoint)
+        and name not in open_joints
+        and (joint.journal_friction or number.varies(f"joints.{name}.journal_friction"))
+    )
 
 
 def rubbing_joints(machine: Machine, number: Numbers) -> tuple[str, ...]:
@@ -62,8 +84,8 @@ class Rubbing:
     Attributes
     ----------
     joints : tuple of str
-    friction, friction_velocity : casadi.SX
-        (k, 1) coefficients mu, and m/s.
+    friction, slow : casadi.SX
+        (k, 1) coefficients mu; velocities at which their friction is about full, m/s.
     rate : casadi.SX
         (k, 1) sliding velocities, m/s.
     leverage : casadi.SX
@@ -80,7 +102,7 @@ class Rubbing:
 
     joints: tuple[str, ...]
     friction: ca.SX
-    friction_velocity: ca.SX
+    slow: ca.SX
     rate: ca.SX
     leverage: ca.SX
     mobility: ca.SX
@@ -89,44 +111,87 @@ class Rubbing:
     jam: ca.SX
 
 
+@dataclass(frozen=True)
+class _Pairs:
+    """Surfaces that rub, one a column: what a unit of friction does, mu y (times r), and rows of the reactions."""
+
+    lines: list[ca.SX]
+    grip: list[ca.SX]
+    rows: list[list[int]]
+    friction: list[Number]
+    slow: list[Number]
+    rates: list[ca.SX]
+
+    def add(
+        self, scene: Scene, path: str, law: DryFriction, coefficient: Number, motion: tuple[ca.SX, ca.SX],
+        radius: Number, rows: list[int],
+    ) -> None:  # fmt: skip
+        """Another pair: its law, displacement and rate (radians where it turns), and arm."""
+        (key,) = FRICTION_NUMBERS[law.friction_law]
+        scale = scene.number(f"{path}.{key}", getattr(law, key))
+        displacement, rate = motion
+        sign = sliding_sign(law.friction_law, rate * radius, scale, -1, scene.bristles)
+        self.lines.append(scene.gradient(displacement))
+        self.grip.append(coefficient * radius * sign)
+        self.rows.append(rows)
+        self.friction.append(coefficient)
+        self.slow.append(scale / RETARDATION if law.friction_law == "bristle" else scale)
+        self.rates.append(rate)
+
+
 def solve_with_friction(
-    scene: Scene, joints: Sequence[str], solution: Solver, gamma: ca.SX
-) -> tuple[ca.SX, ca.SX, Rubbing]:
-    """Accelerations (n, 1) and reactions (m, 1) of a scene with rubbing sliding joints.
+    scene: Scene, joints: Sequence[str], turning: Sequence[str], solution: Solver, gamma: ca.SX
+) -> tuple[ca.SX, ca.SX, Rubbing | None]:
+    """Accelerations (n, 1) and reactions (m, 1) of a scene with rubbing joints.
 
     Parameters
     ----------
     scene : Scene
         With all other forces written.
-    joints : sequence of str
-        Those that rub; each has its normal closure.
+    joints, turning : sequence of str
+        Sliding joints that rub, and journals; each has its closures.
     solution : Solver
     gamma : casadi.SX
         (m, 1) right-hand side of the closures.
     """
     closures = [closure.name for closure in scene.kinematics.closures]
-    rows = [closures.index(f"{name}.normal") for name in joints]
-    number, lines, friction, velocity, rates = scene.number, [], [], [], []
+    guides, pins = _Pairs([], [], [], [], [], []), _Pairs([], [], [], [], [], [])
     for name in joints:
+        guide = scene.machine.joints[name]
+        assert isinstance(guide, SlidingJoint)
+        path, rows = f"joints.{name}", [closures.index(f"{name}.normal")]
+        guides.add(scene, path, guide, scene.number(f"{path}.friction", guide.friction), scene.slides[name], 1.0, rows)
+    for name in turning:
         joint = scene.machine.joints[name]
-        assert isinstance(joint, SlidingJoint)
-        travel, rate = scene.slides[name]
-        lines.append(scene.gradient(travel))
-        friction.append(number(f"joints.{name}.friction", joint.friction))
-        velocity.append(number(f"joints.{name}.friction_velocity", joint.friction_velocity))
-        rates.append(rate)
-    pull = ca.horzcat(*lines)
-    without, at_rest = ca.horzcat(scene.total, pull), ca.horzcat(gamma, ca.SX(gamma.shape[0], len(joints)))
+        assert isinstance(joint, TurningJoint)
+        path, rows = f"joints.{name}", [closures.index(f"{name}.{axis}") for axis in "xy"]
+        coefficient = scene.number(f"{path}.journal_friction", joint.journal_friction)
+        radius = scene.number(f"{path}.pin_radius", joint.pin_radius)
+        pins.add(scene, f"{path}.contact", joint.contact, coefficient, scene.angle(joint), radius, rows)
+    count = len(joints)
+    pull = ca.horzcat(*guides.lines, *pins.lines)
+    without, at_rest = ca.horzcat(scene.total, pull), ca.horzcat(gamma, ca.SX(gamma.shape[0], pull.shape[1]))
     accelerations, reactions = solution.solve(without, at_rest)
-    grip = [mu * ca.tanh(v / v0) for mu, v, v0 in zip(friction, rates, velocity, strict=True)]
-    response = reactions[rows, 1:]
-    coupling = [[response[i, j] * k for j, k in enumerate(grip)] for i in range(len(joints))]
-    normal, jam = _normal_forces([reactions[row, 0] for row in rows], coupling)
-    along = ca.vertcat(*(-k * ca.fabs(force) for k, force in zip(grip, normal, strict=True)))
-    acceleration, reaction = (part[:, 0] + ca.mtimes(part[:, 1:], along) for part in (accelerations, reactions))
+    rows = [row for (row,) in guides.rows]
+    response = reactions[rows, 1 : 1 + count]
+    coupling = [[response[i, j] * k for j, k in enumerate(guides.grip)] for i in range(count)]
+    torques: list[ca.SX] = [ca.SX(0)] * len(turning)
+    for _ in range(_FIXED_POINT_STEPS if turning else 1):
+        smooth = reactions[:, 0] + ca.mtimes(reactions[:, 1 + count :], ca.vertcat(*torques)) if turning else reactions
+        normal, jam = _normal_forces([smooth[row, 0] for row in rows], coupling) if joints else ([], ca.SX(0))
+        along = [-k * ca.fabs(force) for k, force in zip(guides.grip, normal, strict=True)]
+        given = ca.vertcat(*along, *torques)
+        reaction = reactions[:, 0] + ca.mtimes(reactions[:, 1:], given)
+        sizes = [ca.sqrt(ca.fmax(reaction[x] ** 2 + reaction[y] ** 2, _LEAST)) for x, y in pins.rows]
+        torques = [-k * size for k, size in zip(pins.grip, sizes, strict=True)]
+    acceleration = accelerations[:, 0] + ca.mtimes(accelerations[:, 1:], given)
+    if not joints:
+        return acceleration, reaction, None
+    pull, mobility = pull[:, :count], accelerations[:, 1 : 1 + count]
     rubbing = Rubbing(
-        tuple(joints), ca.vertcat(*friction), ca.vertcat(*velocity), ca.vertcat(*rates), ca.diag(response),
-        ca.diag(ca.mtimes(pull.T, accelerations[:, 1:])), ca.mtimes(pull.T, acceleration), ca.vertcat(*normal), jam,
+        tuple(joints), ca.vertcat(*guides.friction), ca.vertcat(*guides.slow), ca.vertcat(*guides.rates),
+        ca.diag(response), ca.diag(ca.mtimes(pull.T, mobility)), ca.mtimes(pull.T, acceleration),
+        ca.vertcat(*normal), jam,
     )  # fmt: skip
     return acceleration, reaction, rubbing
 

@@ -33,12 +33,13 @@ from jointplay.solver.integrators.control import (
 from jointplay.solver.integrators.dense import record, samples_until
 from jointplay.solver.integrators.gill import DIVERGED, LOST, PATIENCE, call
 from jointplay.solver.integrators.lanes import BUSY, ENDED, FREE, NEXT, STALE, Lanes, Queue, Records
+from jointplay.solver.integrators.sticking import change_all, first_change, release
 
 
 @compiled
 def load(
     w: FloatArray, rows: WorkRows[int], cases: StructuredArray, starts: FloatArray, parameters: FloatArray,
-    lanes: StructuredArray, remembering: IntArray, free: IntArray, cursor: IntArray,
+    lanes: StructuredArray, free: IntArray, cursor: IntArray,
 ) -> int:  # fmt: skip
     """Give idle lanes the next cases of the queue, as long as there is room for their records; how many got one."""
     loaded, n = 0, rows.v - rows.z
@@ -61,7 +62,7 @@ def load(
             w[rows.parameters + i, lane] = parameters[c, i]
         for i in range(rows.touching, rows.switch):
             w[i, lane] = 0.0
-        for m in range(remembering.size):
+        for m in range(rows.hoisted - rows.memory):
             w[rows.memory + m, lane] = starts[c, 2 * n + m]
         cursor[NEXT] += 1
         cursor[BUSY] += 1
@@ -166,12 +167,13 @@ def _first_switch(
 
 
 @inlined
-def _switch(w: FloatArray, rows: WorkRows[int], lane: int, event: int) -> bool:
+def _switch(w: FloatArray, rows: WorkRows[int], lane: int, event: int, rubbing: IntArray) -> bool:
     """Let the contact of the event push or cease to, with those that switched at the same time; whether it pushes."""
     for j in range(rows.switch - rows.touching):
         pushes = w[rows.touching + j, lane] > 0.5
         if j == event or pushes != (w[rows.switch + j, lane] > 0.0):
             w[rows.touching + j, lane] = 0.0 if pushes else 1.0
+            release(w, rows, lane, j, rubbing)
     return bool(w[rows.touching + event, lane] > 0.5)
 
 
@@ -208,14 +210,15 @@ def integrate(
     # Taken out of their tuples once: compiled code counts references whenever an array is.
     cases, starts, parameters = queue.cases, queue.starts, queue.parameters
     lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
-    free, ended, remembering = state.free, state.ended, state.remembering
+    free, ended, remembering, rubbing = state.free, state.ended, state.remembering, state.rubbing
+    sticking = rubbing.size
     channels, velocities = records.channels, records.velocities
     coordinates, accelerations, memories = records.coordinates, records.accelerations, records.memories
     interval = records.interval
     loading = True
     while True:
         if loading:
-            if load(w, rows, cases, starts, parameters, lanes, remembering, free, cursor) > 0:
+            if load(w, rows, cases, starts, parameters, lanes, free, cursor) > 0:
                 call(prepare, w)
                 for lane in range(LANES):
                     w[rows.time, lane] = lanes[lane].t
@@ -229,6 +232,7 @@ def integrate(
                         for j in range(contacts):
                             w[rows.touching + j, lane] = 1.0 if w[rows.switch + j, lane] > 0.0 else 0.0
                         _remember_impacts(w, rows, remembering, lane)  # a contact at the start begins there
+                        change_all(w, rows, lane, 1.0, rubbing)
                 cursor[STALE] = 1
             loading = False
             if cursor[BUSY] < LANES and cursor[NEXT] < cases.size:
@@ -241,6 +245,8 @@ def integrate(
             call(held, w)
             for i in range(n):
                 w[rows.slopes + i] = w[rows.a + i]
+            for j in range(sticking):
+                w[rows.stage_pulls + j] = w[rows.pull + j]
             for lane in range(LANES):
                 _remember_contacts(w, rows, lane, old)
             cursor[STALE] = 0
@@ -270,6 +276,13 @@ def integrate(
                 if shorter > 0.0:
                     accept = False
                     mine.natural, mine.h = max(mine.natural, step), shorter
+                elif sticking > 0:
+                    shorter, caught = first_change(w, rows, lane, step, shortest, rubbing)
+                    if shorter > 0.0:
+                        accept = False
+                        mine.natural, mine.h = max(mine.natural, step), shorter
+                        if caught:
+                            cursor[STALE] = 1
             else:
                 smooth = project != 0 and not _any_contact(w, rows, lane)
                 mine.h, mine.uncut, mine.uncut_error, over, restore = refuse_step(
@@ -285,6 +298,8 @@ def integrate(
             if not accept:
                 for i in range(2 * n):
                     w[rows.z + i, lane] = w[rows.kept + i, lane]
+                for j in range(sticking):
+                    w[rows.bristles + j, lane] = w[rows.kept_bristles + j, lane]
                 if mine.h < shortest or tired:
                     outcome = JAMMED if jammed else STALLED
                     put_away(w, rows, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor)
@@ -316,9 +331,15 @@ def integrate(
             _remember_contacts(w, rows, lane, old)
             natural, longest = 0.0, case.longest_step
             if event >= 0:
-                natural, pushes = mine.natural, _switch(w, rows, lane, event)
+                natural, pushes = mine.natural, _switch(w, rows, lane, event, rubbing)
                 mine.pressed, longest = after_switch(natural, step, mine.pressed, longest, pushes)
                 cursor[STALE] = 1
+            if sticking > 0:
+                if change_all(w, rows, lane, step, rubbing):
+                    natural = max(natural, mine.natural)
+                    cursor[STALE] = 1
+                for j in range(sticking):
+                    w[rows.stage_pulls + j, lane] = w[rows.pull + j, lane]
             _remember_impacts(w, rows, remembering, lane)
             # Refusals in a contact say nothing of the closures.
             if mine.uncut > 0.0 and (step >= mine.uncut or _any_contact(w, rows, lane)):

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 from jointplay.solver.compiler.ir import Block
 from jointplay.solver.compiler.rows import WorkRows, work_rows
+from jointplay.solver.equations.friction import RETARDATION
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import SAFETY
 
@@ -43,11 +44,12 @@ DENSE_ROWS = 4
 
 def adaptive_rows(model: Model, recorded: int) -> WorkRows[range]:
     """Work array of the error-controlled step, with dense output of so many coordinates."""
-    n, contacts = model.size, len(model.contacts)
+    n, contacts, bristles = model.size, len(model.contacts), len(model.bristles.contacts)
     return work_rows(
-        n, len(model.parameters), len(model.remembering),
+        n, len(model.parameters), len(model.remembering), bristles,
         touching=contacts, switch=contacts, penetration=contacts, approach=contacts,
         error=1, growth=1, size=1, pace=1, strictness=1, root=1,
+        stage_pulls=(_COUNT - 1) * bristles,
         slopes=(_COUNT - 1) * n, last_slopes=n, stage_velocities=(_COUNT - 2) * n, dense=2 * DENSE_ROWS * recorded,
     )  # fmt: skip
 
@@ -69,6 +71,12 @@ def _growth(block: Block, error: str) -> tuple[str, str]:
     return block.div(block.constant(SAFETY), block.mul(block.mul(root, root), root)), block.call(
         "maxnum", root, block.constant(_LEAST_ROOT)
     )
+
+
+def deflection_rate(block: Block, slips: str, pull: str) -> str:
+    """Rate of a bristle's deflection, 1/s: its pull over the retardation at rest, nothing while it slips."""
+    holds = block.sub(block.constant(1.0), block.mul(slips, slips))
+    return block.mul(block.mul(holds, block.constant(1 / RETARDATION)), pull)
 
 
 def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[float]) -> str:
@@ -93,8 +101,15 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
     for i in range(n):
         block.store(kept[i], block.load(z[i]))
         block.store(kept[n + i], block.load(v[i]))
+    sticking = len(rows.bristles)
+    for k in range(sticking):
+        block.store(rows.kept_bristles[k], block.load(rows.bristles[k]))
     for stage in range(1, _COUNT):
         weights = _STAGES[stage]
+        for k in range(sticking):
+            pull = _combination(block, weights, [block.load(rows.stage_pulls[sticking * j + k]) for j in range(stage)])
+            rate = deflection_rate(block, block.load(rows.slips[k]), pull)
+            block.store(rows.bristles[k], block.fma(h, rate, block.load(rows.kept_bristles[k])))
         for i in range(n):
             rate = _combination(block, weights, [block.load(slopes[j][i]) for j in range(stage)])
             travel = _combination(block, weights, [block.load(speeds[j][i]) for j in range(stage)])
@@ -107,6 +122,9 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
         block.invoke("held")
         for i in range(n):
             block.store(slopes[stage][i], block.load(a[i]))
+        if stage < _COUNT - 1:  # those at the end are taken where they are
+            for k in range(sticking):
+                block.store(rows.stage_pulls[sticking * stage + k], block.load(rows.pull[k]))
     largest = []
     for stages in (speeds, slopes):
         found = block.constant(0.0)

@@ -24,6 +24,8 @@ from jointplay.solver.compiler.native import compiled
 from jointplay.solver.compiler.rows import WorkRows, work_rows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import remember
+from jointplay.solver.integrators.dopri import deflection_rate
+from jointplay.solver.integrators.sticking import change_over
 
 #: Sum of coordinates and velocities (absolute, SI) beyond which a case counts as diverged: no machine is that fast.
 DIVERGED = 1e8
@@ -45,9 +47,12 @@ _STAGES = (
 
 
 def gill_rows(model: Model) -> WorkRows[range]:
-    """Work array of a step; penetration and approach are those of the contacts that remember."""
-    memories = len(model.remembering)
-    return work_rows(model.size, len(model.parameters), memories, penetration=memories, approach=memories)
+    """Work array of a step; penetration and approach are those of the contacts that remember or can stick."""
+    memories, bristles = len(model.remembering), len(model.bristles.contacts)
+    return work_rows(
+        model.size, len(model.parameters), memories, bristles,
+        penetration=memories, approach=memories, switch=bristles,
+    )  # fmt: skip
 
 
 def gill_step(rows: WorkRows[range]) -> str:
@@ -56,10 +61,14 @@ def gill_step(rows: WorkRows[range]) -> str:
     n = len(rows.z)
     h, t = block.load(rows.step[0]), block.load(rows.time[0])
     for stage, (a, b, c, time) in enumerate(_STAGES):
+        turning = [deflection_rate(block, *map(block.load, pair)) for pair in zip(rows.slips, rows.pull, strict=True)]
         # Coordinates first: their rate is the velocity that the second pass overwrites.
-        for y, f, q in ((rows.z, rows.v, rows.kept[:n]), (rows.v, rows.a, rows.kept[n:])):
-            for i in range(n):
-                k = block.mul(h, block.load(f[i]))
+        for y, f, q in (
+            (rows.z, rows.v, rows.kept[:n]), (rows.v, rows.a, rows.kept[n:]),
+            (rows.bristles, turning, rows.kept_bristles),
+        ):  # fmt: skip
+            for i in range(len(y)):
+                k = block.mul(h, f[i] if isinstance(f, list) else block.load(f[i]))
                 kept = block.load(q[i])
                 d = block.mul(block.constant(a), block.fma(block.constant(-b), kept, k))
                 block.store(y[i], block.add(block.load(y[i]), d))
@@ -95,9 +104,15 @@ def _remember(w: FloatArray, rows: WorkRows[int]) -> None:
 
     It need not be evaluated again: with nothing remembered it took the same velocity that is remembered now.
     """
-    for m in range(rows.hoisted - rows.memory):
+    for m in range(rows.bristles - rows.memory):
         for lane in range(LANES):
             remember(w, rows.memory + m, rows.penetration + m, rows.approach + m, lane)
+    for j in range(rows.slips - rows.bristles):
+        for lane in range(LANES):
+            if w[rows.switch + j, lane] > 0.0:
+                change_over(w, rows.bristles + j, rows.slips + j, rows.pull + j, lane)
+            else:
+                w[rows.bristles + j, lane] = w[rows.slips + j, lane] = 0.0
 
 
 @compiled
@@ -163,6 +178,7 @@ def integrate(
         broken[lane] = -1
     w[rows.step] = h
     w[rows.kept : rows.kept + 2 * n] = 0.0  # nothing to correct yet
+    w[rows.kept_bristles : rows.kept_bristles + rows.slips - rows.bristles] = 0.0
     w[rows.jam] = 0.0
     finals[:] = RUNNING
     for s in range(samples):

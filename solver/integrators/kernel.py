@@ -83,6 +83,10 @@ def _code(
 ) -> KernelCode:
     """Right-hand side `name`, projection, ``prepare`` and one step of a method; `reads` beside the state."""
     state = [(rows.time, model.t), (rows.z, model.z), (rows.v, model.v), (rows.parameters, model.p)]
+    remembered = range(rows.memory.start, rows.slips.stop)
+    reads = [*reads, (remembered, model.memory)]
+    if model.bristles.contacts:
+        writes = [*writes, (rows.pull, model.bristles.pull)]
     if model.rubbing is not None:
         met = ca.SX.sym("met")
         reads, writes = [*reads, (rows.jam, met)], [*writes, (rows.jam, ca.fmax(met, jam))]
@@ -117,7 +121,10 @@ def kernel_code(model: Model) -> KernelCode:
     if model.remembering:
         for place, name in ((rows.penetration, "penetration"), (rows.approach, "approach")):
             writes.append((place, _of_contacts(model, name, model.remembering)))
-    return _code(model, rows, "rhs", [(rows.memory, model.memory)], writes, model.jam, gill_step(rows))
+    if model.bristles.contacts:
+        switches = [ca.SX(1) if i < 0 else model.contacts[i].switch for i in model.bristles.contacts]
+        writes.append((rows.switch, ca.vertcat(*switches)))
+    return _code(model, rows, "rhs", [], writes, model.jam, gill_step(rows))
 
 
 def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> KernelCode:
@@ -132,7 +139,7 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
         Coordinates with dense output.
     """
     rows = adaptive_rows(model, len(recorded))
-    reads = [(rows.touching, model.touching), (rows.memory, model.memory)]
+    reads = [(rows.touching, model.touching)]
     writes = [(rows.a, model.held_acceleration)]
     if model.contacts:
         for place, name in (

@@ -56,7 +56,7 @@ class Queue(NamedTuple):
     ----------
     cases : (cases,) array of CASE
     starts : (cases, 2 n + m) array
-        Coordinates, velocities and what contacts remember at the start; those at the end are written over them.
+        Coordinates, velocities and what is remembered at the start; those at the end are written over them.
     parameters : (cases, k) array
         Lane parameters.
     """
@@ -106,6 +106,8 @@ class Lanes(NamedTuple):
         Coordinates and velocities before a correction.
     remembering : (m,) array of int
         Clearance joints whose contact law remembers.
+    rubbing : (k,) array of int
+        Clearance joint of each pair of surfaces that can stick, -1 for guides.
     free : (slots,) array of int
         Stack of free slots.
     ended : (slots, 2) array of int
@@ -119,6 +121,7 @@ class Lanes(NamedTuple):
     old: FloatArray
     saved: FloatArray
     remembering: IntArray
+    rubbing: IntArray
     free: IntArray
     ended: IntArray
     cursor: IntArray
@@ -128,15 +131,15 @@ class Lanes(NamedTuple):
 NEXT, BUSY, FREE, ENDED, STALE = range(5)
 
 
-def idle_lanes(n: int, contacts: int, remembering: IntArray, slots: int) -> Lanes:
+def idle_lanes(n: int, contacts: int, remembering: IntArray, rubbing: IntArray, slots: int) -> Lanes:
     """Lanes without work.
 
     Parameters
     ----------
     n, contacts : int
         Coordinates, clearance joints.
-    remembering : (m,) array of int
-        Clearance joints whose contact law remembers.
+    remembering, rubbing : array of int
+        See :class:`Lanes`.
     slots : int
         Places for records; at least one more than lanes lets all of them work.
     """
@@ -145,7 +148,7 @@ def idle_lanes(n: int, contacts: int, remembering: IntArray, slots: int) -> Lane
     cursor = np.zeros(5, dtype=np.int64)
     cursor[FREE], cursor[STALE] = slots, 1
     return Lanes(
-        lanes, np.zeros((3, max(1, contacts), LANES)), np.zeros((2 * n, LANES)), remembering,
+        lanes, np.zeros((3, max(1, contacts), LANES)), np.zeros((2 * n, LANES)), remembering, rubbing,
         np.arange(slots)[::-1].copy(),
         np.zeros((slots, 2), dtype=np.int64), cursor,
     )  # fmt: skip

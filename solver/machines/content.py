@@ -37,3 +37,9 @@ class MachineContent(Part):
     def sliding_joints(self) -> tuple[str, ...]:
         """Names of the sliding joints, in the order of the file."""
         return tuple(name for name, joint in self.joints.items() if isinstance(joint, SlidingJoint))
+
+    @property
+    def clearances(self) -> dict[str, float]:
+        """Radial clearance (m) of the joints to which the file gives one: the fault where no other is asked for."""
+        found = {name: joint.clearance for name, joint in self.joints.items() if isinstance(joint, TurningJoint)}
+        return {name: clearance for name, clearance in found.items() if clearance is not None}

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from jointplay.solver.errors import MachineError, UnitError
-from jointplay.solver.machines import units
-from jointplay.solver.machines.fields import nearest
+from jointplay.solver.errors import MachineError
+from jointplay.solver.machines.fields import ClearanceField, RuleError, nearest
 from jointplay.solver.machines.machine import Machine
 
 
@@ -66,8 +65,7 @@ class Fault(Mapping[str, float]):
 
 HEALTHY = Fault()
 
-#: A bare number is metres; one larger than this (m) is taken for forgotten millimetres.
-_LARGEST_BARE = 0.02
+_CLEARANCE = ClearanceField(at_least=0)
 
 
 def check_fault(fault: Fault, machine: Machine) -> None:
@@ -90,13 +88,14 @@ def check_fault(fault: Fault, machine: Machine) -> None:
         raise MachineError(machine.name, f"fault.{joint}", shown, rule)
 
 
-def parse_fault(text: str, machine: Machine) -> Fault:
+def parse_fault(text: str | None, machine: Machine) -> Fault:
     """Read ``A=0.2mm,F=50um``.
 
     Parameters
     ----------
-    text : str
-        Joints and radial clearances; empty or ``healthy`` for none. A bare number is metres.
+    text : str or None
+        Joints and radial clearances, in place of all that the machine's file gives; empty or ``healthy`` for none at
+        all, ``None`` for what the file gives. A bare number is metres.
     machine : Machine
 
     Raises
@@ -104,6 +103,8 @@ def parse_fault(text: str, machine: Machine) -> Fault:
     MachineError
         What is wrong with it, in one line.
     """
+    if text is None:
+        return Fault(machine.clearances)
     clearances: dict[str, float] = {}
     stripped = text.strip()
     for part in stripped.split(",") if stripped not in ("", "healthy") else ():
@@ -113,14 +114,9 @@ def parse_fault(text: str, machine: Machine) -> Fault:
         if joint in clearances:
             raise MachineError(machine.name, f"fault.{joint}", value, "this joint is named twice")
         try:
-            clearances[joint] = units.to_si(value, units.LENGTH)
-        except UnitError as error:
-            raise MachineError(machine.name, f"fault.{joint}", value, str(error)) from error
-        if clearances[joint] > _LARGEST_BARE and value.replace(".", "").isdigit():
-            rule = f"is {clearances[joint] * 1e3:g} mm without a unit; write {value}mm if that is meant, or the unit"
-            raise MachineError(machine.name, f"fault.{joint}", value, rule)
-        if clearances[joint] < 0:
-            raise MachineError(machine.name, f"fault.{joint}", value, "a clearance is 0 or more")
+            clearances[joint] = _CLEARANCE.validate(value)
+        except RuleError as error:
+            raise MachineError(machine.name, f"fault.{joint}", value, error.message()) from error
     fault = Fault(clearances)
     for joint in clearances:
         check_fault(Fault({joint: clearances[joint] or 1.0}), machine)

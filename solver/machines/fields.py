@@ -23,6 +23,9 @@ from jointplay.solver.machines.units import Dimension
 MISSING = object()
 """Stands for a value that is not there, so that a message shows none."""
 
+#: Largest radial clearance that is believed without a unit, m.
+LARGEST_BARE_CLEARANCE = 0.02
+
 
 class RuleError(PydanticCustomError):
     """A broken rule, at ``at`` below the field that is being validated."""
@@ -106,6 +109,20 @@ class QuantityField(Marker):
         text = {"type": "string", "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"}
         about = f"{self.dimension.name} in {self.dimension.unit}, or a string with a unit"
         return {"anyOf": [number, text], "description": about, "examples": [self.dimension.example]}
+
+
+@dataclass(frozen=True)
+class ClearanceField(QuantityField):
+    """A radial clearance; a bare number is metres, and refused where it can only be forgotten millimetres."""
+
+    dimension: Dimension = units.LENGTH
+
+    def validate(self, value: Any) -> float:
+        """Return it in m or raise :class:`RuleError`."""
+        number = super().validate(value)
+        if number > LARGEST_BARE_CLEARANCE and str(value).replace(".", "").isdigit():
+            raise RuleError(f"is {number * 1e3:g} mm without a unit; write {value}mm if that is meant, or the unit")
+        return number
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,17 @@ from pydantic import (
 )
 
 from jointplay.solver.machines import units
-from jointplay.solver.machines.fields import Direction, Name, Point, QuantityField, RuleError, no_default
+from jointplay.solver.machines.fields import (
+    ClearanceField,
+    Direction,
+    Name,
+    Point,
+    QuantityField,
+    RuleError,
+    no_default,
+)
 from jointplay.solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
+from jointplay.solver.machines.friction import FRICTION_CHOICES, FRICTION_NUMBERS, DryFriction
 from jointplay.solver.machines.parts import Damping, Part
 from jointplay.solver.machines.restitution import CONTACT_LAWS, HYSTERESIS
 
@@ -29,8 +38,6 @@ def _check_law(law: object) -> object:
 
 #: A law of :data:`jointplay.solver.machines.restitution.CONTACT_LAWS`; other packages may add some.
 ContactLaw = Annotated[str, BeforeValidator(_check_law), WithJsonSchema({"enum": list(CONTACT_LAWS), "type": "string"})]
-FrictionCoefficient = Annotated[float, QuantityField(units.RATIO, at_least=0)]
-FrictionVelocity = Annotated[float, QuantityField(units.SPEED, above=0)]
 
 #: Exponent of a Hertzian contact of curved surfaces.
 HERTZ_EXPONENT = 1.5
@@ -47,14 +54,13 @@ LAW_NUMBERS = {
 }
 
 
-class Contact(Part):
+class Contact(DryFriction):
     """Contact of pin and socket in a turning joint that has clearance.
 
     ``law`` of the normal force, with d the penetration: ``linear`` is K d + C d', with ``stiffness`` K [N/m] and
     ``damping`` C [N s/m]; ``hertz`` is K d^n (1 + a d') with ``stiffness`` [N/m^n], ``exponent`` n and ``hysteresis``
     a [s/m]; the others are K d^n (1 + c d'/v0) with c from ``restitution`` and v0 the velocity of approach when the
-    contact begins. ``friction`` (coefficient), ``viscous`` [N s/m] along the surface, ``friction_velocity`` [m/s]: the
-    friction is ``mu Fn tanh(v / friction_velocity)``.
+    contact begins. ``viscous`` [N s/m] acts along the surface beside the dry friction.
     """
 
     law: ContactLaw = "linear"
@@ -63,9 +69,8 @@ class Contact(Part):
     exponent: Annotated[float, QuantityField(units.RATIO, at_least=1, at_most=3)] | None = None
     restitution: Annotated[float, QuantityField(units.RATIO, at_least=LEAST_RESTITUTION, at_most=1)] | None = None
     hysteresis: Annotated[float, QuantityField(units.HYSTERESIS, at_least=0)] | None = None
-    friction: FrictionCoefficient = 0.05
+    friction: Annotated[float, QuantityField(units.RATIO, at_least=0)] = 0.05
     viscous: Damping = 0.0
-    friction_velocity: FrictionVelocity = 0.01
 
     @model_validator(mode="after")
     def _complete(self) -> Contact:
@@ -78,16 +83,18 @@ class Contact(Part):
     def over(self, defaults: Contact) -> Contact:
         """What this contact says, and `defaults` where it says nothing; numbers of a law do not pass to another law."""
         own = {name: getattr(self, name) for name in self.model_fields_set}
-        same_law = own.get("law", defaults.law) == defaults.law
-        inherited = {
-            name: getattr(defaults, name)
-            for name in defaults.model_fields_set
-            if same_law or name not in ("law", *NORMAL_NUMBERS)
-        }
+        foreign: set[str] = set()
+        if own.get("law", defaults.law) != defaults.law:
+            foreign.update(("law", *NORMAL_NUMBERS))
+        if self.friction_law != defaults.friction_law and not own.keys().isdisjoint(FRICTION_CHOICES):
+            foreign.update(FRICTION_CHOICES)
+        inherited = {name: getattr(defaults, name) for name in defaults.model_fields_set if name not in foreign}
         return Contact(**{**inherited, **own})
 
     def has(self, number: str) -> bool:
-        """Whether the law of this contact knows a number of its normal force; True for all other numbers."""
+        """Whether the laws of this contact know a number that not every law has; True for all other numbers."""
+        if number in FRICTION_CHOICES:
+            return number in FRICTION_NUMBERS[self.friction_law]
         return number in LAW_NUMBERS[self.law] or number not in NORMAL_NUMBERS
 
 
@@ -100,9 +107,11 @@ class Defaults(Part):
 class TurningJoint(Part):
     """A pin in a socket. ``links`` [0] carries the pin unless ``pin`` says otherwise.
 
-    ``at`` [m]; ``pin_radius`` [m], 0 neglects the moment of friction; ``viscous`` [N m s/rad] resists relative
-    rotation while the joint has no clearance; ``contact`` counts once it has. ``fit`` says what radial clearance the
-    joint has as new, ``limit`` [m] from which it counts as worn out; neither enters the equations of motion.
+    ``at`` [m]; ``pin_radius`` [m], 0 neglects the moment of friction; ``viscous`` [N m s/rad] and ``journal_friction``
+    (coefficient: torque over reaction and pin radius, with the friction law of ``contact``) resist relative rotation
+    while the joint has no clearance; ``contact`` counts once it has. ``fit`` says what radial clearance the joint has
+    as new, ``limit`` [m] from which it counts as worn out; neither enters the equations of motion.
+    ``clearance`` [m, radial] is what the joint has in a simulation that is asked for no other fault.
     """
 
     kind: Literal["turning"] = "turning"
@@ -111,9 +120,11 @@ class TurningJoint(Part):
     pin: Name = Field(default="", json_schema_extra=no_default)
     pin_radius: Annotated[float, QuantityField(units.LENGTH, at_least=0)] = 0.0
     viscous: Annotated[float, QuantityField(units.ROTARY_DAMPING, at_least=0)] = 0.0
+    journal_friction: Annotated[float, QuantityField(units.RATIO, at_least=0)] = 0.0
     contact: Contact = Contact()
     fit: Annotated[FitSaid, FitMarker()] | None = None
     limit: Annotated[float, QuantityField(units.LENGTH, above=0, at_most=LARGEST_LIMIT)] | None = None
+    clearance: Annotated[float, ClearanceField(above=0)] | None = None
 
     @model_validator(mode="after")
     def _resolve_fit(self) -> TurningJoint:
@@ -128,9 +139,10 @@ class TurningJoint(Part):
 
     @model_serializer(mode="wrap")
     def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # Machines that say nothing of fits keep the content key they had before a file could.
+        # Machines that say nothing of these keep the content key they had before a file could.
         written: dict[str, Any] = write(self)
-        return {key: value for key, value in written.items() if value is not None or key not in ("fit", "limit")}
+        since = {"fit": None, "limit": None, "clearance": None, "journal_friction": 0.0}
+        return {key: value for key, value in written.items() if key not in since or value != since[key]}
 
     @property
     def new_fit(self) -> Fit:
@@ -149,19 +161,17 @@ class TurningJoint(Part):
         return LIMIT_FACTOR * self.new_fit.high if self.limit is None else self.limit
 
 
-class SlidingJoint(Part):
+class SlidingJoint(DryFriction):
     """``links`` [0] slides along a line through ``at`` along ``direction`` (unit length), fixed in ``links`` [1].
 
-    ``friction`` (coefficient), ``viscous`` [N s/m], ``friction_velocity`` [m/s].
+    ``viscous`` [N s/m] acts along it beside the dry friction.
     """
 
     kind: Literal["sliding"] = "sliding"
     links: tuple[Name, Name]
     at: Point
     direction: Direction
-    friction: FrictionCoefficient = 0.0
     viscous: Damping = 0.0
-    friction_velocity: FrictionVelocity = 0.01
 
 
 Joint: TypeAlias = Annotated[TurningJoint | SlidingJoint, Field(discriminator="kind")]

@@ -70,6 +70,13 @@ class Machine(MachineContent):
         copy.__dict__.pop("content_key", None)
         return copy
 
+    def without_clearances(self) -> Machine:
+        """The machine alone, as catalogues hold it: without the clearances that its file gives to joints."""
+        if not self.clearances:
+            return self
+        closed = {name: self.joints[name].model_copy(update={"clearance": None}) for name in self.clearances}
+        return self.model_copy(update={"joints": {**self.joints, **closed}})
+
     def __hash__(self) -> int:
         return hash(self.content_key)
 

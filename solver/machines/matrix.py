@@ -3,14 +3,16 @@
 The entry (i, j) is ``0`` (not connected), ``A``/``-A`` (sliding; plus when i > j), ``B`` (turning) or ``C``/``-C``
 (turning with clearance; plus when link i carries the pin). Link 1 is the frame. The corner (1, 1) holds the number of
 springs that support the frame on the ground, (N, N) the number of dampers; a mount counts for each direction in which
-it acts. What the paper derives from the matrix (factors of the joints, counts and neighbour lists of the links) is a
-check of it by hand: the solver does not need it, its equations come from the machine itself.
+it acts. The one entry of a single link is both corners: ``4``, or ``4/2`` for 4 springs and 2 dampers. What the paper
+derives from the matrix (factors of the joints, counts and neighbour lists of the links) is a check of it by hand: the
+solver does not need it, its equations come from the machine itself.
 
 Source: Mostafa, Shabara, El-Bahloul, Fanny, Mansoura Engineering Journal 14 (2), items 1 to 12 of the nomenclature.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -18,6 +20,7 @@ from typing import Any
 
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.content import MachineContent
+from jointplay.solver.machines.refusals import show_value
 
 _OPPOSITE = {"0": "0", "A": "-A", "-A": "A", "B": "B", "C": "-C", "-C": "C"}
 
@@ -50,14 +53,12 @@ class MechanismMatrix:
         Raises
         ------
         MachineError
-            When a matrix cannot say it: a single link, two joints between the same links, a joint that is none.
+            When a matrix cannot say it: two joints between the same links, a joint that is none.
         """
         names = sorted(machine.links, key=lambda name: name != machine.frame)
         open_joints = set(clearance_joints)
         for name in sorted(open_joints - set(machine.turning_joints)):
             raise MachineError(machine.name, f"joints.{name}", None, "is not a turning joint of this machine")
-        if len(names) < 2:
-            raise MachineError(machine.name, "links", None, "a mechanism matrix needs two links or more")
         table = [["0"] * len(names) for _ in names]
         for name, joint in machine.joints.items():
             i, j = (names.index(link) for link in joint.links)
@@ -71,8 +72,10 @@ class MechanismMatrix:
             else:
                 symbol = "B"
             table[i][j], table[j][i] = symbol, _OPPOSITE[symbol]
-        springs, dampers = _support_counts(machine)
-        table[0][0], table[-1][-1] = str(springs), str(dampers)
+        springs, dampers = map(str, _support_counts(machine))
+        table[0][0], table[-1][-1] = springs, dampers
+        if len(names) == 1 and springs != dampers:
+            table[0][0] = f"{springs}/{dampers}"
         return cls(tuple(names), tuple(tuple(row) for row in table))
 
     @classmethod
@@ -86,13 +89,16 @@ class MechanismMatrix:
         """
         count = len(links)
         rows = rows.splitlines() if isinstance(rows, str) else rows
-        if count < 2 or not isinstance(rows, (list, tuple)) or len(rows) != count:
-            raise MachineError(source, "matrix", None, f"must have one row for each of the {count} links, at least two")
+        if not count or not isinstance(rows, (list, tuple)) or len(rows) != count:
+            raise MachineError(source, "matrix", None, f"must have one row for each of the {count} links, at least one")
         table = [_symbols(row, count, f"matrix.{index}", source) for index, row in enumerate(rows)]
         for i in range(count):
             for j in range(count):
                 path, symbol = f"matrix.{i}.{j}", table[i][j]
-                if i == j:
+                if count == 1:
+                    if not re.fullmatch(r"\d+(/\d+)?", symbol, re.ASCII):
+                        raise MachineError(source, path, symbol, "must count springs and dampers: 4, or 4/2")
+                elif i == j:
                     if not symbol.isdecimal() or (0 < i < count - 1 and symbol != "0"):
                         raise MachineError(source, path, symbol, "must be a count in the two corners, 0 between them")
                 elif symbol not in _OPPOSITE:
@@ -106,12 +112,12 @@ class MechanismMatrix:
     @property
     def springs(self) -> int:
         """Number of springs that support the frame (the paper's NSP)."""
-        return int(self.rows[0][0])
+        return int(self.rows[0][0].partition("/")[0])
 
     @property
     def dampers(self) -> int:
         """Number of dampers that support the frame (the paper's NDP)."""
-        return int(self.rows[-1][-1])
+        return int(self.rows[-1][-1].rpartition("/")[2])
 
     def pairs(self) -> Iterator[tuple[int, int, str]]:
         """Yield (i, j, symbol) of every joint, i < j, counted from 0."""
@@ -151,13 +157,10 @@ class MatrixForm:
     tree : dict
         The same machine in the ordinary form.
     matrix : MechanismMatrix
-    clearance_joints : tuple of str
-        Joints that the matrix marks with C. How much clearance they have is no part of a machine.
     """
 
     tree: dict[str, Any]
     matrix: MechanismMatrix
-    clearance_joints: tuple[str, ...]
 
     def check_supports(self, machine: MachineContent, source: str) -> None:
         """Refuse a matrix whose corners do not count the supports that the file lists.
@@ -194,7 +197,7 @@ def read_matrix_form(tree: Mapping[str, Any], source: str) -> MatrixForm:
     Raises
     ------
     MachineError
-        When matrix, links and joints do not fit together.
+        When matrix, links and joints do not fit together; a C without the amount of its clearance, or the reverse.
     """
     links = _check_links(tree.get("links"), source)
     names = list(links)
@@ -206,7 +209,6 @@ def read_matrix_form(tree: Mapping[str, Any], source: str) -> MatrixForm:
         raise MachineError(source, "joints", None, 'must be a mapping of keys "i-j" to the data of the joints')
     joints: dict[str, Any] = {}
     called: dict[str, str] = {}
-    open_joints = []
     symbols = {(i, j): symbol for i, j, symbol in matrix.pairs()}
     for key, data in given.items():
         i, j = _corner(key, len(names), source)
@@ -214,19 +216,20 @@ def read_matrix_form(tree: Mapping[str, Any], source: str) -> MatrixForm:
         if symbol is None:
             raise MachineError(source, f"joints.{key}", None, "is no joint of the matrix, or stands here twice")
         joint = _joint(key, data, (names[i], names[j]), symbol if i < j else _OPPOSITE[symbol], source)
+        if symbol.endswith("C") and joint.get("clearance") is None:
+            cell, rule = f"matrix.{min(i, j)}.{max(i, j)}", f'needs its amount, joints.{key}.clearance, as in "0.2 mm"'
+            raise MachineError(source, cell, symbol, rule)
         name = called[key] = str(joint.pop("name", key))
         if name in joints:
             raise MachineError(source, f"joints.{key}.name", name, "is the name of another joint")
         joints[name] = joint
-        if symbol.endswith("C"):
-            open_joints.append(name)
     for i, j in symbols:
         raise MachineError(source, f"joints.{i + 1}-{j + 1}", None, "is missing: the matrix has this joint")
     plain = {key: value for key, value in tree.items() if key != "matrix"} | {"links": links, "joints": joints}
     drive = tree.get("drive")
     if isinstance(drive, Mapping) and drive.get("joint") in called:
         plain["drive"] = {**drive, "joint": called[drive["joint"]]}
-    return MatrixForm(plain, matrix, tuple(open_joints))
+    return MatrixForm(plain, matrix)
 
 
 def _check_links(links: object, source: str) -> dict[str, Any]:
@@ -257,22 +260,26 @@ def _joint(key: str, data: object, links: tuple[str, str], symbol: str, source: 
     derived: dict[str, Any] = {"kind": "sliding" if symbol.endswith("A") else "turning", "links": list(links)}
     if symbol.endswith("C"):
         derived["pin"] = links[0] if symbol == "C" else links[1]
+    if symbol == "B" and "clearance" in data:
+        raise MachineError(
+            source, f"joints.{key}.clearance", show_value(data["clearance"]), "contradicts the matrix: B"
+        )
     for name, value in derived.items():
         if name in data and data[name] != value:
             raise MachineError(source, f"joints.{key}.{name}", data[name], f"contradicts the matrix: {value}")
     return {**data, **derived}
 
 
-def matrix_tree(machine: MachineContent, clearance_joints: Iterable[str] = ()) -> dict[str, Any]:
+def matrix_tree(machine: MachineContent) -> dict[str, Any]:
     """Return a machine as a file's content in matrix form, as :func:`~jointplay.solver.machines.machine.parse_machine`
-    reads.
+    reads; the joints to which its file gives a clearance are C.
 
     Raises
     ------
     MachineError
         As :meth:`MechanismMatrix.from_machine`.
     """
-    matrix = MechanismMatrix.from_machine(machine, clearance_joints)
+    matrix = MechanismMatrix.from_machine(machine, machine.clearances)
     tree: dict[str, Any] = machine.model_dump(mode="json", exclude_none=True)
     joints = {}
     for name, joint in tree["joints"].items():

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import RuleError, nearest
-from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact, TurningJoint
+from jointplay.solver.machines.friction import FRICTION_NUMBERS, DryFriction
+from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.parts import Damper, ForceDrive, RotationDrive, Spring, TorqueDrive
 from jointplay.solver.machines.refusals import show_value
 from jointplay.solver.machines.restitution import remark
@@ -49,6 +50,16 @@ def _foreign(path: str, contact: Contact) -> Iterator[_Breach]:
         if value and not contact.has(name) and name in contact.model_fields_set:
             rule = f"law {contact.law} has no {name}, it has {_join_names(LAW_NUMBERS[contact.law])}"
             yield f"{path}.{name}", value, rule
+    yield from friction_breaches(path, contact)
+
+
+def friction_breaches(path: str, said: DryFriction) -> Iterator[_Breach]:
+    """Numbers of another law of friction than the one in use, as (path, value, rule)."""
+    for name in ("friction_velocity", "presliding"):
+        own = FRICTION_NUMBERS[said.friction_law]
+        if name not in own and name in said.model_fields_set:
+            rule = f"friction law {said.friction_law} has no {name}, it has {_join_names(own)}"
+            yield f"{path}.{name}", getattr(said, name), rule
 
 
 def restitution_remarks(
@@ -174,6 +185,12 @@ def _joints(machine: MachineContent) -> Iterator[Breach]:
             yield Breach(f"{path}.links", ", ".join(joint.links), "must be two different links")
         if isinstance(joint, TurningJoint) and joint.pin not in joint.links:
             yield Breach(f"{path}.pin", joint.pin, f"must be one of the joint's links, {' or '.join(joint.links)}")
+        if isinstance(joint, TurningJoint) and joint.journal_friction and not joint.pin_radius:
+            yield Breach(
+                f"{path}.journal_friction", joint.journal_friction, "needs a pin_radius, the arm of its torque"
+            )
+        if isinstance(joint, SlidingJoint):
+            yield from (Breach(*breach) for breach in friction_breaches(path, joint))
 
 
 def _contacts(machine: MachineContent) -> Iterator[Breach]:

@@ -72,14 +72,21 @@ def _held(model: Model, rows: WorkRows[range]) -> Callable[[Values], None]:
     outputs += [
         ca.vertcat(*(getattr(c, name) for c in model.contacts)) for name in ("switch", "penetration", "approach")
     ]
-    outputs.append(ca.SX(0) if model.rubbing is None else model.rubbing.jam)
+    outputs += [model.bristles.pull, ca.SX(0) if model.rubbing is None else model.rubbing.jam]
     state = ca.vertcat(model.t, model.z, model.v, model.p, model.touching, model.memory)
     evaluate = ca.Function("held", [state], [ca.vertcat(*ca.cse(outputs))])
 
     def held(w: Values) -> None:
-        given = (*rows.time, *rows.z, *rows.v, *rows.parameters, *rows.touching, *rows.memory)
+        given = (
+            *rows.time,
+            *rows.z,
+            *rows.v,
+            *rows.parameters,
+            *rows.touching,
+            *range(rows.memory.start, rows.slips.stop),
+        )
         *found, jam = evaluate([w[i] for i in given]).full()[:, 0].tolist()
-        for i, value in zip((*rows.a, *rows.switch, *rows.penetration, *rows.approach), found, strict=True):
+        for i, value in zip((*rows.a, *rows.switch, *rows.penetration, *rows.approach, *rows.pull), found, strict=True):
             w[i] = value
         w[rows.jam[0]] = max(w[rows.jam[0]], jam)
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from oracle.closures import blocked_motions
-from oracle.state import Array, ContactState, Slide, State, across, cross
+from oracle.state import Array, ContactState, Held, Slide, State, across, cross, sliding_sign
 from oracle.tables import periodic_row, prescribed, table, time_row
 
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
@@ -56,9 +56,12 @@ class Solution:
 
 def solve(
     machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array,
-    began: Mapping[str, float] | None = None,
+    began: Mapping[str, float] | None = None, held: Held | None = None, *, redundant: bool = False,
 ) -> Solution:  # fmt: skip
-    """Write the equations at one state and solve them; contacts began with these velocities, or begin now.
+    """Write the equations at one state and solve them; contacts began with these velocities, or begin now; surfaces
+    with bristles are as `held` has them, or have not been bent.
+
+    Of a `redundant` machine the accelerations are determined, reactions are the least squares.
 
     Raises
     ------
@@ -67,10 +70,10 @@ def solve(
     numpy.linalg.LinAlgError
         A machine whose reactions are not determined.
     """
-    system = _System(State(machine, positions, velocities), clearances, t, began or {})
+    system = _System(State(machine, positions, velocities, held), clearances, t, began or {})
     found: list[tuple[Solution, Array]] = []
     for signs in itertools.product((1.0, -1.0), repeat=len(system.rubbing)):
-        solution = system.solve(signs)
+        solution = system.solve(signs, redundant)
         normal = np.array([solution.reactions[name][0] for name in system.rubbing])
         if (normal * signs >= 0).all():
             found.append((solution, normal))
@@ -101,11 +104,16 @@ class _System:
             if isinstance(joint, SlidingJoint):
                 self.sliding(joint, self.columns[name])
                 if joint.friction:
-                    self.rubbing[name] = self.friction(joint)
+                    self.rubbing[name] = self.friction(name, joint)
             elif name in clearances:
                 self.clearance(name)
             else:
                 self.turning(joint, self.columns[name])
+        self.journals = [
+            name
+            for name, joint in self.machine.joints.items()
+            if isinstance(joint, TurningJoint) and joint.journal_friction and name not in clearances
+        ]
         self.drive()
 
     def newton_euler(self) -> None:
@@ -213,10 +221,10 @@ class _System:
         self.a[column + 1, [3 * i + 2, 3 * j + 2]] = 1.0, -1.0
         self.pair(i, j, slide.point, -joint.viscous * slide.rate * slide.along)
 
-    def friction(self, joint: SlidingJoint) -> Array:
-        """Ft = -mu |Fn| tanh(v / v0) along the line, for Fn = 1: (3N) forces on the links."""
+    def friction(self, name: str, joint: SlidingJoint) -> Array:
+        """Ft = -mu |Fn| y along the line, y for the sign of v, for Fn = 1: (3N) forces on the links."""
         slide = self.state.slide(joint)
-        force = -joint.friction * math.tanh(slide.rate / joint.friction_velocity) * slide.along
+        force = -joint.friction * sliding_sign(joint, slide.rate, self.state.held.get(name)) * slide.along
         share = np.zeros((len(self.machine.links), 3))
         share[slide.slider] += self.wrench(slide.slider, slide.point, force)
         share[slide.guide] += self.wrench(slide.guide, slide.point, -force)
@@ -265,16 +273,43 @@ class _System:
             self.couple(i, j, 1.0, column)
             self.a[column, [3 * i + 2, 3 * j + 2]] = 1.0, -1.0
 
-    def solve(self, signs: Sequence[float]) -> Solution:
+    def solve(self, signs: Sequence[float], redundant: bool = False) -> Solution:
+        """With the torques of journals, mu r |F| y, found by repeating until they stay."""
+        solution, before = self._solve(signs, {}, redundant), math.inf
+        for _ in range(100 if self.journals else 0):
+            torques = {}
+            for name in self.journals:
+                joint = self.machine.joints[name]
+                assert isinstance(joint, TurningJoint)
+                i, j = (self.state.index(link) for link in joint.links)
+                rate = float(self.state.velocities[i, 2] - self.state.velocities[j, 2])
+                y = sliding_sign(joint.contact, rate * joint.pin_radius, self.state.held.get(name))
+                force = math.hypot(*solution.reactions[name])
+                torques[name] = -joint.journal_friction * joint.pin_radius * force * y
+            total = sum(torques.values())
+            if abs(total - before) <= 1e-15 * abs(total):
+                break
+            solution, before = self._solve(signs, torques, redundant), total
+        return solution
+
+    def _solve(self, signs: Sequence[float], torques: Mapping[str, float], redundant: bool) -> Solution:
         """With the given signs of the normal forces of the pairs that rub; rows of blocked motions say so instead."""
         n = len(self.machine.links)
         a, c = self.a.copy(), self.c.copy()
+        for name, torque in torques.items():
+            i, j = (self.state.index(link) for link in self.machine.joints[name].links)
+            c[3 * i + 2] += torque
+            c[3 * j + 2] -= torque
         for (name, share), sign in zip(self.rubbing.items(), signs, strict=True):
             a[: 3 * n, self.columns[name]] -= sign * share
         for i, k in blocked_motions(self.machine):
             row = 3 * i + k
             a[row], c[row], a[row, row] = 0.0, 0.0, 1.0
-        x = np.linalg.solve(a, c)
+        if redundant:  # rows and columns of like size, or a force of 1 N would be as nothing beside 1e5 rad/s2
+            size = np.abs(a).max(axis=1)
+            x = np.linalg.lstsq(a / size[:, None], c / size, rcond=1e-10)[0]
+        else:
+            x = np.linalg.solve(a, c)
         reactions = {name: x[column : column + 2] for name, column in self.columns.items()}
         effort = float(x[-1]) if len(x) > 3 * n + 2 * len(self.columns) else 0.0
         return Solution(x[: 3 * n].reshape(n, 3), reactions, effort, *self.scales(x), a)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,11 +53,15 @@ class Slide:
         return float(self.normal @ self.gap_rate - self.omega * (self.along @ self.gap))
 
 
-class State:
-    """Positions and velocities (N, 3) of the links of a machine, in the order of the file."""
+#: Of surfaces with bristles, by joint: their deflection, and 1 or -1 where they slip.
+Held: TypeAlias = Mapping[str, tuple[float, float]]
 
-    def __init__(self, machine: Machine, positions: Array, velocities: Array) -> None:
-        self.machine, self.positions, self.velocities = machine, positions, velocities
+
+class State:
+    """Positions and velocities (N, 3) of the links of a machine, in the order of the file, and what is held."""
+
+    def __init__(self, machine: Machine, positions: Array, velocities: Array, held: Held | None = None) -> None:
+        self.machine, self.positions, self.velocities, self.held = machine, positions, velocities, held or {}
         self.names = list(machine.links)
 
     def index(self, link: str) -> int:
@@ -140,6 +146,16 @@ def hysteresis(contact: Contact, rate: float, began: float) -> float:
     return c / (began or max(abs(rate), 1e-3))
 
 
+def sliding_sign(law: Contact | SlidingJoint, slip: float, held: tuple[float, float] | None) -> float:
+    """What stands for the sign of the slip; `held`: deflection of bristles, and 1 or -1 where they slip."""
+    if law.friction_law == "tanh":
+        return math.tanh(slip / law.friction_velocity)
+    if law.friction_law == "threshold":
+        return math.copysign(min(1.0, max(0.0, (abs(slip) / law.friction_velocity - 0.1) / 0.9)), slip)
+    deflection, slips = held or (0.0, 0.0)
+    return slips or min(1.0, max(-1.0, deflection + 1e-5 * slip / law.presliding))
+
+
 @dataclass(frozen=True)
 class ContactState:
     """A pin in its socket: links, force on the pin, and the common contact point in space."""
@@ -176,6 +192,6 @@ class ContactState:
             pushing = max(0.0, law.stiffness * depth ** float(law.exponent or 0.0) * loss)
         tangent = across(n)
         slip = float(tangent @ (state.velocity_at(pin, point) - state.velocity_at(socket, point)))
-        rubbing = -(law.friction * pushing * math.tanh(slip / law.friction_velocity) + law.viscous * slip)
+        rubbing = -(law.friction * pushing * sliding_sign(law, slip, state.held.get(name)) + law.viscous * slip)
         force = -pushing * n + (rubbing if pushing > 0 else 0.0) * tangent
         return cls(pin, socket, point, force, depth, law.stiffness, law.exponent or 1.0, pushing)

@@ -30,9 +30,9 @@ def loaded(name: str, **more: Any) -> Machine:
 #: Contacts that remember, one of each law with a restitution, and exponents with and without a root.
 LAWS = {
     "O": {"law": "lankarani-nikravesh", "stiffness": 5e8, "restitution": 0.6},
-    "A": {"law": "flores", "stiffness": 1e7, "restitution": 0.5, "exponent": 1.1},
-    "B": {"law": "hunt-crossley", "stiffness": 2e10, "restitution": 0.7, "exponent": 2},
-    "D": {"law": "gonthier", "stiffness": 5e8, "restitution": 0.4},
+    "A": {"law": "flores", "stiffness": 1e7, "restitution": 0.5, "exponent": 1.1, "presliding": 1e-5},
+    "B": {"law": "hunt-crossley", "stiffness": 2e10, "restitution": 0.7, "exponent": 2, "presliding": 1e-5},
+    "D": {"law": "gonthier", "stiffness": 5e8, "restitution": 0.4, "friction_law": "threshold", "friction_velocity": 1},
 }
 
 
@@ -48,6 +48,21 @@ def rubbing_guides() -> Machine:
     for name, friction in (("G1", 0.3), ("G2", 0.1)):
         joints[name] |= {"friction": friction, "friction_velocity": 0.05}
     return loaded("quick-return", joints=joints)
+
+
+def sticking_guides() -> Machine:
+    joints: Any = rubbing_guides().model_dump(mode="json")["joints"]
+    for name, law in (("G1", {"presliding": 1e-5}), ("G2", {"friction_law": "threshold", "friction_velocity": 1.0})):
+        del joints[name]["friction_velocity"]
+        joints[name] |= law
+    return loaded("quick-return", joints=joints)
+
+
+def dry_journals(machine: Machine, **friction: float) -> Machine:
+    joints: Any = machine.model_dump(mode="json")["joints"]
+    for name, value in friction.items():
+        joints[name]["journal_friction"] = value
+    return loaded(machine.name, joints=joints)
 
 
 CUTTING = [[0.0, 0.0, 0.0, 0.0], [1.2, -800.0, 20.0, 3.0], [3.1, 0.0, 0.0, 0.0]]
@@ -94,6 +109,17 @@ SCENES = {
         ("A",),
         ("joints.G1.friction", "joints.G2.friction_velocity"),
     ),
+    "four-bar, dry journals": (
+        dry_journals(shipped_machine("four-bar"), O=0.3, B=0.1, D=1.0),
+        ("A",),
+        ("joints.B.journal_friction",),
+    ),
+    "quick-return, a dry journal and guides": (
+        dry_journals(rubbing_guides(), C=0.2),
+        ("A",),
+        ("joints.G1.friction",),
+    ),
+    "quick-return, a guide sticks": (sticking_guides(), ("A",), ("joints.G1.presliding",)),
     "four-bar, every joint worn": (shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints), ()),
 }
 
@@ -172,26 +198,32 @@ def test_lanes(scene: tuple[Machine, Model]) -> None:
 
 
 def test_memories() -> None:
-    """Contacts that began at some velocity, on all lanes; the other half begins now."""
+    """Contacts that began at some velocity, on all lanes; the other half begins now. Bristles are bent, or slip."""
     machine, model = laws_machine(), build_model(laws_machine(), LAWS)
     assert [model.clearance_joints[i] for i in model.remembering] == list(LAWS)
-    kernel, drawn = compile_model(model), lanes(model)
-    began = np.exp(np.random.default_rng(9).uniform(-5, 1, (LANES, len(LAWS))))
+    assert [model.clearance_joints[i] for i in model.bristles.contacts] == ["A", "B"]
+    kernel, drawn, rng = compile_model(model), lanes(model), np.random.default_rng(9)
+    began = np.exp(rng.uniform(-5, 1, (LANES, len(LAWS))))
     began[::2, ::2], began[1::2, 1::2] = 0.0, 0.0
+    bent, slips = rng.uniform(-1, 1, (LANES, 2)), rng.choice([-1.0, 0.0, 0.0, 1.0], (LANES, 2))
     work = filled(kernel, model, drawn)
-    work[kernel.rows.memory] = began.T
+    work[kernel.rows.memory], work[kernel.rows.bristles], work[kernel.rows.slips] = began.T, bent.T, slips.T
     repeat(kernel.functions, work, 1)
-    motion, pressed = LinkMotion(model), 0
-    for (values, t, z, v), compiled, velocities_then in zip(drawn, work[kernel.rows.a].T, began, strict=True):
+    motion, pressed, sticking = LinkMotion(model), 0, 0
+    for lane, (values, t, z, v) in enumerate(drawn):
+        compiled = work[kernel.rows.a, lane]
         positions, velocities, accelerations = motion(t, z, v, compiled, model.vector(values))
         other, clearances = changed(machine, values)
-        then = dict(zip(LAWS, velocities_then, strict=True))
-        solution = solve(other, clearances, t, positions, velocities, then)
+        then = dict(zip(LAWS, began[lane], strict=True))
+        held = dict(zip("AB", zip(bent[lane], slips[lane], strict=True), strict=True))
+        solution = solve(other, clearances, t, positions, velocities, then, held)
         gap = np.abs(accelerations - solution.accelerations)
         assert gap[:, :2].max() < 1e-10 * solution.scale[0]
         assert gap[:, 2].max() < 1e-10 * solution.scale[1]
         pressed += sum(then[joint] > 0 and solution.reactions[joint].any() for joint in LAWS)
+        sticking += sum(slips[lane, k] == 0 and solution.reactions["AB"[k]].any() for k in range(2))
     assert pressed >= 5
+    assert sticking >= 3
 
 
 def test_error_controlled_steps(scene: tuple[Machine, Model]) -> None:

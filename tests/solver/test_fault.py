@@ -48,7 +48,7 @@ def test_value() -> None:
         ),
         ("a=0.1mm", 'quick-return: fault.a: 0.1 mm: no such joint; did you mean "A"?'),
         ("A=0.2", "quick-return: fault.A: 0.2: is 200 mm without a unit; write 0.2mm if that is meant, or the unit"),
-        ("A=-1mm", "quick-return: fault.A: -1mm: a clearance is 0 or more"),
+        ("A=-1mm", "quick-return: fault.A: -1mm: must not be less than 0"),
         ("A", "quick-return: fault: A: write JOINT=CLEARANCE, as in A=0.2mm"),
         ("A=1mm,A=2mm", "quick-return: fault.A: 2mm: this joint is named twice"),
         ("A=1kg", 'quick-return: fault.A: 1kg: "kg" is a mass, must be a length, for example "0.2 mm"'),

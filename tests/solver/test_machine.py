@@ -67,8 +67,10 @@ def test_everything_the_file_format_has_is_read() -> None:
     assert (joints["O"].pin, joints["O"].pin_radius, joints["E"].pin) == ("crank", 0.0, "rocker")
     assert joints["C"].viscous == 0.02
     assert joints["O"].contact == machine.defaults.contact
-    assert joints["A"].contact == Contact(stiffness=1e7)
-    assert joints["E"].contact == Contact(stiffness=2e7, friction=0.1)  # the rest from the defaults
+    assert joints["A"].contact == Contact(stiffness=1e7, friction_velocity=0.01)
+    assert joints["E"].contact == Contact(
+        stiffness=2e7, friction=0.1, friction_velocity=0.01
+    )  # the rest from the defaults
     guide = machine.joints["G"]
     assert guide.kind == "sliding"
     assert math.hypot(*guide.direction) == pytest.approx(1, abs=1e-15)

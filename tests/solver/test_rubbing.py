@@ -115,7 +115,7 @@ def test_jamming_is_named_with_joint_and_time(method: Any, speed: float) -> None
     assert simulate(strut(speed, 0.4), Case(), Settings(duration=0.01, method=method)).status is Status.OK
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [*METHODS, "gill-variable", "full"])
 def test_jamming_on_the_way(method: Any) -> None:
     """Driven by its crank at 600 rpm the slider starts at a dead centre and jams where the rod is steep enough.
 
