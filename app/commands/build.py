@@ -53,6 +53,7 @@ def command(
     from jointplay.catalogue.building.network_building import train_networks
     from jointplay.catalogue.plans.plan import load_plan
     from jointplay.catalogue.plans.plan_check import check_plan, plan_lines
+    from jointplay.solver.machines.fault import Fault
     from jointplay.solver.machines.machine import load_machine
 
     if scheduler is not None and workers is not None:
@@ -61,7 +62,11 @@ def command(
         from jointplay.catalogue.building.cluster import DaskCluster, check_address
 
         check_address(scheduler)
-    found, wanted = load_machine(machine), load_plan(plan)
+    filed, wanted = load_machine(machine), load_plan(plan)
+    found = filed.without_clearances()
+    if filed.clearances:
+        told = f"{Fault(filed.clearances).label} of the file is left aside: the plan says what is worn"
+        click.echo(f"note: {told}", err=True)
     check_plan(wanted, found, plan)
     for shown in plan_lines(wanted, found):
         click.echo(shown, err=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jointplay.app.commands.machines import drive_of
-from jointplay.app.commands.parameters import json_option, print_json
+from jointplay.app.commands.parameters import fault_option, json_option, print_json
 from jointplay.app.tables import indent, table
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 @click.command("check")
 @click.argument("machine")
-@click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
+@fault_option
 @click.option("--arrays", is_flag=True, help="Show the arrays that the paper derives from the mechanism matrix.")
 @click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png", help="Draw the machine.")
 @json_option
-def command(machine: str, fault: str, arrays: bool, drawing: Path | None, as_json: bool) -> None:
+def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None, as_json: bool) -> None:
     """Validate MACHINE (a shipped machine's name, or a file) and show what it consists of."""
     if drawing is not None:
         from jointplay.app.figures.pictures import check_ending
@@ -96,6 +96,7 @@ def document(
         "operations": sizes.operations,
         "left_out": [{"what": out.what, "why": out.why, "unknowns": out.unknowns} for out in sizes.left_out],
         "added": list(sizes.added),
+        "open_reactions": list(sizes.open_reactions),
         "mechanism_matrix": None,
         "drawing": None if drawing is None else str(drawing),
     }
@@ -113,8 +114,9 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
     from jointplay.solver.machines.matrix import MechanismMatrix
 
     size = len(sizes.coordinates) + len(sizes.closures)
+    filed = ", as the file gives it" if fault and dict(fault) == machine.clearances else ""
     parts = [
-        f"{machine.name}: a valid machine; drive: {drive_of(machine)}; fault: {fault.label}",
+        f"{machine.name}: a valid machine; drive: {drive_of(machine)}; fault: {fault.label}{filed}",
         "",
         links_of(machine),
         "",
@@ -129,6 +131,11 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
         *([f"  of these not among the 3N + 2J: {', '.join(sizes.added)}"] if sizes.added else []),
         f"left out, {sum(out.unknowns for out in sizes.left_out)} unknowns and terms of the forces:",
         *(f"  {out.what}: {out.why}" for out in sizes.left_out),
+        *(
+            [f"reactions without a value of their own: {', '.join(sizes.open_reactions)}"]
+            if sizes.open_reactions
+            else []
+        ),
         "",
         "mechanism matrix:",
     ]

@@ -215,6 +215,12 @@ catalogue_option = click.option(
     "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
 )
 
+fault_option = click.option(
+    "--fault",
+    metavar="A=0.2mm,F=50um|healthy",
+    help="Radial clearance of all worn joints; by default what the machine's file gives, mostly none.",
+)
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 

@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 
-from jointplay.app.commands.parameters import Decibels, QuantityOption, drive_speed, json_option, print_json
+from jointplay.app.commands.parameters import (
+    Decibels,
+    Names,
+    QuantityOption,
+    drive_speed,
+    fault_option,
+    json_option,
+    print_json,
+)
 
 if TYPE_CHECKING:
     from jointplay.app.figures.simulation_file import SimulationFile
-    from jointplay.solver.cases.history import Case, History, Settings
+    from jointplay.solver.cases.history import Case, History, Method, Settings
     from jointplay.solver.cases.steps import Accuracy
     from jointplay.solver.machines.machine import Machine
     from jointplay.solver.simulation.ensemble import Ensemble, EnsembleKind
+    from jointplay.solver.spectra.spectrum import Quantity, Scaling
 
 
 @click.command("simulate")
 @click.argument("machine")
-@click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
+@fault_option
 @click.option("--speed", help='Drive speed instead of the file\'s: "600 rpm", or "0.1 m/s" of a sliding drive.')
 @click.option(
     "--duration", type=QuantityOption("TIME"), help="Length of the histories; by rule from transient and speed."
@@ -36,10 +45,11 @@ if TYPE_CHECKING:
 @click.option("--rtol", type=click.FloatRange(1e-12, 1e-2), help="Scaled error of a step, in place of --accuracy.")
 @click.option(
     "--method",
-    type=click.Choice(["adaptive", "gill"]),
-    help="Error-controlled steps [default], or Runge-Kutta-Gill with fixed ones.",
+    type=click.Choice(["adaptive", "gill", "gill-variable", "full"]),
+    help="Error-controlled steps [default], or Runge-Kutta-Gill with fixed ones; for cross-checks Gill's with steps "
+    "halved by their error, or fixed in the whole system of 3N + 2J equations.",
 )
-@click.option("--step", type=QuantityOption("TIME"), help="Longest step of gill, in place of --accuracy.")
+@click.option("--step", type=QuantityOption("TIME"), help="Longest step of gill and full, in place of --accuracy.")
 @click.option("--starts", type=click.IntRange(2, 1000), help="Average over so many starts; spectra only (.h5, .npz).")
 @click.option(
     "--starts-by",
@@ -53,7 +63,20 @@ if TYPE_CHECKING:
     "--converged", type=Decibels(), metavar="0.2dB", help="Run until averaged levels are known so well [8 starts]."
 )
 @click.option("--most-revolutions", type=float, default=400, show_default=True, help="End --converged there.")
+@click.option(
+    "--quantity",
+    "quantities",
+    type=Names(("displacement", "velocity", "acceleration")),
+    metavar="displacement,velocity,acceleration",
+    help="Spectra to write and draw besides the density of the acceleration.",
+)
+@click.option(
+    "--scaling",
+    type=click.Choice(["psd", "power", "rms", "peak"]),
+    help="Of these spectra: density, mean square, amplitude of a sine as rms or peak [default: psd].",
+)
 @click.option("--links", is_flag=True, help="Also every link's motion and every reaction (.h5 and .npz).")
+@click.option("--whole", is_flag=True, help="Model all of the machine, also what its frame cannot feel.")
 @click.option(
     "-o",
     "--output",
@@ -66,20 +89,23 @@ if TYPE_CHECKING:
 @json_option
 def command(
     machine: str,
-    fault: str,
+    fault: str | None,
     speed: str | None,
     duration: float | None,
     sample_rate: float,
     accuracy: Accuracy | None,
     rtol: float | None,
-    method: Literal["adaptive", "gill"] | None,
+    method: Method | None,
     step: float | None,
     starts: int | None,
     starts_by: EnsembleKind,
     seed: int,
     converged: float | None,
     most_revolutions: float,
+    quantities: list[Quantity] | None,
+    scaling: Scaling | None,
     links: bool,
+    whole: bool,
     output: Path,
     plot: Path | None,
     as_json: bool,
@@ -94,13 +120,15 @@ def command(
     several = starts is not None or converged is not None
     if several:
         refuse_for_ensembles(output, links=links, duration=duration is not None and converged is not None)
+    if quantities or scaling:
+        refuse_for_spectra(output, plot, several=several)
     write = writer_for(output)
     if plot is not None:
         from jointplay.app.figures.plots import check_ending
 
         check_ending(plot)
     from jointplay.app.errors import SimulationFailedError, UnassembledError
-    from jointplay.app.figures.simulation_file import record
+    from jointplay.app.figures.simulation_file import AskedSpectra, record
     from jointplay.solver.cases.history import Case, Settings, Status
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
@@ -117,7 +145,11 @@ def command(
         rtol=rtol,
         step=step,
         links=links,
+        whole=whole,
     )
+    spectra = None
+    if quantities or scaling:
+        spectra = AskedSpectra(tuple(quantities or ("acceleration",)), scaling or "psd")
     if several:
         from jointplay.solver.simulation.ensemble import Ensemble
 
@@ -129,12 +161,12 @@ def command(
         raise UnassembledError(history.message)
     if history.status != Status.OK:
         raise SimulationFailedError(f"{found.name}: {history.status}: {history.message}")
-    recording = record(found, history, settings, __version__)
+    recording = record(found, history, settings, __version__, spectra)
     write(output, recording)
     if plot is not None:
         from jointplay.app.figures.plots import plot_simulation
 
-        plot_simulation(recording, plot)
+        plot_simulation(recording, plot, spectra)
     report(history, recording, output, plot, as_json)
 
 
@@ -146,6 +178,14 @@ def refuse_for_ensembles(output: Path, *, links: bool, duration: bool) -> None:
         raise click.UsageError("--links: several starts give spectra of the frame only")
     if duration:
         raise click.UsageError("--duration: give either --duration or --converged, not both")
+
+
+def refuse_for_spectra(output: Path, plot: Path | None, *, several: bool) -> None:
+    """Refuse to be asked for spectra that would stand nowhere."""
+    if output.suffix.lower() == ".csv" and plot is None:
+        raise click.UsageError(f"--quantity, --scaling: {output} holds no spectra: take .h5 or .npz, or add --plot")
+    if several:
+        raise click.UsageError("--quantity, --scaling: several starts give the density of the acceleration alone")
 
 
 def run_ensemble(
@@ -193,6 +233,8 @@ def report(history: History, recording: SimulationFile, output: Path, plot: Path
             "samples": len(history.t),
             "sample_rate_hz": history.sample_rate,
             "transient_s": history.transient,
+            "drive_speed_rad_per_s": history.drive_speed,
+            "limit_cycle": None if history.turning is None else history.turning.is_steady,
             "step_s": history.step,
             "computing_s": history.seconds,
             "frame_acceleration_rms": None if rms is None else [float(value) for value in rms],

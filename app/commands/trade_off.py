@@ -8,26 +8,30 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jointplay.app.commands.parameters import Decibels, drive_speed, json_option, print_json
+from jointplay.app.commands.parameters import Decibels, drive_speed, fault_option, json_option, print_json
 from jointplay.app.commands.progress import ProgressLine
 from jointplay.app.tables import indent, table
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.simulation.choices import ModelChoices
     from jointplay.solver.simulation.tradeoff import Recommendation, TradeOff
     from jointplay.solver.simulation.workbench import TradeOffPoint
 
 
 @click.command("trade-off")
 @click.argument("machine")
-@click.option("--fault", default="", metavar="A=0.2mm,F=50um", help="Radial clearance of worn joints; none by default.")
+@fault_option
 @click.option("--speed", help='Drive speed instead of the file\'s: "600 rpm", or "0.1 m/s" of a sliding drive.')
 @click.option(
     "--error", type=Decibels(), default="0.1dB", show_default=True, metavar="0.1dB", help="Harmonic error wanted."
 )
+@click.option("--choices", "chosen", is_flag=True, help="Also what choices of the model cost and change: friction, ...")
 @click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Also draw it.")
 @json_option
-def command(machine: str, fault: str, speed: str | None, error: float, plot: Path | None, as_json: bool) -> None:
+def command(
+    machine: str, fault: str | None, speed: str | None, error: float, chosen: bool, plot: Path | None, as_json: bool
+) -> None:
     """Measure harmonic error against processor time for MACHINE, and recommend a setting."""
     if plot is not None:
         from jointplay.app.figures.plots import check_ending
@@ -46,14 +50,24 @@ def command(machine: str, fault: str, speed: str | None, error: float, plot: Pat
     if isinstance(measured, History):
         raise SimulationFailedError(f"{found.name}: no reference: {measured.status}: {measured.message}")
     advice = measured.recommend(error)
+    choices: ModelChoices | None = None
+    if chosen:
+        from jointplay.solver.simulation.choices import measure_choices
+
+        tried = measure_choices(found, case)
+        if isinstance(tried, History):
+            raise SimulationFailedError(f"{found.name}: no choices: {tried.status}: {tried.message}")
+        choices = tried
     if plot is not None:
         from jointplay.app.figures.plots import plot_trade_off
 
-        plot_trade_off(found, measured, error, plot)
+        plot_trade_off(found, measured, error, plot, choices)
     if as_json:
-        print_json(document(found, measured, advice, error, plot))
+        print_json(document(found, measured, advice, error, plot) | describe_choices(choices))
         return
     click.echo(report(found, measured, advice, error))
+    if choices is not None:
+        click.echo(f"\n{report_choices(choices)}")
     if plot is not None:
         click.echo(f"\ndrawn: {plot}")
 
@@ -100,12 +114,13 @@ def document(
     }
 
 
+def finite(value: float) -> float | None:
+    """Return a number, or nothing for one that is none."""
+    return value if math.isfinite(value) else None
+
+
 def describe_point(found: TradeOff, point: TradeOffPoint) -> dict[str, object]:
     """Return one setting as JSON values."""
-
-    def number(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
     return {
         "method": point.settings.integrator,
         "accuracy": point.accuracy or None,
@@ -114,11 +129,43 @@ def describe_point(found: TradeOff, point: TradeOffPoint) -> dict[str, object]:
         "option": option_of(point),
         "status": str(point.status),
         "processor_s_per_s": point.seconds,
-        "error_db": number(point.error_db),
-        "worst_error_db": number(point.worst_db),
-        "repeatability_db": number(point.repeat_db),
+        "error_db": finite(point.error_db),
+        "worst_error_db": finite(point.worst_db),
+        "repeatability_db": finite(point.repeat_db),
         "more_pays": found.pays(point),
     }
+
+
+def describe_choices(found: ModelChoices | None) -> dict[str, object]:
+    """Return what choices of the model cost and change as JSON values; nothing where they were not asked for."""
+    if found is None:
+        return {}
+    choices = [
+        {
+            "kind": each.kind,
+            "choice": each.name,
+            "status": str(each.status),
+            "processor_s_per_s": finite(each.seconds),
+            "difference_db": finite(each.difference_db),
+        }
+        for each in found.choices
+    ]
+    return {"choices": {"processor_s_per_s": found.seconds, "floor_db": found.floor_db, "choices": choices}}
+
+
+def report_choices(found: ModelChoices) -> str:
+    """Return what choices of the model cost and change as plain text."""
+    rows = []
+    for each in found.choices:
+        ok = math.isfinite(each.difference_db)
+        told = f"{each.difference_db:.2g} dB" if each.difference_db > found.floor_db else f"< {found.floor_db:.1g} dB"
+        cost = f"{each.seconds / found.seconds:.2f}" if ok else "-"
+        rows.append([each.kind, each.name, cost, told if ok else str(each.status)])
+    measure = "one-order bands, means of eight runs" if found.chaotic else "harmonics"
+    return "\n".join([
+        f"choices of the model against the file's, mean |dB| of {measure}; processor time in parts of the file's",
+        "", indent(table(("of", "choice", "costs", "changes"), rows, frozenset({2, 3}))),
+    ])  # fmt: skip
 
 
 def report(machine: Machine, found: TradeOff, advice: Recommendation, error: float) -> str:
@@ -151,7 +198,7 @@ def report(machine: Machine, found: TradeOff, advice: Recommendation, error: flo
 
 def row(found: TradeOff, point: TradeOffPoint) -> list[str]:
     """Return one setting as cells."""
-    name = point.settings.integrator
+    name: str = point.settings.integrator
     if point.settings.rtol is not None:
         name = f"{name}, rtol {point.settings.rtol:g}"
     cells = [name, point.accuracy, f"{point.step:.2g} s", f"{point.seconds:.4f}"]

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from matplotlib.figure import Figure
 
-from jointplay.app.figures.plots import draw_density, draw_diagnosis, draw_over_time
+from jointplay.app.figures.plots import draw_diagnosis, draw_over_time, draw_spectrum
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.measurements.measurement import SI_UNITS, Recording
 from jointplay.solver.cases.history import MOTIONS, History
@@ -54,7 +54,7 @@ def _(result: History) -> Figure:
             right.text(0.0, 0.5, missing if row == 0 else "", wrap=True)
         else:
             unit = spectrum.value_units[row]
-            draw_density(right, spectrum.frequency, spectrum.values[:, row], result.drive_speed, unit)
+            draw_spectrum(right, spectrum.frequency, spectrum.values[:, row], result.drive_speed, unit)
     left.set_xlabel("time [s]")
     return figure
 
@@ -64,7 +64,7 @@ def _(result: Spectrum) -> Figure:
     figure = Figure(figsize=(9, 2.7 * len(result.channels)), layout="constrained")
     for column, (channel, unit) in enumerate(zip(result.channels, result.value_units, strict=True)):
         axes = figure.add_subplot(len(result.channels), 1, column + 1)
-        draw_density(axes, result.frequency, result.values[:, column], result.drive_speed, f"{channel} [{unit}]")
+        draw_spectrum(axes, result.frequency, result.values[:, column], result.drive_speed, f"{channel} [{unit}]")
     return figure
 
 

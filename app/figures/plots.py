@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 
 from jointplay.app import words
 from jointplay.app.figures.outputs import check_output
-from jointplay.app.figures.simulation_file import SimulationFile
+from jointplay.app.figures.simulation_file import ALWAYS, AskedSpectra, SimulationFile
 from jointplay.app.rows import Comparison, comparisons, hypothesis_rows
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.solver.cases.history import MOTIONS
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.simulation.choices import ModelChoices
     from jointplay.solver.simulation.tradeoff import TradeOff
 
 
@@ -49,26 +51,42 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
-def plot_simulation(recording: SimulationFile, path: Path) -> None:
-    """Draw acceleration over time and its spectrum by order, for x, y and theta of the frame."""
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    grid = figure.subplots(3, 2)
+def plot_simulation(recording: SimulationFile, path: Path, asked: AskedSpectra | None = None) -> None:
+    """Draw motion over time and its spectrum by order, for x, y and theta of the frame.
+
+    Parameters
+    ----------
+    recording : SimulationFile
+    path : Path
+    asked : AskedSpectra, optional
+        What to draw in place of the density of the acceleration: three rows for each quantity.
+    """
+    wanted = asked or ALWAYS
+    figure = Figure(figsize=(11, 8 * len(wanted.quantities)), layout="constrained")
+    grid = figure.subplots(3 * len(wanted.quantities), 2)
     attributes = recording.attributes
     fault = attributes["fault"] or "no play"
-    figure.suptitle(f"{attributes['machine']}, {fault}: acceleration of {attributes['frame']}")
-    for row, motion in enumerate(MOTIONS):
-        unit = recording.units["frame_acceleration"].split(",")[row]
-        speed = float(attributes["drive_speed_rad_per_s"])  # type: ignore[arg-type]
-        draw_over_time(grid[row, 0], recording.arrays["t"], recording.arrays["frame_acceleration"][:, row], speed)
-        grid[row, 0].set_ylabel(f"{SYMBOLS[motion]} [{unit}]")
-        if "psd_frame" in recording.arrays:
-            unit = recording.units["psd_frame"].split(",")[row]
-            draw_density(grid[row, 1], recording.arrays["f"], recording.arrays["psd_frame"][:, row], speed, unit)
+    figure.suptitle(f"{attributes['machine']}, {fault}: {', '.join(wanted.quantities)} of {attributes['frame']}")
+    speed = float(attributes["drive_speed_rad_per_s"])  # type: ignore[arg-type]
+    blocks = [(quantity, motion) for quantity in wanted.quantities for motion in range(len(MOTIONS))]
+    for (left, right), (quantity, motion) in zip(grid, blocks, strict=True):
+        history, spectrum = f"frame_{quantity}", wanted.name(quantity, "frame")
+        draw_over_time(left, recording.arrays["t"], recording.arrays[history][:, motion], speed)
+        left.set_ylabel(f"{SYMBOLS[MOTIONS[motion]]} [{recording.units[history].split(',')[motion]}]")
+        if spectrum in recording.arrays:
+            unit, values = recording.units[spectrum].split(",")[motion], recording.arrays[spectrum][:, motion]
+            draw_spectrum(right, recording.arrays["f"], values, speed, unit)
+        elif "cascade_speed" in recording.arrays and quantity == "acceleration":
+            unit = recording.units["cascade_level_frame"].split(",")[motion]
+            level = np.asarray(recording.arrays["cascade_level_frame"])[:, :, motion]
+            draw_cascade(right, recording.arrays["cascade_speed"], recording.arrays["orders"], level, unit)
         else:
-            grid[row, 1].set_axis_off()
-    if recording.missing:
+            right.set_axis_off()
+    if "cascade_speed" in recording.arrays:
+        grid[0, 1].set_title(recording.missing, fontsize="small", wrap=True)
+    elif recording.missing:
         grid[0, 1].text(0.0, 0.5, f"no spectra: {recording.missing}", wrap=True)
-    grid[2, 0].set_xlabel("time [s]")
+    grid[-1, 0].set_xlabel("time [s]")
     save(figure, path)
 
 
@@ -83,12 +101,12 @@ def draw_over_time(axes: Axes, time: npt.ArrayLike, values: npt.ArrayLike, drive
     axes.grid(alpha=0.3)
 
 
-def draw_density(
-    axes: Axes, frequency: npt.ArrayLike, density: npt.ArrayLike, drive_speed: float | None, unit: str
+def draw_spectrum(
+    axes: Axes, frequency: npt.ArrayLike, spectrum: npt.ArrayLike, drive_speed: float | None, unit: str
 ) -> None:
     """Draw a spectrum (n,) over orders, or over frequency where nothing turns evenly."""
     base = abs(drive_speed) / (2 * math.pi) if drive_speed else 1.0
-    values = np.asarray(density, dtype=np.float64)[1:]
+    values = np.asarray(spectrum, dtype=np.float64)[1:]
     top = float(values.max(initial=0.0)) or 1.0
     # What is far below the rest is rounding, and would only squeeze the part that matters.
     shown = np.maximum(values, top * 10.0**-SHOWN_DECADES)
@@ -96,6 +114,22 @@ def draw_density(
     axes.set_ylabel(unit)
     axes.set_xlabel("order of the drive" if drive_speed else "frequency [Hz]")
     axes.grid(alpha=0.3, which="both")
+
+
+def draw_cascade(
+    axes: Axes, speed: npt.ArrayLike, orders: npt.ArrayLike, level: npt.NDArray[np.float64], unit: str
+) -> None:
+    """Draw levels (w, k) in orders (k,) over the speed (w,) of a run-up, in colours, the slowest below."""
+    rpm = np.asarray(speed, dtype=np.float64) * 30 / math.pi
+    rising = np.argsort(rpm, kind="stable")
+    # What is far below the rest is rounding, and would only take the colours from what matters.
+    floor = float(np.nanmax(level, initial=0.0)) * 10.0 ** (-SHOWN_DECADES / 2) or 1e-300
+    shown = 20 * np.log10(np.maximum(level[rising], floor))
+    image = axes.pcolormesh(np.asarray(orders, dtype=np.float64), rpm[rising], shown, shading="nearest")
+    axes.figure.colorbar(image, ax=axes, label=f"dB re 1 {unit}")
+    axes.set_xscale("log")
+    axes.set_ylabel("speed [rpm]")
+    axes.set_xlabel("order of the drive")
 
 
 def plot_diagnosis(result: Diagnosis, name: str, path: Path) -> None:
@@ -151,8 +185,12 @@ def draw_comparison(axes: Axes, comparison: Comparison) -> None:
     axes.legend(fontsize="small")
 
 
-def plot_trade_off(machine: Machine, found: TradeOff, wanted_db: float, path: Path) -> None:
-    """Draw error over processor time for both methods, the wanted error, and what nothing can be claimed below."""
+def plot_trade_off(
+    machine: Machine, found: TradeOff, wanted_db: float, path: Path, choices: ModelChoices | None = None
+) -> None:
+    """Draw error over processor time for both methods, the wanted error, and what nothing can be claimed below; what
+    choices of the model cost and change, where they are given.
+    """
     figure = Figure(figsize=(8, 6), layout="constrained")
     axes = figure.subplots()
     for method, colour in (("adaptive", BLUE), ("gill", ORANGE)):
@@ -170,6 +208,15 @@ def plot_trade_off(machine: Machine, found: TradeOff, wanted_db: float, path: Pa
                 f"{name} {point.accuracy}".strip(), (point.seconds, point.error_db), textcoords="offset points",
                 xytext=(6, 4), fontsize="x-small",
             )  # fmt: skip
+    if choices is not None:
+        # Choices lie close together: letters, and what they stand for in a box.
+        told = [each for each in choices.choices if each.difference_db > choices.floor_db]
+        axes.loglog([c.seconds for c in told], [c.difference_db for c in told], "s", color="0.3", label="model")
+        for choice, letter in zip(told, ascii_lowercase, strict=False):
+            place = (choice.seconds, choice.difference_db)
+            axes.annotate(letter, place, textcoords="offset points", xytext=(-2, -13), fontsize="x-small", color="0.3")
+        listed = "\n".join(f"{letter}  {choice.name}" for choice, letter in zip(told, ascii_lowercase, strict=False))
+        axes.text(0.98, 0.04, listed, transform=axes.transAxes, ha="right", va="bottom", fontsize="x-small")
     axes.axhline(wanted_db, color="0.4", linestyle="--", linewidth=0.8, label="wanted")
     if found.chaotic:
         axes.axhline(found.spread_db, color="0.4", linestyle=":", label="spread of single runs")

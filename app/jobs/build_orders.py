@@ -75,9 +75,9 @@ def place_order(
 
 
 def machine_of(machines: MachineStore, name: str) -> Machine:
-    """Return the machine of a name."""
+    """Return the machine of a name, as a catalogue holds it."""
     try:
-        return machines.find(name)
+        return machines.find(name).without_clearances()
     except UnknownMachineError as error:
         raise BadFieldError(str(error), field="machine") from None
 

@@ -8,16 +8,20 @@ import numpy as np
 
 from jointplay.app.jobs.tasks import open_catalogue
 from jointplay.app.pages.understanding import RPM
+from jointplay.solver.spectra.bands import BandScheme
 
 if TYPE_CHECKING:
     from jointplay.catalogue.storage.matrix import FeatureMatrix
+    from jointplay.solver.spectra.spectrum import Quantity, Scaling
 
 HEALTHY = "healthy"
 #: Power shown at least: 10 um/s2 is less than any accelerometer sees, and an ideal machine is far stiller than that.
 LEAST = 1e-10
 
 
-def nearest(directory: str, stamp: str, hypothesis: str, clearance: float) -> dict[str, Any]:
+def nearest(
+    directory: str, stamp: str, hypothesis: str, clearance: float, quantity: Quantity, scaling: Scaling
+) -> dict[str, Any]:
     """Return the entry that is nearest to a clearance, beside the entries of a machine in order.
 
     Parameters
@@ -28,6 +32,8 @@ def nearest(directory: str, stamp: str, hypothesis: str, clearance: float) -> di
         Its label; one that the catalogue has entries of.
     clearance : float
         Radial, of every worn joint, m, greater than 0.
+    quantity, scaling : str
+        Of the levels.
 
     Returns
     -------
@@ -45,15 +51,21 @@ def nearest(directory: str, stamp: str, hypothesis: str, clearance: float) -> di
         chosen = int(rows[np.argmin(off)])
     in_order = _select_trusted(matrix, HEALTHY)
     table = matrix.table(np.array([chosen]))
-    spectrum = _levels(matrix, np.array([chosen]))[0]
-    sound = _levels(matrix, in_order) if len(in_order) else spectrum[None]
+    singles = int(np.sum(np.diff(matrix.edges) <= 1.0 + 1e-9))
+    scheme = BandScheme(matrix.edges, singles)
+
+    speed = float(table.drive_speed[0])
+
+    def levels(rows: Any) -> Any:
+        power = np.maximum(matrix.packed(rows)[..., :3], LEAST).astype(np.float64)
+        return (20 if scaling in ("rms", "peak") else 10) * np.log10(scheme.scale(power, speed, quantity, scaling))
+
+    spectrum = levels(np.array([chosen]))[0]
+    sound = levels(in_order) if len(in_order) else spectrum[None]
     low, middle, high = np.quantile(sound, (0.05, 0.5, 0.95), axis=0)
-    edges = np.array(matrix.edges)
-    single = np.diff(edges) <= 1.0 + 1e-9
-    orders = np.where(single, 0.5 * (edges[:-1] + edges[1:]), np.sqrt(np.maximum(edges[:-1], 0.5) * edges[1:]))
     channels = ("x", "y", "theta")
     return {
-        "orders": orders.tolist(),
+        "orders": scheme.centres.tolist(),
         "levels": {name: spectrum[:, i].tolist() for i, name in enumerate(channels)},
         "healthy": {name: middle[:, i].tolist() for i, name in enumerate(channels)},
         "low": {name: low[:, i].tolist() for i, name in enumerate(channels)},
@@ -77,7 +89,3 @@ def _select_trusted(matrix: FeatureMatrix, label: str) -> Any:
         if len(rows):
             return rows
     return matrix.rows(label)
-
-
-def _levels(matrix: FeatureMatrix, rows: Any) -> Any:
-    return 10.0 * np.log10(np.maximum(matrix.packed(rows)[..., :3], LEAST))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast, get_args
 
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
@@ -14,17 +14,19 @@ from jointplay.app.http.handlers import is_fragment, note, problem_from, templat
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, plain_number
 from jointplay.app.routes.pages import REFUSALS, context
-from jointplay.app.rows import NAMES, UNITS, micrometres, order
+from jointplay.app.rows import NAMES, micrometres, order
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.units import LENGTH, to_si
+from jointplay.solver.spectra.spectrum import Quantity, Scaling, frame_units, value_units
 
 router = APIRouter(prefix="/catalogues")
 
-FIELDS = ("hypothesis", "clearance")
-USUAL = "200"
+FIELDS = ("hypothesis", "clearance", "quantity", "scaling")
+USUAL = {"clearance": "200", "quantity": "acceleration", "scaling": "rms"}
 LARGEST = 0.1
+CHOICES = {"quantity": get_args(Quantity), "scaling": get_args(Scaling)}
 
 
 @router.get("")
@@ -46,8 +48,8 @@ async def catalogue(request: Request, name: str) -> Response:
         summary = {"title": problem.title, "detail": problem.detail}
         members = await context(request, summary=summary)
         return templates.TemplateResponse(request, "catalogues.html", members, problem.status)
-    chosen = {"hypothesis": given["hypothesis"] or usual(offer), "clearance": given["clearance"] or USUAL}
-    members = {"catalogue": offer.description, "chosen": chosen, "entry": None, "summary": None}
+    chosen = {field: given[field] or USUAL.get(field) or usual(offer) for field in FIELDS}
+    members = {"catalogue": offer.description, "chosen": chosen, "entry": None, "summary": None, "choices": CHOICES}
     status, headers = 200, {}
     try:
         members |= {"entry": await show_nearest(service, offer, chosen), "messages": {}}
@@ -79,13 +81,19 @@ async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -
     Raises
     ------
     BadFieldError
-        For a hypothesis that is not there, or a clearance that is none.
+        For a hypothesis, quantity or scaling that is not there, or a clearance that is none.
     """
     hypothesis = chosen["hypothesis"]
     if hypothesis not in offer.description.hypotheses:
         raise BadFieldError(f"hypothesis: {hypothesis[:80]}: this catalogue has none of this name", field="hypothesis")
     clearance = clearance_of(chosen["clearance"])
-    found = await service.pool.run(browsing.nearest, str(offer.path), offer.stamp, hypothesis, clearance)
+    asked = tuple(chosen[field] for field in CHOICES)
+    for (field, known), value in zip(CHOICES.items(), asked, strict=True):
+        if value not in known:
+            raise BadFieldError(f"{field}: {value[:80]}: must be one of {', '.join(known)}", field=field)
+    quantity, scaling = cast(tuple[Quantity, Scaling], asked)
+    place = str(offer.path), offer.stamp
+    found = await service.pool.run(browsing.nearest, *place, hypothesis, clearance, quantity, scaling)
     sizes = found["clearances_um"]
     what = ", ".join(f"{joint} at {micrometres(size)} µm" for joint, size in sizes.items()) or hypothesis
     return {
@@ -95,7 +103,7 @@ async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -
         "speed": f"{found['speed_rpm']:.5g} rpm",
         "healthy_entries": found["healthy_entries"],
         "drawing": machine_picture(offer.machine, dict.fromkeys(sizes, 1.0)),
-        "charts": [chart(found, channel) for channel in NAMES],
+        "charts": [chart(found, channel, reference(channel, quantity, scaling)) for channel in NAMES],
     }
 
 
@@ -116,7 +124,13 @@ def clearance_of(text: str) -> float:
     return value
 
 
-def chart(found: dict[str, Any], channel: str) -> dict[str, Any]:
+def reference(channel: str, quantity: Quantity, scaling: Scaling) -> str:
+    """Return the unit that levels in dB relate to."""
+    unit = value_units(frame_units([channel], quantity), scaling)[0]
+    return unit.removesuffix(" rms").replace("s2", "s²").replace("^2", "²")
+
+
+def chart(found: dict[str, Any], channel: str, unit: str) -> dict[str, Any]:
     """Return one chart: its data for the script and its content in words for those who do not see it."""
     levels, healthy = found["levels"][channel], found["healthy"][channel]
     differences = [level - sound for level, sound in zip(levels, healthy, strict=True)]
@@ -129,7 +143,7 @@ def chart(found: dict[str, Any], channel: str) -> dict[str, Any]:
         ),
         "most": f"{differences[strongest]:+.1f} dB at order {order(found['orders'][strongest])}",
         "data": {
-            "label": f"dB re 1 {UNITS.get(channel, 'm/s²')}",
+            "label": f"dB re 1 {unit}",
             "orders": found["orders"],
             "upper": found["high"][channel],
             "lower": found["low"][channel],

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from jointplay.app.etags import matches, tag
+from jointplay.app.etags import matches, respond, tag
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
-from jointplay.app.schemas.entries import EntryDetail, EntryPage, EntryQuery
+from jointplay.app.schemas.entries import EntryDetail, EntryLevels, EntryPage, EntryQuery, LevelQuery
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.entries import FORMS, Rendered
 
@@ -53,6 +54,15 @@ async def entry(request: Request, name: str, key: str) -> Response:
     if matches(request, found.key):
         return Response(status_code=304, headers=headers)
     return Response(found.body, headers=headers, media_type=kind)
+
+
+@router.get("/{key}/levels", response_model=EntryLevels, responses=problems(404, 409, 422, 500))
+def levels(request: Request, name: str, key: str, query: Annotated[LevelQuery, Query()]) -> Response:
+    """Return the levels of one case as displacement, velocity or acceleration, in the scaling that is asked for."""
+    service = of_request(request)
+    found = service.entries.levels(service.shelf.find(name), key, query).model_dump_json().encode()
+    answer = Response(found, media_type="application/json")
+    return respond(request, answer, hashlib.sha256(found).hexdigest()[:40])
 
 
 def in_memory(service: Service, name: str, key: str, kind: str) -> Rendered | None:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from jointplay.app.schemas.resources import Page, Shape
+from jointplay.solver.spectra.spectrum import Quantity, Scaling
 
 Micrometres = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
@@ -88,6 +89,40 @@ class EntrySpectrum(Shape):
     cross_power: dict[str, ComplexSeries] = Field(description="Of two motions: `x y`, `x theta`, `y theta`.")
     spread_db: dict[str, list[float]] = Field(
         description="Standard deviation of the band level over the averaged windows, by motion."
+    )
+
+
+class LevelQuery(BaseModel):
+    """As what the levels of an entry are wanted."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    quantity: Annotated[Quantity, Field(examples=["displacement"], description="Of the frame's motion.")] = (
+        "acceleration"
+    )
+    scaling: Annotated[
+        Scaling,
+        Field(
+            examples=["peak"],
+            description="`power`: mean square in the band; `psd`: by its width in Hz; `rms` and `peak`: amplitude of a"
+            " sine of this mean square.",
+        ),
+    ] = "power"
+
+
+class EntryLevels(Shape):
+    """Levels of the frame's motion at its centre of gravity, in bands of orders of the drive."""
+
+    key: str
+    quantity: Quantity
+    scaling: Scaling
+    point: str
+    units: dict[str, str] = Field(description="By motion.")
+    drive_speed_rpm: float
+    band_edges_orders: list[float] = Field(description="One more than there are bands; multiples of the drive speed.")
+    levels: dict[str, list[float]] | None = Field(
+        description="By motion (x, y, theta), one a band; displacement and velocity as if all of a band's acceleration"
+        " were at its middle. null where the simulation failed."
     )
 
 

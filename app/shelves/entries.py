@@ -23,8 +23,17 @@ import numpy.typing as npt
 from cachetools import LRUCache, cachedmethod
 
 from jointplay.app.errors import BadCursorError, BadFieldError
-from jointplay.app.schemas.entries import ComplexSeries, EntryDetail, EntryFilter, EntryItem, EntrySpectrum
+from jointplay.app.schemas.entries import (
+    ComplexSeries,
+    EntryDetail,
+    EntryFilter,
+    EntryItem,
+    EntryLevels,
+    EntrySpectrum,
+    LevelQuery,
+)
 from jointplay.solver.arrays import BoolArray
+from jointplay.solver.spectra.spectrum import frame_units, value_units
 
 if TYPE_CHECKING:
     from jointplay.app.shelves.catalogues import Offer
@@ -95,6 +104,19 @@ class EntryShelf:
                 entry = self._catalogue(offer).entry(key)
             found = self._keep(offer, key, kind, Rendered(found.key, FORMS[kind](entry)))
         return found
+
+    def levels(self, offer: Offer, key: str, wanted: LevelQuery) -> EntryLevels:
+        """Return the levels of an entry as a quantity and a scaling.
+
+        Raises
+        ------
+        EntryNotFoundError
+            When there is none of this key.
+        CatalogueFileError
+            When its shard is damaged.
+        """
+        with self._reading:
+            return levels_of(self._catalogue(offer).entry(key), wanted)
 
     def page(self, offer: Offer, wanted: EntryFilter, after: str | None, size: int) -> tuple[list[EntryItem], bool]:
         """Return entries in the order of the catalogue, and whether there are more.
@@ -234,6 +256,28 @@ def spectrum_of(entry: StoredEntry) -> EntrySpectrum | None:
             for i, j in pairs
         },
         spread_db={name: exact(entry.spread_db[:, i]) for i, name in enumerate(CHANNELS)},
+    )
+
+
+def levels_of(entry: StoredEntry, wanted: LevelQuery) -> EntryLevels:
+    """Return the levels of an entry as a quantity and a scaling; none where the case failed."""
+    from jointplay.catalogue.storage.cross_power import CHANNELS
+
+    found = None
+    if entry.power is not None:
+        power = np.einsum("bcc->bc", entry.power).real.astype(np.float64)
+        values = entry.scheme.scale(power, entry.drive_speed, wanted.quantity, wanted.scaling)
+        found = {name: exact(values[:, i]) for i, name in enumerate(CHANNELS)}
+    units = value_units(frame_units(CHANNELS, wanted.quantity), wanted.scaling)
+    return EntryLevels(
+        key=entry.key,
+        quantity=wanted.quantity,
+        scaling=wanted.scaling,
+        point=POINT,
+        units=dict(zip(CHANNELS, units, strict=True)),
+        drive_speed_rpm=entry.drive_speed * 30 / pi,
+        band_edges_orders=list(entry.scheme.edges),
+        levels=found,
     )
 
 

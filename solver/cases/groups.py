@@ -21,9 +21,20 @@ from jointplay.solver.machines.machine import Machine
 _CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
 #: Shorthand for all joints with clearance.
 SHORTHANDS = (*_CONTACT, "pin_radius")
+#: Numbers of a turning joint that count while it has no clearance.
+_CLOSED = ("viscous", "journal_friction")
 #: Last part of paths whose numbers must be greater than 0, and of those that must not be negative.
-_POSITIVE = ("mass", "inertia", "friction_velocity")
-_NOT_NEGATIVE = ("damping", "friction", "viscous", "pin_radius", "stiffness", "free_length", "hysteresis")
+_POSITIVE = ("mass", "inertia", "friction_velocity", "presliding")
+_NOT_NEGATIVE = (
+    "damping",
+    "friction",
+    "viscous",
+    "pin_radius",
+    "stiffness",
+    "free_length",
+    "hysteresis",
+    "journal_friction",
+)
 
 
 def _check(machine: Machine, path: str, value: float) -> float:
@@ -76,15 +87,15 @@ def full_paths(machine: Machine, case: Case) -> dict[str, float]:
                 if _has(machine, worn, name):
                     values.setdefault(contact_path(worn, name), value)
         elif first == "joints" and joint in machine.turning_joints:
-            if number not in (*SHORTHANDS, "viscous"):
-                rule = f"no such number{nearest(number, [*SHORTHANDS, 'viscous'])}"
+            if number not in (*SHORTHANDS, *_CLOSED):
+                rule = f"no such number{nearest(number, [*SHORTHANDS, *_CLOSED])}"
                 raise MachineError(machine.name, path, given, rule)
             name = number.rpartition(".")[2]
             if not _has(machine, joint, name):
                 # Nothing is what every law has of the numbers that it does not have.
                 if value:
                     raise MachineError(machine.name, path, given, f"the contact law of this joint has no {name}")
-            elif (joint in case.fault) != (number == "viscous"):
+            elif (joint in case.fault) != (number in _CLOSED):
                 values[path] = value
         else:
             values[path] = value

@@ -7,19 +7,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import STEP_RULES, Accuracy
+from jointplay.solver.cases.turning import Turning
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.by_angle import resample_by_angle
 from jointplay.solver.spectra.sensor import sensor_signals
-from jointplay.solver.spectra.spectrum import Spectrum
+from jointplay.solver.spectra.spectrum import Quantity, Scaling, Spectrum, convert, rescale
 from jointplay.solver.spectra.welch import welch
 
 if TYPE_CHECKING:
@@ -27,9 +29,16 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+Method = Literal["adaptive", "gill", "gill-variable", "full"]
+METHODS: tuple[Method, ...] = get_args(Method)
+
 MOTIONS = ("x", "y", "theta")
 WINDOW_REVOLUTIONS = 4.0
 """Of spectra of a history."""
+
+MOTION_LINES = 40
+"""Lowest lines of spectra of displacement and velocity that come from the motion: in the next, the lines beside that of
+a sine, converted from its acceleration, hold 0.2 % too much of its displacement, and aliases are far below."""
 
 FLAT_PART = 0.4
 """Of the sample rate: up to there a simulated acceleration is flat and free of aliases."""
@@ -52,11 +61,12 @@ class Case:
     Attributes
     ----------
     fault : Fault
+        All clearances there are, whatever the machine's file gives to joints.
     parameters : mapping of str to float
         By path in the machine file (``links.bed.mass``, ``supports.0.stiffness.1``, ``joints.A.contact.friction``,
         ``drive.speed``), or for every clearance joint at once: ``contact.stiffness``, ``contact.damping``,
         ``contact.restitution``, ``contact.hysteresis``, ``contact.friction``, ``contact.viscous``,
-        ``contact.friction_velocity``, ``pin_radius``. SI units.
+        ``contact.friction_velocity``, ``contact.presliding``, ``pin_radius``. SI units.
     """
 
     fault: Fault = HEALTHY
@@ -70,18 +80,20 @@ class Settings:
     Attributes
     ----------
     duration : float or None
-        Simulated time, s; by default the transient and `revolutions` after it.
+        Simulated time, s; by default the transient and `revolutions` after it. A machine whose drive is a torque or a
+        force runs up before, to its limit cycle, unless a duration is given: that counts from the drawn pose.
     sample_rate : float
         Hz of the results.
     accuracy : str
         ``draft``, ``standard`` or ``reference``: how finely contacts, suspension and drive are resolved.
     method : str or None
         ``adaptive`` (error-controlled, contacts located) or ``gill`` (Runge-Kutta-Gill, fixed steps); by default
-        ``adaptive``, or ``gill`` where a step is given.
+        ``adaptive``, or ``gill`` where a step is given. For teaching and cross-checks ``gill-variable`` (Gill's steps,
+        halved by their error) and ``full`` (fixed steps of the paper's whole system of equations).
     rtol : float or None
-        Scaled error of a step of ``adaptive``, in place of what `accuracy` gives.
+        Scaled error of a step of ``adaptive`` and ``gill-variable``, in place of what `accuracy` gives.
     step : float or None
-        Longest step of ``gill``, s, in place of what `accuracy` gives.
+        Longest step of ``gill`` and ``full``, s, in place of what `accuracy` gives.
     revolutions : float
         Revolutions of the drive after the transient where no duration is given; seconds where nothing turns.
     links : bool
@@ -95,6 +107,9 @@ class Settings:
         Start worn machines with the frame moving as the healthy machine's does after its transient, where there is
         such a steady state and no `duration` is given (:mod:`jointplay.solver.simulation.simulate`): the transient is
         shorter.
+    whole : bool
+        Model everything that the machine file has, also what its frame cannot feel
+        (:mod:`jointplay.solver.cases.reach`); `links` implies it.
     most_trials : int or None
         Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
     """
@@ -102,7 +117,7 @@ class Settings:
     duration: float | None = None
     sample_rate: float = 20_000.0
     accuracy: Accuracy = "standard"
-    method: Literal["adaptive", "gill"] | None = None
+    method: Method | None = None
     rtol: float | None = None
     step: float | None = None
     revolutions: float = 10.0
@@ -110,6 +125,7 @@ class Settings:
     motion: bool = True
     transient: bool = True
     settled: bool = False
+    whole: bool = False
     most_trials: int | None = None
 
     def __post_init__(self) -> None:
@@ -119,19 +135,29 @@ class Settings:
                 raise SettingsError(f"{name}: {value}: must be a finite number greater than 0")
         if self.accuracy not in STEP_RULES:
             raise SettingsError(f"accuracy: {self.accuracy}: must be one of {', '.join(STEP_RULES)}")
-        if self.method not in (None, "adaptive", "gill"):
-            raise SettingsError(f"method: {self.method}: must be adaptive or gill")
+        if self.method not in (None, *METHODS):
+            raise SettingsError(f"method: {self.method}: must be one of {', '.join(METHODS)}")
         if self.rtol is not None and not 1e-12 <= self.rtol <= 1e-2:
             raise SettingsError(f"rtol: {self.rtol:g}: must be between 1e-12 and 1e-2")
-        if self.rtol is not None and self.integrator == "gill":
-            raise SettingsError(f"rtol: {self.rtol:g}: only the adaptive method has a tolerance; gill has a step")
-        if self.step is not None and self.integrator == "adaptive":
-            raise SettingsError(f"step: {self.step:g}: only gill has a fixed step; the adaptive method has rtol")
+        if self.rtol is not None and self.fixed_step:
+            rule = f"only adaptive and gill-variable have a tolerance; {self.integrator} has a step"
+            raise SettingsError(f"rtol: {self.rtol:g}: {rule}")
+        if self.step is not None and not self.fixed_step:
+            raise SettingsError(
+                f"step: {self.step:g}: only gill and full have a fixed step; {self.integrator} has rtol"
+            )
+        if self.links and self.integrator == "full":
+            raise SettingsError("links: method full gives the motion of the frame; take adaptive or gill")
 
     @property
-    def integrator(self) -> str:
+    def integrator(self) -> Method:
         """The method in use."""
         return self.method or ("gill" if self.step is not None else "adaptive")
+
+    @property
+    def fixed_step(self) -> bool:
+        """Whether the method in use has one."""
+        return self.integrator in ("gill", "full")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,9 +181,10 @@ class History:
     sample_rate : float
         Hz.
     transient : float
-        Time to drop from the start, s.
+        Time before which nothing is steady, s; it counts from the drawn pose, as t does.
     drive_speed : float
-        rad/s (m/s for a translation); 0 where no speed is prescribed.
+        rad/s (m/s for a translation); of a torque or a force the mean speed in its limit cycle; 0 where nothing
+        repeats.
     step : float
         s; the mean of an error-controlled run.
     seconds : float
@@ -166,6 +193,8 @@ class History:
         Where it was asked for.
     end : Start or None
         Where the run stands, to go on from; a little later than the last sample, by what the filter needs beyond it.
+    turning : Turning or None
+        How the driver turned, of a machine whose drive is a torque or a force.
     """
 
     case: Case
@@ -183,6 +212,7 @@ class History:
     seconds: float
     links: LinkMotion | None = None
     end: Start | None = None
+    turning: Turning | None = None
 
     def __repr__(self) -> str:
         told = f"{self.t[-1]:.4g} s at {self.sample_rate:g} Hz" if len(self.t) else "no samples"
@@ -194,8 +224,11 @@ class History:
         signals: FloatArray | None = None,
         channels: tuple[str, ...] = MOTIONS,
         point: str = "centre of gravity of the frame, global axes",
+        *,
+        quantity: Quantity = "acceleration",
+        scaling: Scaling = "psd",
     ) -> Spectrum:
-        """Return the spectral density of the acceleration after the transient, up to where it is flat.
+        """Return a spectrum after the transient, up to where it is flat: by default density of the acceleration.
 
         Parameters
         ----------
@@ -204,25 +237,64 @@ class History:
         channels : tuple of str, (c,)
         point : str
             For the record.
+        quantity : {"displacement", "velocity", "acceleration"}
+            What the acceleration is converted to, line by line. Of the frame the lowest lines come from the motion
+            itself, because a window's neighbouring lines of one order are converted by different factors there.
+        scaling : {"psd", "power", "rms", "peak"}
 
         Raises
         ------
         SettingsError
-            The history is too short for a window of four revolutions.
+            The history is too short for a window of four revolutions, or was made without the motion; its driver
+            reached no limit cycle.
         """
+        if self.turning is not None and not self.turning.is_steady:
+            raise SettingsError(f"not steady: {self.turning.reason}")
         used = self.band_limited_acceleration if signals is None else signals
-        found = welch(
-            used[self.t >= self.transient],
-            self.sample_rate,
-            drive_speed=self.drive_speed or None,
-            channels=channels,
-            units=None if channels == MOTIONS else ("m/s2",) * len(channels),
-            revolutions_per_window=WINDOW_REVOLUTIONS,
-            transient=self.transient,
-            point=point,
-        )
+        steady = self.t >= self.transient
+
+        def spectrum_of(values: FloatArray, of: Quantity, units: tuple[str, ...] | None) -> Spectrum:
+            return welch(
+                values[steady],
+                self.sample_rate,
+                drive_speed=self.drive_speed or None,
+                channels=channels,
+                quantity=of,
+                units=units,
+                revolutions_per_window=WINDOW_REVOLUTIONS,
+                transient=self.transient,
+                point=point,
+            )
+
+        units = None if channels == MOTIONS else ("m/s2",) * len(channels)
+        found = convert(spectrum_of(used, "acceleration", units), quantity)
+        if signals is None and quantity != "acceleration":
+            if not len(self.displacement):
+                raise SettingsError(f"spectrum: of the {quantity}: this history was made without the motion")
+            found.values[:MOTION_LINES] = spectrum_of(self._motion[quantity], quantity, None).values[:MOTION_LINES]
         flat = found.frequency <= FLAT_PART * self.sample_rate
-        return replace(found, frequency=found.frequency[flat], values=found.values[flat])
+        return rescale(replace(found, frequency=found.frequency[flat], values=found.values[flat]), scaling)
+
+    def order_spectrum(self, point: str) -> Spectrum:
+        """Return the density of the frame's acceleration to take orders from.
+
+        That of :meth:`spectrum`; of a machine whose drive is a torque or a force that over the driver's angle, as if it
+        had turned at its mean speed all the time.
+
+        Raises
+        ------
+        SettingsError
+            As there; the driver did not turn in one direction.
+        """
+        found = self.spectrum(point=point)
+        if self.turning is None:
+            return found
+        steady = self.t >= self.transient
+        even, samples = resample_by_angle(self.band_limited_acceleration[steady], self.turning.angle[steady])
+        return welch(
+            even, samples * abs(self.drive_speed) / (2 * math.pi), drive_speed=self.drive_speed, channels=MOTIONS,
+            revolutions_per_window=WINDOW_REVOLUTIONS, transient=self.transient, point=point,
+        )  # fmt: skip
 
     def at_sensors(self, machine: Machine, acceleration: FloatArray | None = None) -> FloatArray:
         """Return what the sensors of a machine feel (n, s) [m/s2], in the order of its file.

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.causes import (
+    check_pins,
+    check_sample_rate,
+    contact_causes,
+    drive_cause,
+    refuse_too_many_steps,
+    support_causes,
+)
 from jointplay.solver.cases.history import Settings
 from jointplay.solver.cases.positions import check_travel, mobility_of, rubbing_rate
-from jointplay.solver.cases.rates import contact_rates, pace_of, without_sliding_friction
-from jointplay.solver.cases.start import check_closures, start_pose, start_velocity
+from jointplay.solver.cases.rates import contact_rates, pace_of, without_dry_friction
+from jointplay.solver.cases.start import find_repeat, start_pose, start_velocity
 from jointplay.solver.cases.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
@@ -24,13 +33,11 @@ from jointplay.solver.cases.steps import (
 )
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
-from jointplay.solver.errors import AssemblyError, MachineError, SettingsError
+from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 from jointplay.solver.machines.rules import restitution_remarks
 
-#: Longest run, steps or samples of one case: refused beyond, so that a mistyped duration does not run for days.
-MOST_STEPS = 2_000_000_000
 #: Most memory for one kind of record (displacement, say) of one case.
 MOST_BYTES = 2e9
 
@@ -72,8 +79,14 @@ class Prepared:
         What the rules of :mod:`jointplay.solver.cases.steps` allow at that accuracy, s.
     smooth_step : float
         Longest step that resolves suspension and drive, contacts apart, s.
+    suspension : tuple of complex
+        Modes of the whole machine, rigid as drawn, on its supports, 1/s.
     spent : float
         Processor time that went into its start, s.
+    before : float
+        Time that it ran before `begin` to reach its limit cycle, s.
+    unsteady : str or None
+        Of a machine with a known effort: why it is in no limit cycle, empty where it is; None where that is not known.
     """
 
     index: int
@@ -92,7 +105,10 @@ class Prepared:
     accuracy: Accuracy
     longest_step: float
     smooth_step: float
+    suspension: tuple[complex, ...]
     spent: float = 0.0
+    before: float = 0.0
+    unsteady: str | None = None
 
 
 @keep_by_machine(MODELS_KEPT)
@@ -124,13 +140,11 @@ class _Smooth:
 @keep_by_machine(1024)
 def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
     """Of the machine without clearances, its drive standing, with the given numbers by path."""
-    model = _standing(without_sliding_friction(machine), (), tuple(path for path, _ in values))
+    model = _standing(without_dry_friction(machine), (), tuple(path for path, _ in values))
     p = model.vector(dict(values))
     suspension = suspension_modes(model, p)
-    try:
-        check_closures(model, p)
-    except AssemblyError:
-        # Redundant while nothing is worn (a healthy case was refused before): rigid on its supports, it still moves.
+    if find_repeat(model, p):
+        # At a change point while nothing is worn (a healthy case was refused before): rigid on its supports, it moves.
         return _Smooth(np.array(suspension), tuple(suspension))
     return _Smooth(smooth_eigenvalues(model, p), tuple(suspension))
 
@@ -155,11 +169,11 @@ def prepare(
     Raises
     ------
     MachineError
-        A parameter that the machine does not have.
+        A parameter that the machine does not have; one that asks for steps without number, a pin out of all proportion.
     AssemblyError
         No start pose, contradicting velocities, or positions of the drive at which the machine does not close.
     SettingsError
-        A run of absurd length.
+        A run of absurd length, samples too far apart.
     """
     complete = {path: values.get(path, model.nominal[path]) for path in model.parameters}
     unknown = set(values) - set(complete)
@@ -167,6 +181,7 @@ def prepare(
         raise MachineError(machine.name, min(unknown), values[min(unknown)], "this machine has no such number")
     vector = model.vector(complete)
     joints = model.clearance_joints
+    check_pins(machine, joints, complete)
     mobility = mobility_of(machine, joints, complete)
     others = tuple((path, value) for path, value in complete.items() if not _is_contact(path, joints))
     z, v = _start(machine, joints, varying, others)
@@ -176,28 +191,33 @@ def prepare(
     free = sum(index is not None for index in model.frame_indices)
     sprung = len(motions.suspension) == free > 0 and not any(remarks)
     remarks += restitution_remarks(machine, joints, complete)
+    closed = ", ".join(joint for joint in machine.clearances if joint not in joints)
+    remarks += [f"without the clearance that the file gives {closed}"] if closed else []
     duration = settings.duration
     if duration is None:
         duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)
     check_travel(machine, joints, complete, duration)
     rule = STEP_RULES[settings.accuracy]
-    rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.integrator == "gill" else 0.0
-    contacts = contact_rates(machine, mobility, complete, fastest).values()
-    longest = settings.step or largest_step(rule, contacts, motions.eigenvalues, fastest, rubbing)
+    rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.fixed_step else 0.0
+    contacts = contact_rates(machine, mobility, complete, fastest)
+    longest = settings.step or largest_step(rule, contacts.values(), motions.eigenvalues, fastest, rubbing)
     smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, fastest)
     recorded = model.size if settings.links else 3
     if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
         too_much = f"{duration * settings.sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
         raise SettingsError(f"duration: {duration:g} s: {too_much}; take a lower sample rate")
-    if duration * max(settings.sample_rate, 1 / longest) > MOST_STEPS:
-        too_long = f"needs more than {MOST_STEPS:.0e} steps of {min(longest, 1 / settings.sample_rate):.3g} s"
-        raise SettingsError(f"duration: {duration:g} s: {too_long}")
+    check_sample_rate(settings.sample_rate, duration, speed)
+    causes = chain(
+        contact_causes(machine, rule, contacts, mobility, complete),
+        support_causes(machine, rule, motions.eigenvalues, complete), [drive_cause(rule, fastest)],
+    )  # fmt: skip
+    refuse_too_many_steps(machine.name, duration, min(longest, 1 / settings.sample_rate), causes)
     remark = "; ".join(filter(None, remarks))
-    memory = np.zeros(len(model.remembering))
+    memory = np.zeros(model.memory.shape[0])
     small, pace = response(motions.suspension, speed), pace_of(machine, complete)
     return Prepared(
         index, vector, z, v, memory, 0.0, speed, transient, remark, duration, sprung, small, pace, settings.accuracy,
-        longest, smooth,
+        longest, smooth, motions.suspension,
     )  # fmt: skip
 
 
@@ -221,6 +241,7 @@ def _is_contact(path: str, joints: tuple[str, ...]) -> bool:
 
 def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:
     """Whether a number has to do with the motions between impacts, not with a contact, rubbing or the drive."""
-    if any(path.startswith(f"joints.{name}.friction") for name in machine.sliding_joints):
+    rubbing = (f"joints.{name}.{number}" for name in machine.sliding_joints for number in ("friction", "presliding"))
+    if path.startswith(tuple(rubbing)) or path.endswith(".journal_friction"):
         return False
     return not path.startswith("drive.") and not _is_contact(path, joints)

@@ -16,9 +16,10 @@ import numpy as np
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.start import inner_coordinates
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
+from jointplay.solver.equations.friction import RETARDATION
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import contact_path, evaluate
-from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.joints import Joint, SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
@@ -97,14 +98,17 @@ def _rates(machine: Machine, joint: str, w: float, values: Mapping[str, float], 
     return ContactRates(math.sqrt(n * stiffness * depth ** (n - 1)), decay + drag)
 
 
-_NUMBERS = ("clearance", "stiffness", "friction", "friction_velocity")
+_NUMBERS = ("clearance", "stiffness", "friction", "friction_velocity", "presliding")
 
 
-def without_sliding_friction(machine: Machine) -> Machine:
-    """The machine as it moves where no guide rubs."""
-    rubbing = {name: j for name, j in machine.joints.items() if isinstance(j, SlidingJoint) and j.friction}
-    smooth = {name: joint.model_copy(update={"friction": 0.0}) for name, joint in rubbing.items()}
-    return machine.model_copy(update={"joints": {**machine.joints, **smooth}}) if rubbing else machine
+def without_dry_friction(machine: Machine) -> Machine:
+    """The machine as it moves where no guide and no journal rubs."""
+    smooth: dict[str, Joint] = {}
+    for name, joint in machine.joints.items():
+        number = "friction" if isinstance(joint, SlidingJoint) else "journal_friction"
+        if getattr(joint, number):
+            smooth[name] = joint.model_copy(update={number: 0.0})
+    return machine.model_copy(update={"joints": {**machine.joints, **smooth}}) if smooth else machine
 
 
 def friction_rate(
@@ -145,7 +149,9 @@ def friction_rate(
         impact = number["stiffness"] * depth**exponent
         impacts += impact
         if number["friction"]:
-            rates.append(number["friction"] * (pressed + impact) * mobility[joint] / number["friction_velocity"])
+            scale = number["presliding"] / RETARDATION or number["friction_velocity"]
+            settling = number["friction"] * (pressed + impact) * mobility[joint] / scale
+            rates.append(_held_rate(settling) if number["presliding"] else settling)
     if model.rubbing is not None:
         names = [closure.name for closure in model.kinematics.closures]
         rows = [names.index(f"{joint}.normal") for joint in model.rubbing.joints]
@@ -153,8 +159,17 @@ def friction_rate(
         for (t, z), normal in zip(poses, reactions[:, rows], strict=True):
             state = (part[:, 0] for part in evaluate(model.rubbing_state, t, z, rest, p))
             friction, slow, _, _, swing, *_ = state
-            rates.append(float(np.max(friction * np.abs(swing) * (normal + impacts) / slow)))
+            each = friction * np.abs(swing) * (normal + impacts) / slow
+            for name, rate in zip(model.rubbing.joints, each.tolist(), strict=True):
+                guide = model.machine.joints[name]
+                sticks = isinstance(guide, SlidingJoint) and guide.friction_law == "bristle"
+                rates.append(_held_rate(rate) if sticks else rate)
     return max(rates)
+
+
+def _held_rate(settling: float) -> float:
+    """Rate of surfaces that bristles hold: a damper's that settle at a rate, or the frequency of what swings, 1/s."""
+    return max(settling, math.sqrt(settling / RETARDATION))
 
 
 def _ideal_reactions(model: Model, t: float, z: FloatArray, p: Sequence[float]) -> FloatArray:

@@ -14,17 +14,18 @@ import numpy as np
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
+from jointplay.solver.equations.redundancy import independent_rows
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 #: Closures count as closed below this (m, rad): some thousand times rounding at the size of a machine.
 CLOSED = 1e-11
-#: A closure of which less than this part is not in those before it repeats them.
-_INDEPENDENT = 1e-9
 #: Newton's method gives up after so many steps.
 NEWTON_STEPS = 30
 _WALK_STEPS = 120
+#: Least singular value of the closures, as a part of the largest, at which the machine counts as near a change point.
+_SINGULAR = 0.03
 
 
 def close(
@@ -34,22 +35,29 @@ def close(
 
     Returns the coordinates, the largest remaining gap and the name of the closure that has it.
     """
+    return meet(model, t, z, p, free)[:3]
+
+
+def meet(
+    model: Model, t: float, z: FloatArray, p: Sequence[float], free: Sequence[int]
+) -> tuple[FloatArray, float, str, FloatArray]:
+    """As :func:`close`, with the Jacobian (m, k) of closures and eccentricities by the free coordinates there."""
     z = z.copy()
     names = [c.name for c in model.kinematics.closures] + [j for j in model.clearance_joints for _ in range(2)]
     zero = np.zeros(model.size)
-    gap = np.zeros(0)
+    gap, rows = np.zeros(0), np.zeros((0, len(free)))
     for _ in range(NEWTON_STEPS):
         residual, jacobian, _ = evaluate(model.constraint, t, z, zero, p)
-        gap = residual[:, 0]
+        gap, rows = residual[:, 0], jacobian[:, free]
         if gap.size == 0 or np.abs(gap).max() < CLOSED:
             break
-        step = np.linalg.lstsq(jacobian[:, free], gap, rcond=1e-12)[0]
+        step = np.linalg.lstsq(rows, gap, rcond=1e-12)[0]
         # A full step from a dead centre may leave for infinity; half a radian or half a metre is far enough.
         z[free] -= step * min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-300))
     if gap.size == 0:
-        return z, 0.0, ""
+        return z, 0.0, "", rows
     worst = int(np.abs(gap).argmax())
-    return z, float(abs(gap[worst])), names[worst]
+    return z, float(abs(gap[worst])), names[worst], rows
 
 
 def inner_coordinates(model: Model) -> list[int]:
@@ -95,51 +103,57 @@ def walk(model: Model, p: Sequence[float], speed: float, steps: int = _WALK_STEP
 
 
 def follow(model: Model, p: Sequence[float], times: Sequence[float]) -> list[tuple[float, FloatArray]]:
-    """Assembled poses of the ideal machine at given times of its drive, each from the one before; as :func:`walk`."""
-    check_closures(model, p)
+    """Assembled poses of the ideal machine at given times of its drive, each from the one before; as :func:`walk`.
+
+    Close to a change point the one before is as near to another branch: there it goes on as it came.
+    """
     free = inner_coordinates(model)
     poses: list[tuple[float, FloatArray]] = []
-    z = np.zeros(model.size)
+    z, rows = np.zeros(model.size), np.zeros((0, len(free)))
     previous = 0.0
+    redundant = find_repeat(model, p)
     for t in times:
-        closed, gap, name = close(model, t, z, p, free)
+        guess = z
+        if len(poses) > 1 and _is_singular(model, rows):
+            before, past = poses[-2]
+            guess = z + (z - past) * (t - previous) / (previous - before)
+        closed, gap, name, rows = meet(model, t, guess, p, free)
         if gap >= CLOSED:
-            raise _cannot_assemble(model, p, *_last_pose(model, p, z, previous, t, free), gap, name)
+            raise cannot_assemble(model, p, *last_pose(model, p, z, previous, t, free), gap, name)
         poses.append((t, closed))
         z, previous = closed, t
+    if redundant:
+        raise redundant
     return poses
 
 
-def check_closures(model: Model, p: Sequence[float]) -> None:
-    """Refuse a joint that only repeats what others hold: its reaction would have no value.
+def _is_singular(model: Model, rows: FloatArray) -> bool:
+    """Whether some motion is hardly held by the closures, in proportion to others."""
+    sizes = np.linalg.svd(rows, compute_uv=False)[: min(rows.shape[1], len(rows) - model.repeats.shared)]
+    return bool(len(sizes)) and bool(sizes[-1] < _SINGULAR * sizes[0])
 
-    Raises
-    ------
-    AssemblyError
-        Names the first closure, as drawn, that follows from those before it.
+
+def find_repeat(model: Model, p: Sequence[float]) -> AssemblyError | None:
+    """Refusal of the first closure that, as drawn, only repeats what those before it hold, and not at all positions.
+
+    At positions further on it would hold something else, or the drive could not leave the drawn one.
     """
     closures = model.kinematics.closures
     rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1][: len(closures)]
-    scale = float(np.abs(rows).max(initial=0.0))
-    basis: list[FloatArray] = []
-    for closure, row in zip(closures, rows, strict=True):
-        size = float(np.linalg.norm(row))
-        left = row.copy()
-        for _ in range(2):  # once more, or rounding would stay in
-            for other in basis:
-                left -= (other @ left) * other
-        if size <= _INDEPENDENT * scale or np.linalg.norm(left) <= _INDEPENDENT * size:
-            rule = (
-                "cannot be driven from the drawn pose, a dead centre: draw another one"
-                if closure.name.endswith(".drive")
-                else "holds as drawn only what other joints hold already: leave one of them out, or draw another pose "
-                "if this is a change point"
-            )
-            raise AssemblyError(model.machine.name, _place(closure.name), None, rule)
-        basis.append(left / np.linalg.norm(left))
+    kept = independent_rows(rows)
+    if len(kept) == len(rows) - model.repeats.shared:
+        return None
+    name = next(closure.name for place, closure in enumerate(closures) if place not in kept)
+    rule = (
+        "cannot be driven from the drawn pose, a dead centre: draw another one"
+        if name.endswith(".drive")
+        else "holds as drawn only what other joints hold already: leave one of them out, or draw another pose "
+        "if this is a change point"
+    )
+    return AssemblyError(model.machine.name, _place(name), None, rule)
 
 
-def _last_pose(
+def last_pose(
     model: Model, p: Sequence[float], z: FloatArray, good: float, bad: float, free: Sequence[int]
 ) -> tuple[float, FloatArray]:
     """Time and coordinates of the last pose that closes, between one that does and one that does not."""
@@ -159,18 +173,16 @@ def _place(closure: str) -> str:
     return f"links.{owner}.locked" if kind.startswith("locked") else f"joints.{owner}"
 
 
-def _cannot_assemble(model: Model, p: Sequence[float], t: float, z: FloatArray, gap: float, name: str) -> AssemblyError:
+def cannot_assemble(model: Model, p: Sequence[float], t: float, z: FloatArray, gap: float, name: str) -> AssemblyError:
     """Refusal after the last pose `z` that closes, at time `t`; `gap` is what stays open at the next of the walk."""
     machine, kin = model.machine, model.kinematics
     where = "as drawn"
     if isinstance(machine.drive, RotationDrive | TranslationDrive):
         joint = machine.joints[machine.drive.joint]
+        factor, text = 1e3, "a drive travel of {:.3g} mm"
         if isinstance(joint, TurningJoint):
-            first, second = (kin.poses[link].theta for link in joint.links)
-            position, factor, text = first - second, 180 / math.pi, "a drive angle of {:.1f} deg"
-        else:
-            position, factor, text = kin.slide(joint)[0], 1e3, "a drive travel of {:.3g} mm"
-        now = float(model.function("position", position)(t, z, np.zeros(model.size), p))
+            factor, text = 180 / math.pi, "a drive angle of {:.1f} deg"
+        now = float(model.function("position", kin.position(joint))(t, z, np.zeros(model.size), p))
         where = "at " + text.format(factor * now)
     owner, _, kind = name.partition(".")
     what = f"link {owner}, locked," if kind.startswith("locked") else f"joint {owner}"
@@ -215,7 +227,8 @@ def start_pose(model: Model, p: Sequence[float]) -> FloatArray:
         residual, jacobian = evaluate(newton, x, 0.0, rest, p)
         scale = np.maximum(np.abs(jacobian).max(axis=1), 1e-300)
         step, _, rank, _ = np.linalg.lstsq(jacobian / scale[:, None], residual[:, 0] / scale, rcond=1e-13)
-        if rank < x.size:
+        held = len(independent_rows(jacobian[model.size :, : model.size]))
+        if rank < model.size + held:
             rule = "no static equilibrium: some motion is held by nothing; use `pose: drawn`"
             raise AssemblyError(model.machine.name, "initial.pose", "equilibrium", rule)
         x -= step
@@ -291,12 +304,27 @@ def least_velocity(
     root = np.linalg.cholesky(mass)
     # Least v'Mv: in w = L'v it is the least norm.
     weighted = np.linalg.solve(root, matrix.T).T
-    v = np.linalg.solve(root.T, np.linalg.lstsq(weighted, target, rcond=1e-11)[0])
+    w, _, rank, _ = np.linalg.lstsq(weighted, target, rcond=1e-11)
+    if rank < model.size:
+        given = np.linalg.solve(root, _given_momentum(model, t, p, z))
+        w -= given - np.linalg.lstsq(weighted, weighted @ given, rcond=1e-11)[0]
+    v = np.linalg.solve(root.T, w)
     left = float(np.abs(matrix @ v - target).max())
     if left > 1e-8 * max(1.0, float(np.abs(target).max())):
         rule = f"velocities contradict the joints and the drive by {left:.3g} (m/s or rad/s)"
         raise AssemblyError(model.machine.name, field, None, rule)
     return np.asarray(v)
+
+
+def _given_momentum(model: Model, t: float, p: Sequence[float], z: FloatArray) -> FloatArray:
+    """Momenta of the coordinates, (n,), by the prescribed motion alone: what couples it to the motions left open."""
+    jacobian, drift = evaluate(model.link_rates, t, z, np.zeros(model.size), p)
+    numbers = model.nominal | dict(zip(model.parameters, p, strict=True))
+    # Only a fixed link may leave them out, and that one stands.
+    mass, moment = (
+        [numbers.get(f"links.{link}.{name}", 0.0) for link in model.machine.links] for name in ("mass", "inertia")
+    )
+    return np.asarray(jacobian.T @ (np.column_stack([mass, mass, moment]).ravel() * drift[:, 0]))
 
 
 def start_with_frame(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from jointplay.solver.cases.history import Case
+from jointplay.solver.cases.reach import Reach, reach_of
 from jointplay.solver.equations.drive import prescribes_motion
 from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.integrators.kernel import kernel_code
@@ -12,6 +14,8 @@ from jointplay.solver.machines.fault import Fault, check_fault
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import TranslationDrive
+
+_SHARED = "how they share the load is open, the frame does not feel it"
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,8 @@ class Account:
         Closures that the paper's system does not have: of links locked to the ground, of a drive that moves a closed
         loop by its sliding joint.
     left_out : tuple of LeftOut
+    open_reactions : tuple of str
+        Joints that hold together more than there is to hold: how they share the load is open.
     """
 
     links: int
@@ -71,6 +77,7 @@ class Account:
     operations: int
     added: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
+    open_reactions: tuple[str, ...] = ()
 
 
 def account(machine: Machine, fault: Fault) -> Account:
@@ -87,16 +94,54 @@ def account(machine: Machine, fault: Fault) -> Account:
         As :func:`jointplay.solver.equations.model.build_model`.
     """
     check_fault(fault, machine)
-    model = build_model(machine, fault.joints)
     links, joints = len(machine.links), len(machine.joints)
+    reach = reach_of(machine)
+    machine, fault = reach.machine, reach.case(Case(fault)).fault
+    model = build_model(machine, fault.joints)
     driven = 1 if prescribes_motion(machine) else 0
     closures = tuple(closure.name for closure in model.kinematics.closures)
+    repeated, unsettled = _repeats_left_out(machine, model)
     return Account(
         links, joints, 3 * links + 2 * joints, model.degrees_of_freedom + driven, model.degrees_of_freedom,
         model.kinematics.names, closures, model.clearance_joints, kernel_code(model).operations,
         tuple(name for name in closures if name.split(".")[1] in ("locked", "drive")),
-        (*_unknowns_left_out(machine, model), *_terms_left_out(machine, model)),
+        (*_out_of_reach(reach), *_unknowns_left_out(machine, model), *repeated, *_terms_left_out(machine, model)),
+        unsettled,
     )  # fmt: skip
+
+
+def _out_of_reach(reach: Reach) -> Iterator[LeftOut]:
+    """Links that the frame cannot feel."""
+    if reach.links:
+        what = ", ".join([*reach.links, *reach.joints])
+        unknowns = 3 * len(reach.links) + 2 * len(reach.joints)
+        why = f"connected to {reach.whole.frame} through fixed links alone: it cannot feel them (--whole keeps them)"
+        yield LeftOut(what, why, unknowns)
+
+
+def _repeats_left_out(machine: Machine, model: Model) -> tuple[list[LeftOut], tuple[str, ...]]:
+    """Closures that follow from others, and the joints whose reactions are open with them."""
+    if not model.repeats.open:
+        return [], ()
+    # The joints that the choice of coordinates fulfils take part as well; here they are closures, too.
+    full = build_model(machine, model.clearance_joints, expanded=True).repeats
+    unsettled = tuple(dict.fromkeys(name.partition(".")[0] for name in full.open))
+    sums = {repeat.closure.name: repeat.of for repeat in full.left_out}
+    found = []
+    for repeat in model.repeats.left_out:
+        name, _, kind = repeat.closure.name.partition(".")
+        held = {other.partition(".")[0] for other in sums.get(repeat.closure.name, unsettled)} - {name}
+        why = f"{name} repeats {', '.join(sorted(held))}: {_SHARED}"
+        found.append(
+            LeftOut(
+                f"{'normal force' if kind == 'normal' else kind} of {name}", why, 0 if kind.startswith("locked") else 1
+            )
+        )
+    if model.repeats.shared:
+        loops = ", ".join(dict.fromkeys(name.partition(".")[0] for name in model.repeats.open))
+        what = f"reactions of {loops} for themselves"
+        found.append(LeftOut(what, f"{model.repeats.shared} of their equations follow from the others: {_SHARED}"))
+    return found, unsettled
 
 
 def _unknowns_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
@@ -150,6 +195,8 @@ def _terms_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
         elif name in model.clearance_joints:
             if joint.viscous:
                 yield LeftOut(f"viscous torque of {name}", "only while the joint has no clearance")
+            if joint.journal_friction:
+                yield LeftOut(f"friction of the journal {name}", "only while the joint has no clearance")
         else:
             yield LeftOut(f"contact of {name}", "no clearance in this fault state")
             if not joint.viscous:

@@ -16,10 +16,12 @@ from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.rates import extent_of
+from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import SETTLING_REVOLUTIONS
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import SettingsError
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.averages import (
     PHASES,
@@ -177,6 +179,7 @@ def simulate_ensemble(
     ----------
     machine : Machine
     case : Case, optional
+        Without one, joints have the clearance that the machine's file gives them.
     ensemble : Ensemble, optional
     settings : Settings, optional
         Accuracy, method, sample rate; `duration` (or `revolutions`) only where the ensemble asks for no convergence.
@@ -195,7 +198,13 @@ def simulate_ensemble(
     AssemblyError, MachineError
         As :func:`jointplay.solver.simulation.simulate.start_of`.
     """
-    case, ensemble, settings = case or Case(), ensemble or Ensemble(), settings or Settings()
+    case = case or Case(Fault(machine.clearances))
+    ensemble, settings = ensemble or Ensemble(), settings or Settings()
+    if settings.integrator not in ("adaptive", "gill"):
+        raise SettingsError(f"method: {settings.integrator}: several starts are run by adaptive or gill")
+    reach = reach_of(machine, settings.whole)
+    asked, told = case, reach.remark(case)
+    machine, case = reach.machine, reach.case(case)
     group = next(groups(machine, [case], settings))
     for _, error in group.failed:
         raise error
@@ -233,8 +242,8 @@ def simulate_ensemble(
     if fixed is not None and settings.duration is not None:
         seconds = members.revolutions / frequency
         ran = f"ran {seconds:.3g} s for the {settings.duration:g} s asked for: blocks of {BLOCK} revolutions are whole"
-    message = "; ".join(filter(None, (remark, reason, ran)))
-    return _result(case, ensemble, members, average, angles, message, skipped, settings, from_healthy)
+    message = "; ".join(filter(None, (told, remark, reason, ran)))
+    return _result(asked, ensemble, members, average, angles, message, skipped, settings, from_healthy)
 
 
 def _next(average: Average, members: Members, ensemble: Ensemble, fixed: int | None, skipped: float) -> tuple[int, str]:

@@ -9,6 +9,7 @@ import numpy as np
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
+from jointplay.solver.machines.joints import SlidingJoint
 
 #: A joint that is slower than its friction velocity is held where its acceleration is below this part of what its
 #: friction could give: a joint that only turns round has its largest acceleration there.
@@ -63,7 +64,9 @@ def hold_remark(model: Model, t: float, z: FloatArray, v: FloatArray, p: Sequenc
     remarks = []
     friction, slow, rate, leverage, mobility, acceleration, normal = _state(model, t, z, v, p)
     for i, name in enumerate(model.rubbing.joints):
-        speed = abs(rate[i])
+        joint, speed = model.machine.joints[name], abs(rate[i])
+        if isinstance(joint, SlidingJoint) and joint.friction_law == "bristle":
+            continue  # it does not creep
         if not _STANDING * slow[i] < speed < slow[i]:
             continue
         creeps = f"what it moves is the creep of the friction law, {1e3 * speed:.2g} mm/s at the end"

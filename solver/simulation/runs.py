@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,11 +132,12 @@ def adaptive_runs(
     waiting = sorted(prepared, key=lambda case: -case.duration / tolerance_of(case, settings) ** 0.2)
     queue = queue_of(machine, model, waiting, settings)
     slots = min(SLOTS, len(waiting))
-    lanes = idle_lanes(model.size, len(model.contacts), np.array(model.remembering, dtype=np.int64), slots)
+    remembering, rubbing = (np.array(joints, dtype=np.int64) for joints in (model.remembering, model.bristles.contacts))
+    lanes = idle_lanes(model.size, len(model.contacts), remembering, rubbing, slots)
     channels, interval = np.array(recorded, dtype=np.int64), 1 / (settings.sample_rate * OVERSAMPLING)
     head, most = sampling.head(OVERSAMPLING), int(queue.cases["samples"].max())
     motion = settings.motion or settings.links
-    records = empty_records(channels, interval, head, slots, most, len(model.remembering), motion)
+    records = empty_records(channels, interval, head, slots, most, model.memory.shape[0], motion)
     work, rows = kernel.work_array(), kernel.first
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
@@ -210,7 +211,9 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: FloatArray, 
         return status, jam_message(*end)
     what = "left all bounds" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
     return status, describe_failure(
-        f"{what} at {reached:.6g} s", failure_remark(*end), "another tolerance, or `gill` with a small step"
+        f"{what} at {reached:.6g} s",
+        failure_remark(*end),
+        f"{'a larger presliding, ' if model.bristles.contacts else ''}another tolerance, or `gill` with a small step",
     )
 
 
@@ -221,7 +224,8 @@ def _round_number(count: int) -> int:
 
 
 @keep_by_machine(64)
-def _gill_kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Kernel:
+def gill_kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Kernel:
+    """The compiled step of :func:`gill_runs`."""
     return compile_model(model_of(machine, joints, varying))
 
 
@@ -242,38 +246,56 @@ def gill_runs(
         Coordinates to record.
     settings : Settings
     """
-    kernel = _gill_kernel(machine, model.clearance_joints, varying)
+    yield from even_runs(model, gill_kernel(machine, model.clearance_joints, varying), prepared, recorded, settings)
+
+
+def even_runs(
+    model: Model, kernel: Kernel, prepared: Sequence[Prepared], recorded: Sequence[int], settings: Settings
+) -> Iterator[Run]:
+    """Fixed steps of a model's kernel; parameters as :func:`gill_runs`."""
     equal: dict[int, list[Prepared]] = defaultdict(list)
     for case in sorted(prepared, key=lambda case: case.duration):
         steps = math.ceil(1 / (OVERSAMPLING * settings.sample_rate * case.longest_step) - 1e-9)
         equal[_round_number(steps)].append(case)
     for substeps, same in equal.items():
         for first in range(0, len(same), LANES):
-            yield from _gill_group(model, kernel, same[first : first + LANES], recorded, substeps, settings)
+            yield from gill_group(model, kernel, same[first : first + LANES], recorded, substeps, settings)
 
 
-def _gill_group(
-    model: Model, kernel: Kernel, lanes: Sequence[Prepared], recorded: Sequence[int], substeps: int, settings: Settings
-) -> Iterator[Run]:
-    """Up to eight cases side by side; lanes left over repeat the last one."""
+def gill_group(
+    model: Model, kernel: Kernel, lanes: Sequence[Prepared], recorded: Sequence[int], substeps: int, settings: Settings,
+    integrate: Callable[..., None] = gill.integrate,
+) -> Iterator[Run]:  # fmt: skip
+    """Up to eight cases side by side; lanes left over repeat the last one.
+
+    Parameters
+    ----------
+    model, kernel, lanes, recorded, settings
+        As :func:`gill_runs`.
+    substeps : int
+        Steps from one recorded sample to the next.
+    integrate : callable
+        :func:`jointplay.solver.integrators.gill.integrate`, or what takes and gives the same.
+    """
     began = time.process_time()
     rows, work = kernel.rows, kernel.work_array()
+    remembered = range(rows.memory.start, rows.slips.stop)
     for lane in range(LANES):
         case = lanes[min(lane, len(lanes) - 1)]
-        given = ((rows.z, case.z), (rows.v, case.v), (rows.parameters, case.vector), (rows.memory, case.memory))
+        given = ((rows.z, case.z), (rows.v, case.v), (rows.parameters, case.vector), (remembered, case.memory))
         for place, column in given:
             work[place, lane] = column
     rate = settings.sample_rate * OVERSAMPLING
     h = 1 / (rate * substeps)
     counts = [samples_of(case, settings) for case in lanes]
-    places = [*(place[i] for place in (rows.z, rows.v, rows.a) for i in recorded), *rows.memory]
+    places = [*(place[i] for place in (rows.z, rows.v, rows.a) for i in recorded), *remembered]
     record = np.array(places, dtype=np.int64)
     out = np.zeros((LANES, len(record), max(counts)))
     broken = np.zeros(LANES, dtype=np.int64)
     finals = np.zeros((LANES, 2 + 2 * model.size))
     wanted = np.array([counts[min(lane, len(lanes) - 1)] for lane in range(LANES)], dtype=np.int64)
     begins = np.array([lanes[min(lane, len(lanes) - 1)].begin for lane in range(LANES)])
-    gill.integrate(
+    integrate(
         kernel.functions, work, kernel.first, begins, h, substeps, record, out, broken, wanted, finals
     )  # fmt: skip
     spent = (time.process_time() - began) / len(lanes)

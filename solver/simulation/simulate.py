@@ -19,6 +19,7 @@ from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.positions import mobility_of
 from jointplay.solver.cases.preparation import Prepared
+from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start, start_with_frame
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.equations.drive import repeating_frequency
@@ -28,7 +29,9 @@ from jointplay.solver.errors import AssemblyError, SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive
-from jointplay.solver.simulation.runs import OVERSAMPLING, Run, adaptive_runs, gill_runs
+from jointplay.solver.simulation.limit_cycle import Driver, has_known_effort, reach_limit_cycle, turning_in
+from jointplay.solver.simulation.methods import RUNS
+from jointplay.solver.simulation.runs import OVERSAMPLING, Run
 from jointplay.solver.spectra import sampling
 
 #: Part of the transient as drawn that is still dropped, in whole revolutions: what the wear itself adds to the motion
@@ -109,8 +112,11 @@ def _healthy(case: Case) -> Case:
 
 
 def _as_drawn(case: Prepared, reason: str) -> Prepared:
-    remark = f"started as drawn: the healthy machine gave no settled start ({reason})"
-    return replace(case, remark="; ".join(filter(None, (case.remark, remark))))
+    return _told(case, f"started as drawn: the healthy machine gave no settled start ({reason})")
+
+
+def _told(case: Prepared, remark: str) -> Prepared:
+    return replace(case, remark="; ".join(filter(None, (case.remark, remark)))) if remark else case
 
 
 def _started(model: Model, case: Prepared, run: Run, sample_rate: float) -> Prepared:
@@ -158,9 +164,12 @@ def check_assembly(machine: Machine) -> None:
 def simulate(
     machine: Machine, case: Case | Mapping[str, float] | None = None, settings: Settings | None = None
 ) -> History:
-    """Simulate one case, or a fault alone: radial clearance [m] by joint; see :func:`simulate_batch`."""
+    """Simulate one case, or a fault alone: radial clearance [m] by joint; see :func:`simulate_batch`.
+
+    Without a case, joints have the clearance that the machine's file gives them; a case or a fault says it in full.
+    """
     if not isinstance(case, Case):
-        case = Case(Fault(case))
+        case = Case(Fault(machine.clearances if case is None else case))
     return simulate_batch(machine, [case], settings)[0]
 
 
@@ -174,7 +183,9 @@ def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> 
     MachineError, SettingsError
         As for :func:`simulate_batch`.
     """
-    group = next(groups(machine, [case], settings or Settings()))
+    settings = settings or Settings()
+    reach = reach_of(machine, settings.whole or settings.links)
+    group = next(groups(reach.machine, [reach.case(case)], settings))
     for _, error in group.failed:
         raise error
     return Start(group.ready[0].z, group.ready[0].v)
@@ -217,26 +228,40 @@ def simulate_batch(
     for name, given_each in (("starts", starts), ("accuracies", accuracies)):
         if given_each is not None and len(given_each) != len(cases):
             raise SettingsError(f"{name}: {len(given_each)} for {len(cases)} cases: must be one a case")
-    runs = gill_runs if settings.integrator == "gill" else adaptive_runs
+    runs = RUNS[settings.integrator]
+    reach, asked = reach_of(machine, settings.whole or settings.links), cases
+    machine, cases = reach.machine, [reach.case(case) for case in asked]
     results: dict[int, History] = {}
     for group in groups(machine, cases, settings, accuracies):
         model = group.model
         for index, error in group.failed:
-            results[index] = _fail(cases[index], Status.CANNOT_ASSEMBLE, str(error), settings)
+            results[index] = _fail(asked[index], Status.CANNOT_ASSEMBLE, str(error), settings)
         ready, free = [], []
         for case in group.ready:
+            case = _told(case, reach.remark(asked[case.index]))
             start = None if starts is None else starts[case.index]
             if start is None:
                 free.append(case)
             else:
                 ready.append(_start(case, start))
+        driver = Driver(model) if has_known_effort(machine) else None
+        if driver is not None and settings.integrator == "full":  # its coordinates are others
+            driver = None
+            free = [_told(case, "method full does not say whether this is a limit cycle") for case in free]
+        if driver is not None and settings.duration is None:
+            free = reach_limit_cycle(machine, model, group.varying, driver, free, settings, runs)
         ready += settle(machine, model, cases, free, settings, runs) if settings.settled else free
         if not ready:
             continue
-        recorded = list(range(model.size)) if settings.links else [i for i in model.frame_indices if i is not None]
-        for run in runs(machine, model, group.varying, ready, recorded, settings):
+        recorded = [i for i in model.frame_indices if i is not None]
+        if settings.links:
+            recorded = list(range(model.size))
+        elif driver is not None:
+            recorded += [i for i in driver.coordinates if i not in recorded]
+        full = settings if driver is None else replace(settings, motion=True)  # the driver's angle is part of it
+        for run in runs(machine, model, group.varying, ready, recorded, full):
             index = run.case.index
-            results[index] = _history(cases[index], model, run, recorded, settings)
+            results[index] = _history(asked[index], model, run, recorded, settings, driver)
             if progress is not None:
                 progress(len(results))
     return [results[index] for index in range(len(cases))]
@@ -273,7 +298,9 @@ def _first_after(transient: float, sample_rate: float) -> int:
     return next(k for k in range(max(0, last - 1), last + 3) if k / sample_rate >= transient)
 
 
-def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: Settings) -> History:
+def _history(
+    case: Case, model: Model, run: Run, recorded: list[int], settings: Settings, driver: Driver | None
+) -> History:
     """Frame motion at the sample rate from what was recorded above it."""
     wanted = round(run.case.duration * settings.sample_rate) + 1
     head, count = sampling.head(OVERSAMPLING), min(wanted, -(-run.samples // OVERSAMPLING))
@@ -300,15 +327,21 @@ def _history(case: Case, model: Model, run: Run, recorded: list[int], settings: 
             smooth[list(rows)] = sampling.band_limited_acceleration(some, rate, count, first=first)
     t = run.case.begin + np.arange(first, count) / settings.sample_rate
     rates = run.v[:, 0, head:]
-    remarks = [run.message, run.case.remark if run.status is Status.OK else ""]
+    moved = (frame(run.z), frame(None if run.z is None else rates), frame(run.a))
+    turning, remarks = None, [run.message]
+    if driver is not None:
+        turning = turning_in(run, driver, recorded, slice(first, count), t, *moved[:2])
+        remarks.append(turning.say(run.case.before))
+    remarks.append(run.case.remark if run.status is Status.OK else "")
     message = "; ".join(remark for remark in remarks if remark)
     links = None
     if settings.links and run.z is not None and run.memory is not None:
         z, v = run.z[:, first:count].T, rates[:, first:count].T
         links = link_motion(model, run.case.vector, t, z, v, run.memory[:, first:count].T)
+    if not (settings.motion or settings.links):
+        moved = (frame(None),) * 3
+    speed = run.case.speed if turning is None else turning.speed * turning.is_steady
     return History(
-        case, run.status, message, t, frame(run.z),
-        frame(None if run.z is None else rates), frame(run.a), smooth.T,
-        settings.sample_rate, run.case.transient, run.case.speed, run.step, run.case.spent + run.seconds,
-        links, _end(run),
+        case, run.status, message, t, *moved, smooth.T, settings.sample_rate, run.case.before + run.case.transient,
+        speed, run.step, run.case.spent + run.seconds, links, _end(run), turning,
     )  # fmt: skip

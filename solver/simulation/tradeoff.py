@@ -16,6 +16,7 @@ import numpy as np
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.native import processor
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.workbench import MOTIONS, REFERENCES, TradeOffPoint, bench_of, middle
 from jointplay.solver.spectra.harmonics import find_comparable, mean_difference_db
@@ -140,6 +141,7 @@ def measure(
     ----------
     machine : Machine
     case : Case, optional
+        Without one, joints have the clearance that the machine's file gives them.
     progress : callable, optional
         Called with settings done and settings in all, those that may serve as the reference among them.
     rungs : sequence of Settings, optional
@@ -158,7 +160,7 @@ def measure(
     AssemblyError, MachineError
         As :func:`jointplay.solver.simulation.simulate.simulate_batch`.
     """
-    case = case or Case()
+    case = case or Case(Fault(machine.clearances))
     bench, preparation = bench_of(machine, case)
     rungs = bench.rungs() if rungs is None else rungs
     total = len(rungs) + len(REFERENCES)

@@ -15,6 +15,7 @@ from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import extent_of
+from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.drive import repeating_frequency
@@ -189,6 +190,8 @@ class Bench:
 def bench_of(machine: Machine, case: Case) -> tuple[Bench, float]:
     """The eight cases, and the processor seconds that equations and kernels took."""
     began = time.process_time()
+    reach = reach_of(machine)
+    machine, case = reach.machine, reach.case(case)
     start = start_of(machine, case)
     short = [
         simulate_batch(machine, [case], Settings(duration=0.01, method=method))[0] for method in ("adaptive", "gill")

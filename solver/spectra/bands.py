@@ -10,6 +10,7 @@ import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.errors import SettingsError
+from jointplay.solver.spectra.spectrum import DERIVATIVES, Quantity, Scaling, scale_power
 
 #: Single orders that are compared; a recording must reach them.
 FEATURE_ORDERS = 20
@@ -91,6 +92,30 @@ class BandScheme:
     def edges_hz(self, drive_speed: float) -> FloatArray:
         """Edges in Hz at a drive speed [rad/s], (B + 1,)."""
         return np.asarray(self.edges, dtype=np.float64) * (abs(drive_speed) / (2.0 * math.pi))
+
+    def scale(
+        self, power: FloatArray, drive_speed: float, quantity: Quantity = "acceleration", scaling: Scaling = "power"
+    ) -> FloatArray:
+        """Return mean squares of accelerations in the bands as another quantity and scaling.
+
+        Parameters
+        ----------
+        power : (..., B, C) array
+            (m/s2)^2.
+        drive_speed : float
+            rad/s.
+        quantity : {"displacement", "velocity", "acceleration"}
+            Every band counts as a sine at its middle: right for orders of a motion that repeats with the drive, and
+            within 12 % of the mean square of a displacement for whatever lies in a twelfth of an octave.
+        scaling : {"psd", "power", "rms", "peak"}
+
+        Returns
+        -------
+        (..., B, C) array
+        """
+        rate = self.centres[:, None] * abs(drive_speed)
+        width = np.diff(self.edges_hz(drive_speed))[:, None]
+        return scale_power(power / rate ** (4 - 2 * DERIVATIVES[quantity]), width, scaling)
 
     def third_octave_groups(self, orders: int = 20) -> tuple[int, ...]:
         """Where to cut the bands into single orders 1 .. ``orders`` and third octaves above.

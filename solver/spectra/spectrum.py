@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
-Scaling = Literal["psd", "rms", "peak"]
+Scaling = Literal["psd", "power", "rms", "peak"]
 
 #: How many time derivatives each quantity is from displacement, and the unit's ending that goes with it.
 DERIVATIVES: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -34,12 +34,13 @@ class Spectrum:
     frequency : (n,) array
         Hz, from 0, evenly spaced.
     values : (n, c) array
-        Density [unit^2 / Hz] for "psd"; amplitude of a sine at that line [unit] for "rms" and "peak".
+        Density [unit^2 / Hz] for "psd"; of a sine at that line mean square [unit^2] for "power" and amplitude [unit]
+        for "rms" and "peak".
     channels : tuple of str, (c,)
     quantity : {"displacement", "velocity", "acceleration"}
     units : tuple of str, (c,)
         Of the signal, not of the density: "m/s2", "rad/s2".
-    scaling : {"psd", "rms", "peak"}
+    scaling : {"psd", "power", "rms", "peak"}
     window : str
     resolution : float
         Distance of lines [Hz].
@@ -102,10 +103,8 @@ class Spectrum:
 
     @property
     def value_units(self) -> tuple[str, ...]:
-        """Units of ``values``: "(m/s2)^2/Hz", "m/s2 rms" or "m/s2 peak"."""
-        if self.scaling == "psd":
-            return tuple(f"({unit})^2/Hz" for unit in self.units)
-        return tuple(f"{unit} {self.scaling}" for unit in self.units)
+        """Units of ``values``: "(m/s2)^2/Hz", "(m/s2)^2", "m/s2 rms" or "m/s2 peak"."""
+        return value_units(self.units, self.scaling)
 
     @property
     def orders(self) -> FloatArray:
@@ -135,13 +134,20 @@ class CrossSpectrum:
     auto: Spectrum
 
 
+def value_units(units: Sequence[str], scaling: Scaling) -> tuple[str, ...]:
+    """Units of a spectrum's values from those of its signals."""
+    if scaling in ("psd", "power"):
+        return tuple(f"({unit})^2{'/Hz' if scaling == 'psd' else ''}" for unit in units)
+    return tuple(f"{unit} {scaling}" for unit in units)
+
+
 def frame_units(channels: Sequence[str], quantity: Quantity) -> tuple[str, ...]:
     """Units of channels: rad for "theta", m for all others, with the time of the quantity."""
     return tuple(("rad" if name == "theta" else "m") + _PER_TIME[DERIVATIVES[quantity]] for name in channels)
 
 
 def convert(spectrum: Spectrum, quantity: Quantity) -> Spectrum:
-    """The same motion as another quantity, by (2 pi f)^k (squared for a density).
+    """The same motion as another quantity, by (2 pi f)^k (squared for density and power).
 
     Parameters
     ----------
@@ -156,7 +162,7 @@ def convert(spectrum: Spectrum, quantity: Quantity) -> Spectrum:
     steps = DERIVATIVES[quantity] - DERIVATIVES[spectrum.quantity]
     if steps == 0:
         return spectrum
-    power = 2 * steps if spectrum.scaling == "psd" else steps
+    power = 2 * steps if spectrum.scaling in ("psd", "power") else steps
     factor = np.zeros(len(spectrum.frequency))
     moving = spectrum.frequency > 0
     factor[moving] = (2.0 * math.pi * spectrum.frequency[moving]) ** power
@@ -166,12 +172,12 @@ def convert(spectrum: Spectrum, quantity: Quantity) -> Spectrum:
 
 
 def rescale(spectrum: Spectrum, scaling: Scaling) -> Spectrum:
-    """The same spectrum as density, rms or peak amplitude.
+    """The same spectrum as density, power, rms or peak amplitude.
 
     Parameters
     ----------
     spectrum : Spectrum
-    scaling : {"psd", "rms", "peak"}
+    scaling : {"psd", "power", "rms", "peak"}
 
     Returns
     -------
@@ -179,15 +185,16 @@ def rescale(spectrum: Spectrum, scaling: Scaling) -> Spectrum:
     """
     if scaling == spectrum.scaling:
         return spectrum
-    if spectrum.scaling == "psd":
-        rms = np.sqrt(spectrum.values * spectrum.noise_bandwidth)
-    else:
-        rms = spectrum.values / (math.sqrt(2.0) if spectrum.scaling == "peak" else 1.0)
-    if scaling == "psd":
-        values = rms**2 / spectrum.noise_bandwidth
-    else:
-        values = rms * (math.sqrt(2.0) if scaling == "peak" else 1.0)
-    return dataclasses.replace(spectrum, values=np.asarray(values, dtype=np.float64), scaling=scaling)
+    of, bandwidth = spectrum.values, spectrum.noise_bandwidth
+    power = {"psd": of * bandwidth, "power": of, "rms": of**2, "peak": of**2 / 2.0}[spectrum.scaling]
+    values = scale_power(power, bandwidth, scaling)
+    return dataclasses.replace(spectrum, values=values, scaling=scaling)
+
+
+def scale_power(power: FloatArray, bandwidth: float | FloatArray, scaling: Scaling) -> FloatArray:
+    """Mean squares, each of a stretch of `bandwidth` [Hz], as density, power, rms or peak amplitude of a sine."""
+    scaled = {"psd": power / bandwidth, "power": power, "rms": power**0.5, "peak": (2.0 * power) ** 0.5}
+    return np.asarray(scaled[scaling], dtype=np.float64)
 
 
 def order_levels(spectrum: Spectrum, orders: Sequence[float] | FloatArray) -> FloatArray:

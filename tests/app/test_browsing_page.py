@@ -44,6 +44,32 @@ def test_the_nearest_entry_is_shown_beside_healthy(client: httpx.Client, shelf: 
     np.testing.assert_allclose(healthy["levels"], np.maximum(np.median(sound, axis=0), -100), atol=1e-3)  # type: ignore[call-overload]
 
 
+@pytest.mark.parametrize("channel", [0, 2])
+def test_levels_are_of_the_quantity_and_in_the_scaling_asked_for(
+    client: httpx.Client, shelf: Path, channel: int
+) -> None:
+    def shown(**options: str) -> str:
+        return client.get("/catalogues/slider-crank", params={"hypothesis": "B", **options}).text
+
+    text = shown()
+    plain = charts(text)[channel]
+    assert plain == charts(shown(quantity="acceleration", scaling="rms"))[channel]
+    (key,) = re.findall(r'key-text">(\w+)<', text)
+    speed = Catalogue.open(shelf / "slider-crank").entry(key).drive_speed
+    rate, unit = speed * np.asarray(plain["orders"]), ("m", "m", "rad")[channel]
+    for power, quantity, per in ((1, "velocity", "/s"), (2, "displacement", "")):
+        found = charts(shown(quantity=quantity, scaling="peak"))[channel]
+        assert found["label"] == f"dB re 1 {unit}{per} peak"
+        for line, before in zip(found["lines"], plain["lines"], strict=True):
+            # A peak is the root of 2 of the rms, and a band's motion that of a sine at its middle.
+            expected = before["levels"] - 20 * power * np.log10(rate) + 10 * np.log10(2)  # type: ignore[call-overload]
+            np.testing.assert_allclose(line["levels"], expected, atol=1e-6)  # type: ignore[call-overload]
+    density = charts(shown(scaling="psd"))[channel]
+    assert density["label"] == f"dB re 1 ({unit}/s²)²/Hz"
+    width = speed / (2 * np.pi)  # of one order, Hz
+    assert density["upper"][0] == pytest.approx(plain["upper"][0] - 10 * np.log10(width))
+
+
 def test_a_number_alone_is_in_micrometres(client: httpx.Client) -> None:
     place = "/catalogues/slider-crank"
     first = client.get(place, params={"hypothesis": "B", "clearance": "200"}).text
@@ -64,6 +90,8 @@ def test_the_healthy_machine_can_be_looked_at(client: httpx.Client) -> None:
         ({"clearance": "-1"}, "clearance", "greater than 0"),
         ({"clearance": "2 m"}, "clearance", "at most 100 mm"),
         ({"hypothesis": "<b>"}, "hypothesis", "&lt;b&gt;"),
+        ({"quantity": "jerk"}, "quantity", "jerk: must be one of displacement, velocity, acceleration"),
+        ({"scaling": "loud"}, "scaling", "loud: must be one of psd, power, rms, peak"),
     ],
 )
 @pytest.mark.parametrize("htmx", [True, False])

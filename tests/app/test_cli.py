@@ -108,6 +108,41 @@ def test_check_shows_the_sizes_of_the_model() -> None:
     assert "arrays" not in document["mechanism_matrix"]
 
 
+def test_a_matrix_is_shown_and_simulated_as_its_file_gives_it(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "machine-file.md").read_text(encoding="utf-8")
+    (given,) = re.findall(r"```yaml\n(name: slider-crank\nmatrix:.*?)```", page, re.DOTALL)
+    path = tmp_path / "m.yaml"
+    path.write_text(f"{given}drive: {{kind: rotation, joint: O, speed: 600 rpm}}\n")
+    shown = invoke("check", path).stdout
+    assert shown.splitlines()[0].endswith("; fault: A=0.2mm, as the file gives it")
+    assert [line.split()[1:] for line in shown.splitlines()[-4:]] == [
+        line.split() for line in given.splitlines()[2:6]
+    ]  # fmt: skip
+    healthy = json.loads(invoke("check", path, "--fault", "healthy", "--json").stdout)
+    assert (healthy["fault_um"], healthy["mechanism_matrix"]["rows"][1]) == ({}, ["B", "0", "B", "0"])
+    short = ("--duration", "20 ms", "-o", tmp_path / "out.h5")
+    assert "note" not in invoke("simulate", path, *short).stdout
+    assert read_arrays(tmp_path / "out.h5")[1]["fault"] == "A=0.2mm"
+    assert "note: without the clearance that the file gives A\n" in invoke(
+        "simulate", path, "--fault", "healthy", *short
+    ).stdout  # fmt: skip
+    path.write_text(path.read_text().replace(', clearance: "0.2 mm"', ""))
+    for command in (("check", path), ("simulate", path, *short)):
+        assert_refused(invoke(*command), 2, 'matrix.1.2: -C: needs its amount, joints.3-2.clearance, as in "0.2 mm"')
+
+
+def test_check_shows_a_single_sprung_body_as_a_matrix_of_one_entry(tmp_path: Path) -> None:
+    path = tmp_path / "m.yaml"
+    mount = "{kind: mount, link: block, at: [0, 0], stiffness: [2.0e+4, 4.0e+4], damping: [20, 0]}"
+    path.write_text(
+        f"name: m\nmatrix: 2/1\nlinks: {{block: {{mass: 4, inertia: 0.1, cg: [0, 0]}}}}\nsupports: [{mount}]\n"
+    )
+    document = json.loads(invoke("check", path, "--arrays", "--json").stdout)
+    matrix = document["mechanism_matrix"]
+    assert (matrix["rows"], matrix["arrays"]["NSP"], matrix["arrays"]["NDP"]) == ([["2/1"]], 2, 1)
+    assert (document["unknowns_3n_2j"], document["degrees_of_freedom"]) == (3, 3)
+
+
 def test_check_shows_play_as_new_and_limits(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     at_a = "at: [0.05, 0.05], pin: rod"
@@ -246,6 +281,11 @@ def test_build_and_verify(shelf: Path, tmp_path: Path) -> None:
     report = json.loads(result.stdout)
     assert report["added"] == 0
     assert report["present"] == 36 + 3 * 12 * 6
+    worn = tmp_path / "worn.yaml"
+    worn.write_text(invoke("machines", "slider-crank").stdout.replace("pin: rod", "clearance: 0.2 mm, pin: rod", 1))
+    again = invoke("build", worn, "--catalogue", shelf / "slider-crank", "--plan", plan, "--json")
+    assert {**json.loads(again.stdout), "elapsed_s": 0} == {**report, "elapsed_s": 0}
+    assert "note: A=0.2mm of the file is left aside: the plan says what is worn" in again.stderr.splitlines()
     verified = invoke("verify", "--catalogue", shelf / "slider-crank")
     assert verified.exit_code == 0
     assert "in order: 252 cases" in verified.stdout

@@ -140,6 +140,33 @@ def test_the_forms_hold_the_same_numbers(client: httpx.Client, stored: Catalogue
     assert (attributes["key"], attributes["hypothesis"]) == (key, "B")
 
 
+def test_levels_as_another_quantity_and_scaling(client: httpx.Client, stored: Catalogue, key: str) -> None:
+    entry = stored.entry(key)
+    assert entry.power is not None
+    power = entry.power[:, 1, 1].real
+    rate = entry.scheme.centres * entry.drive_speed
+    width = np.diff(entry.scheme.edges) * entry.drive_speed / (2 * np.pi)
+    for query, expected, unit in (
+        ({}, power, "(m/s2)^2"),
+        ({"scaling": "rms"}, np.sqrt(power), "m/s2 rms"),
+        ({"scaling": "psd"}, power / width, "(m/s2)^2/Hz"),
+        ({"quantity": "velocity"}, power / rate**2, "(m/s)^2"),
+        ({"quantity": "displacement", "scaling": "peak"}, np.sqrt(2 * power) / rate**2, "m peak"),
+    ):
+        answer = client.get(f"{ENTRIES}/{key}/levels", params=query)
+        shown = answer.json()
+        assert shown["levels"]["y"] == pytest.approx(expected, rel=1e-6)  # single precision
+        assert (shown["units"]["y"], shown["key"]) == (unit, key)
+        assert shown["band_edges_orders"] == list(entry.scheme.edges)
+        held = client.get(
+            f"{ENTRIES}/{key}/levels", params=query, headers={"If-None-Match": answer.headers["etag"]}
+        )  # fmt: skip
+        assert held.status_code == 304
+    for wrong in ({"quantity": "jerk"}, {"scaling": "loud"}, {"scale": "rms"}):
+        assert client.get(f"{ENTRIES}/{key}/levels", params=wrong).status_code == 422
+    assert client.get(f"{ENTRIES}/{'0' * 64}/levels").status_code == 404
+
+
 def test_a_shortened_key_will_do(client: httpx.Client, key: str) -> None:
     assert client.get(f"{ENTRIES}/{key[:12]}").json()["key"] == key
     for unknown in (key[:7], key[:-1] + "g", "0" * 64):

@@ -56,9 +56,10 @@ def test_the_page_does_what_it_says(
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("<History ok: B=0.2mm, ")
     assert printed[1].startswith("<Spectrum psd of acceleration, x, y, theta: ")
-    assert printed[2] == "30.0"
-    assert printed[3].startswith("slider-crank ")
-    assert {line.split()[0] for line in printed[4:]} == {"A", "B", "O"}
+    assert printed[2].startswith("<Spectrum peak of displacement, x, y, theta: ")
+    assert printed[3] == "30.0"
+    assert printed[4].startswith("slider-crank ")
+    assert {line.split()[0] for line in printed[5:]} == {"A", "B", "O"}
     assert Path("answer.png").stat().st_size > 10_000
 
 

@@ -79,12 +79,31 @@ def test_a_drive_without_one_speed_takes_none(ram: Path, tmp_path: Path, drive: 
     assert f"--speed: 60rpm: {rule}" in line
 
 
+@pytest.mark.parametrize("method", ["gill-variable", "full"])
+def test_methods_for_cross_checks_give_what_the_usual_one_gives(method: str, tmp_path: Path) -> None:
+    found = {}
+    for name in ("gill", method):
+        output = tmp_path / f"{name}.npz"
+        result = invoke(
+            "slider-crank", output, *SHORT, "--fault", "B=0.2mm", "--method", name, "--accuracy", "reference"
+        )
+        assert result.exit_code == 0, result.stderr
+        with np.load(output) as packed:
+            found[name] = packed["frame_displacement"]
+            assert json.loads(str(packed["attributes"]))["method"] == name
+    # Measured: 7.3e-6 of the largest displacement, 3e-13 of `full`.
+    largest = np.abs(found["gill"]).max(axis=0)
+    assert (np.abs(found[method] - found["gill"]).max(axis=0) / largest).max() < 3e-5
+
+
 @pytest.mark.parametrize(
     ("options", "rule"),
     [
         (("--speed", "0.1 m/s"), "must be a speed of rotation"),
-        (("--step", "1 us", "--method", "adaptive"), "only gill has a fixed step"),
-        (("--method", "gill", "--rtol", "1e-6"), "only the adaptive method has a tolerance"),
+        (("--step", "1 us", "--method", "adaptive"), "only gill and full have a fixed step; adaptive has rtol"),
+        (("--method", "gill", "--rtol", "1e-6"), "only adaptive and gill-variable have a tolerance; gill has a step"),
+        (("--method", "full", "--links"), "links: method full gives the motion of the frame"),
+        (("--method", "gill-variable", "--starts", "2"), "several starts are run by adaptive or gill"),
         (("--method", "euler"), "euler"),
         (("--step", "1 mm"), "must be a time"),
         (("--step", "0 s"), "0 s: must be greater than 0"),

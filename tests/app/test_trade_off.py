@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
 from jointplay.app.cli import main
-from jointplay.app.commands.trade_off import document, option_of, report
+from jointplay.app.commands.trade_off import describe_choices, document, option_of, report, report_choices
 from jointplay.app.figures.plots import plot_trade_off
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.simulation.choices import ModelChoice, ModelChoices
 from jointplay.solver.simulation.tradeoff import TradeOff, measure
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "simulation.md"
@@ -75,6 +78,32 @@ def test_chaos_is_shown(machine: Machine, tmp_path: Path) -> None:
     assert shown["spread_db"] == found.spread_db
     plot_trade_off(machine, found, 0.1, tmp_path / "plot.svg")
     assert "spread of single runs" in (tmp_path / "plot.svg").read_text()
+
+
+def test_choices_of_the_model_stand_beside_the_tolerances(machine: Machine, tmp_path: Path) -> None:
+    choices = ModelChoices(
+        0.004, 1e-6, False,
+        (
+            ModelChoice("friction", "{friction: 0}", Status.OK, 0.002, 5.9),
+            ModelChoice("sampling", "--sample-rate 40000Hz", Status.OK, 0.006, 1e-7),
+            ModelChoice("contact", "{law: hertz}", Status.STEP_TOO_SMALL, math.nan, math.nan),
+        ),
+    )  # fmt: skip
+    text = report_choices(choices)
+    assert re.search(r"\{friction: 0\} +0\.50 +5\.9 dB", text)
+    assert re.search(r"--sample-rate 40000Hz +1\.50 +< 1e-06 dB", text)
+    assert re.search(r"\{law: hertz\} +- +step_too_small", text)
+    found: Any = describe_choices(choices)["choices"]
+    assert found["choices"][2]["difference_db"] is None
+    block = re.search(r"```json\n(\{\"choices\".*?)```", PAGE.read_text(), re.DOTALL)
+    assert block is not None
+    shape = json.loads(re.sub(r"//.*", "", block[1]))["choices"]
+    assert set(found) == set(shape)
+    assert set(found["choices"][0]) == set(shape["choices"][0])
+    plot_trade_off(machine, measured(machine, {}, Settings(rtol=1e-6)), 0.1, tmp_path / "plot.svg", choices)
+    drawn = (tmp_path / "plot.svg").read_text()
+    assert "{friction: 0}" in drawn
+    assert "40000Hz" not in drawn
 
 
 @pytest.mark.parametrize(

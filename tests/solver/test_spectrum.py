@@ -263,7 +263,9 @@ def test_amplitude_scalings_of_a_sine() -> None:
     rms = rescale(spectrum, "rms")
     assert rms.values.max() == pytest.approx(3.0, rel=1e-6)
     assert rescale(rms, "peak").values.max() == pytest.approx(3.0 * math.sqrt(2.0), rel=1e-6)
-    back = rescale(rescale(rms, "peak"), "psd")
+    power = rescale(spectrum, "power")
+    assert power.values.max() == pytest.approx(9.0, rel=1e-6) and power.value_units == ("(m/s2)^2",)
+    back = rescale(rescale(rescale(power, "peak"), "rms"), "psd")
     assert np.allclose(back.values, spectrum.values)
     assert rms.value_units == ("m/s2 rms",)
 
@@ -277,8 +279,9 @@ def test_quantities_convert_by_powers_of_frequency() -> None:
     assert rescale(displacement, "rms").values[line, 0] == pytest.approx(1.0, rel=1e-6)
     again = convert(convert(displacement, "velocity"), "acceleration")
     assert np.allclose(again.values[1:], acceleration.values[1:]) and again.units == ("m/s2",)
-    assert np.allclose(rescale(convert(rescale(acceleration, "rms"), "velocity"), "psd").values,
-                       convert(acceleration, "velocity").values)  # fmt: skip
+    for scaling in ("power", "rms", "peak"):
+        there = rescale(convert(rescale(acceleration, scaling), "velocity"), "psd")  # type: ignore[arg-type]
+        assert np.allclose(there.values, convert(acceleration, "velocity").values)
 
 
 def test_order_levels_of_sines() -> None:

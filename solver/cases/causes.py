@@ -1,0 +1,172 @@
+"""What makes a scene stiff: the number of the machine file that asks for the shortest steps, and its refusal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.rates import ContactRates, extent_of
+from jointplay.solver.cases.steps import StepRule
+from jointplay.solver.equations.numbers import contact_path
+from jointplay.solver.errors import MachineError, SettingsError
+from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Damper, Mount, Spring
+
+#: Longest run, steps or samples of one case: refused beyond, so that a mistyped number does not run for days.
+MOST_STEPS = 2_000_000_000
+#: A part is to blame where so many steps of it do not make up so many seconds; else the run is too long.
+_ORDINARY_RUN = 100.0
+#: A link lighter than its neighbour by this factor is to blame, not the contact between them.
+_LIGHT = 1e-3
+#: A pin larger than the machine by this factor is a mistyped one.
+_LARGEST_PIN = 10.0
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A number of the machine, why it is fast, and the longest step that it leaves, s."""
+
+    step: float
+    path: str
+    value: float | None
+    why: str
+
+
+def refuse_too_many_steps(source: str, duration: float, step: float, causes: Iterator[Cause]) -> None:
+    """Refuse a run of absurd length, by the number that makes it one.
+
+    Parameters
+    ----------
+    source : str
+        What the machine is called.
+    duration, step : float
+        Of the run, and of its longest step, s.
+    causes : iterator of Cause
+
+    Raises
+    ------
+    MachineError
+        Names link, joint, support or drive, its number, and what would help.
+    SettingsError
+        A run that is too long for an ordinary machine.
+    """
+    if duration <= MOST_STEPS * step:
+        return
+    cause = min(causes, key=lambda cause: cause.step, default=None)
+    if cause is None or MOST_STEPS * step > _ORDINARY_RUN or cause.step > 2 * step:
+        raise SettingsError(f"duration: {duration:g} s: needs more than {MOST_STEPS:.0e} steps of {step:.3g} s")
+    rule = f"{cause.why}: {duration:g} s need more than {MOST_STEPS:.0e} steps of {step:.3g} s"
+    raise MachineError(source, cause.path, cause.value, rule)
+
+
+def contact_causes(
+    machine: Machine, rule: StepRule, rates: Mapping[str, ContactRates], mobility: Mapping[str, float],
+    values: Mapping[str, float],
+) -> Iterator[Cause]:  # fmt: skip
+    """What contacts ask for; parameters as :func:`jointplay.solver.cases.rates.contact_rates`."""
+    for joint, found in rates.items():
+        if not mobility[joint]:
+            continue
+        masses = {f"links.{link}.mass": _mass(machine, link, values) for link in machine.joints[joint].links}
+        light = min(masses, key=lambda path: masses[path])
+        on = f"an effective mass of {1 / mobility[joint]:.3g} kg"
+        damping = next(name for name in ("damping", "hysteresis", "restitution") if _of(machine, joint, name))
+        for name, rate, step, what in (
+            ("stiffness", found.frequency, rule.contact, f"swings at {found.frequency / (2 * math.pi):.3g} Hz on {on}"),
+            (damping, found.decay, rule.decay, f"damps {on} at {found.decay:.3g} 1/s"),
+        ):
+            path = contact_path(joint, name)
+            if rate and masses[light] < _LIGHT * max(masses.values()):
+                yield Cause(step / rate, light, masses[light], f"joint {joint} {what}; take a heavier link")
+            elif rate:
+                yield Cause(step / rate, path, values.get(path), f"{what}; take less, or a heavier link")
+
+
+def _of(machine: Machine, joint: str, name: str) -> bool:
+    found = machine.joints[joint]
+    return name == "restitution" or (isinstance(found, TurningJoint) and found.contact.has(name))
+
+
+def support_causes(
+    machine: Machine, rule: StepRule, eigenvalues: FloatArray, values: Mapping[str, float]
+) -> Iterator[Cause]:
+    """What supports and viscous joints ask for: the one that is fastest on its link, with the fastest eigenvalue."""
+    fastest = max(eigenvalues, key=abs, default=0.0)
+    rates: list[tuple[float, str, float]] = []
+    for i, support in enumerate(machine.supports):
+        ends = [link for link in (support.link, support.to_link) if link is not None]
+        mass = min(_mass(machine, link, values) for link in ends)
+        for name in ("stiffness", "damping"):
+            for path, value in _numbers(support, name, f"supports.{i}.{name}"):
+                now = values.get(path, value)
+                rates.append((math.sqrt(now / mass) if name == "stiffness" else now / mass, path, now))
+    for joint, found in machine.joints.items():
+        inertia = min(_inertia(machine, link, values) for link in found.links)
+        mass = min(_mass(machine, link, values) for link in found.links)
+        path = f"joints.{joint}.viscous"
+        now = values.get(path, found.viscous)
+        rates.append((now / (inertia if isinstance(found, TurningJoint) else mass), path, now))
+    if not abs(fastest) or not rates:
+        return
+    _, path, value = max(rates)
+    swing = f"swings at {abs(fastest) / (2 * math.pi):.3g} Hz"
+    what = swing if abs(fastest.imag) > abs(fastest.real) else f"decays at {abs(fastest):.3g} 1/s"
+    why = f"a motion that it holds {what}; take a smaller one, or lock the motion that nothing should see"
+    yield Cause(rule.smooth / abs(fastest), path, value, why)
+
+
+def _numbers(support: Spring | Damper | Mount, name: str, path: str) -> Iterator[tuple[str, float]]:
+    value = getattr(support, name, None)
+    if isinstance(value, tuple):
+        yield from ((f"{path}.{k}", part) for k, part in enumerate(value))
+    elif value is not None:
+        yield path, value
+
+
+def _mass(machine: Machine, link: str, values: Mapping[str, float]) -> float:
+    return values.get(f"links.{link}.mass", machine.links[link].mass or math.inf)
+
+
+def _inertia(machine: Machine, link: str, values: Mapping[str, float]) -> float:
+    return values.get(f"links.{link}.inertia", machine.links[link].inertia or math.inf)
+
+
+def drive_cause(rule: StepRule, fastest: float) -> Cause:
+    """What the drive asks for, rad/s."""
+    step = 2 * math.pi / abs(fastest) / rule.per_revolution if fastest else math.inf
+    return Cause(step, "drive.speed", fastest, f"takes {rule.per_revolution:g} steps a revolution; take a slower one")
+
+
+def check_pins(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float]) -> None:
+    """Refuse pins of worn joints that are far larger than the machine: their friction turns links that are not there.
+
+    Raises
+    ------
+    MachineError
+        Names the pin.
+    """
+    most = _LARGEST_PIN * extent_of(machine)
+    for joint in joints:
+        path = contact_path(joint, "pin_radius")
+        if values.get(path, 0.0) > most:
+            rule = f"is more than {_LARGEST_PIN:g} times the machine's extent of {most / _LARGEST_PIN:.3g} m"
+            raise MachineError(machine.name, path, values[path], rule)
+
+
+def check_sample_rate(sample_rate: float, duration: float, speed: float) -> None:
+    """Refuse samples that are farther apart than the run is long and than the drive takes for a revolution.
+
+    The filter reaches some 15 samples beyond the end, so that such a run would be mostly what nobody asked for.
+
+    Raises
+    ------
+    SettingsError
+        Names the least rate.
+    """
+    least = min(1 / duration, abs(speed) / (2 * math.pi) or 1.0)
+    if sample_rate < least:
+        rule = f"less than one sample in the run of {duration:.3g} s and in a revolution; take at least {least:.3g} Hz"
+        raise SettingsError(f"sample rate: {sample_rate:g} Hz: {rule}")
