@@ -24,7 +24,8 @@ from jointplay.app.storage import webhooks
 from jointplay.app.storage.assets import AssetRow, Assets
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, NewDiagnosis, Store, Upload
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.store import NewDiagnosis, Store, Upload
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.solver.errors import UnitError

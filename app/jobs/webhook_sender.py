@@ -19,7 +19,7 @@ from urllib.parse import SplitResult, urlsplit
 from sqlalchemy.exc import SQLAlchemyError
 
 from jointplay.app.errors import BadFieldError
-from jointplay.app.storage.store import now
+from jointplay.app.storage.rows import now
 from jointplay.app.storage.webhooks import SIGNATURE, Taken, Webhooks, signature
 
 log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ from typing import Any
 from jointplay.app.jobs.summaries import channel_words, kind_of, summarise_told
 from jointplay.app.pages.page_forms import NOT_USED
 from jointplay.app.shelves.catalogues import Offer
-from jointplay.app.storage.store import MeasurementRow
+from jointplay.app.storage.rows import MeasurementRow
 from jointplay.catalogue.signals.sensors import match_by_name
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from jointplay.app import words
 from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.rows import Comparison, comparisons, deciding, hypothesis_rows, joint_rows, order
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.diagnosing.answer import BandEvidence
 from jointplay.solver.machines.machine import parse_machine

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from jointplay.app import words
 from jointplay.app.jobs.summaries import extent, kind_of, summarise_told
 from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.diagnosing.answer import Answer, JointState
 

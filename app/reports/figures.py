@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
 from jointplay.app.rows import Comparison, comparisons
-from jointplay.app.storage.store import DiagnosisRow
+from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.catalogue.diagnosing.answer import BandEvidence
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.machine import Machine, parse_machine

@@ -22,7 +22,7 @@ from jointplay.app.schemas.assets import AssetIn, AssetName
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
-from jointplay.app.storage.store import MeasurementRow
+from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.words import spell_moment
 
 router = APIRouter(prefix="/assets")

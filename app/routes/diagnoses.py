@@ -27,7 +27,8 @@ from jointplay.app.schemas.resources import DiagnosisItem, DiagnosisPage, Diagno
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import diagnoses_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.store import DiagnosisRow, measurement_key
+from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.store import measurement_key
 from jointplay.app.storage.told import TOLD, Told, read_told
 from jointplay.catalogue.diagnosing.answer import Answer
 

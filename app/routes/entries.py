@@ -15,7 +15,8 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
 from jointplay.app.schemas.entries import EntryDetail, EntryLevels, EntryPage, EntryQuery, LevelQuery
 from jointplay.app.service import Service, of_request
-from jointplay.app.shelves.entries import FORMS, Rendered
+from jointplay.app.shelves.entries import Rendered
+from jointplay.app.shelves.entry_forms import FORMS
 
 router = APIRouter(prefix="/catalogues/{name}/entries", tags=["catalogues"])
 

@@ -19,7 +19,7 @@ from jointplay.app.schemas.resources import MeasurementOut, MeasurementPage
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import measurements_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.store import MeasurementRow
+from jointplay.app.storage.rows import MeasurementRow
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 

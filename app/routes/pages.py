@@ -28,7 +28,7 @@ from jointplay.app.pages.views import view
 from jointplay.app.problems import Problem
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
-from jointplay.app.storage.store import DiagnosisRow
+from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.app.storage.told import FILE_FIELDS, PROFILE, read_told
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError

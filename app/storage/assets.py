@@ -15,7 +15,7 @@ from sqlalchemy.orm import Mapped, Session, mapped_column
 from jointplay.app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.store import Base, DiagnosisRow, newest, now
+from jointplay.app.storage.rows import Base, DiagnosisRow, newest, now
 from jointplay.app.storage.webhooks import announce
 
 

@@ -20,7 +20,7 @@ from jointplay.app.errors import BuildEndedError, UnknownBuildError
 from jointplay.app.logs import request_id
 from jointplay.app.schemas.resources import BuildOut, State
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.store import Base, newest, now
+from jointplay.app.storage.rows import Base, newest, now
 
 ATTEMPTS = 5
 """How often a build is begun before one whose process or server dies each time is given up."""

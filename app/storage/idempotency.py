@@ -23,7 +23,7 @@ from starlette.responses import Response
 
 from jointplay.app.errors import KeyInUseError, KeyReusedError
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.store import Base, now
+from jointplay.app.storage.rows import Base, now
 
 HEADER = "idempotency-key"
 LONGEST = 255

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from jointplay.app.errors import UnauthorizedError, UnknownKeyError
 from jointplay.app.scopes import Scope
 from jointplay.app.storage.database import ServiceDatabase, is_id
-from jointplay.app.storage.store import Base, now
+from jointplay.app.storage.rows import Base, now
 
 PREFIX = "jp"
 ID_BYTES = 6

@@ -10,17 +10,17 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import cached_property
+from datetime import datetime
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, TypeVar
+from typing import Any, BinaryIO
 
-from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select, text
+from sqlalchemy import Select, select, text
 from sqlalchemy.engine import URL
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
+from sqlalchemy.orm import Session
 
 from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
-from jointplay.app.storage.database import ServiceDatabase, UtcDateTime, database_url
+from jointplay.app.storage.database import ServiceDatabase, database_url
+from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, Row, newest, now
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
@@ -33,61 +33,6 @@ RECORDINGS = "measurements"
 
 ABANDONED_S = 86_400.0
 """Age from which on nobody is sending it any more."""
-
-
-class Base(DeclarativeBase):
-    """Root of the tables.
-
-    A new table needs no revision: one that is missing is made on opening. A change of one that is there does.
-    """
-
-    type_annotation_map: ClassVar = {dict[str, Any]: JSON, datetime: UtcDateTime}
-
-
-class MeasurementRow(Base):
-    """An uploaded recording."""
-
-    __tablename__ = "measurements"
-
-    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
-    id: Mapped[str] = mapped_column(String(32), unique=True)
-    sha256: Mapped[str] = mapped_column(String(64))
-    name: Mapped[str] = mapped_column(String(255))
-    size_bytes: Mapped[int] = mapped_column(BigInteger)
-    said: Mapped[dict[str, Any]]
-    created_at: Mapped[datetime]
-    summary: Mapped[dict[str, Any]]
-
-    @property
-    def told(self) -> Told:
-        """What its sender said of it."""
-        return Told(**self.said)
-
-
-class DiagnosisRow(Base):
-    """A finished diagnosis: what was asked, of which machine, and what was answered.
-
-    The machine is kept with it, because a catalogue that has grown has another id than when it was asked.
-    """
-
-    __tablename__ = "diagnoses"
-
-    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
-    id: Mapped[str] = mapped_column(String(32), unique=True)
-    measurement: Mapped[str] = mapped_column(ForeignKey("measurements.id"))
-    catalogue: Mapped[str] = mapped_column(String(64))
-    machine: Mapped[dict[str, Any]]
-    created_at: Mapped[datetime]
-    request: Mapped[dict[str, Any]]
-    result: Mapped[dict[str, Any]]
-
-    @cached_property
-    def answer(self) -> Diagnosis:
-        """What was answered."""
-        return Diagnosis.model_validate(self.result)
-
-
-Row = TypeVar("Row", MeasurementRow, DiagnosisRow)
 
 
 @dataclass(frozen=True)
@@ -386,14 +331,6 @@ class Store:
             return list(session.scalars(newest(session, MeasurementRow, before, limit, among)))
 
 
-def newest(session: Session, table: Any, before: int | None, limit: int, among: Select[str] | None = None) -> Any:
-    """Return the query for one page of a table, the newest rows first; of the ids in a query, if there is one."""
-    query = select(table).order_by(table.number.desc()).limit(limit)
-    if among is not None:
-        query = query.where(table.id.in_(among))
-    return query if before is None else query.where(table.number < before)
-
-
 def recording_path(directory: Path, sha256: str) -> Path:
     """Return where the bytes with a checksum lie below a folder of data."""
     return directory / RECORDINGS / sha256[:2] / sha256
@@ -403,8 +340,3 @@ def measurement_key(sha256: str, name: str, told: Told) -> str:
     """Return the id of a measurement: its bytes, and what its sender said of them."""
     said = {"sha256": sha256, "name": name, **told.shown}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def now() -> datetime:
-    """Return the present time in UTC."""
-    return datetime.now(UTC)

@@ -21,7 +21,7 @@ from jointplay.app.errors import UnknownWebhookError
 from jointplay.app.schemas.resources import Event
 from jointplay.app.storage import idempotency
 from jointplay.app.storage.database import ServiceDatabase, is_id
-from jointplay.app.storage.store import Base, newest, now
+from jointplay.app.storage.rows import Base, newest, now
 
 SIGNATURE = "Jointplay-Signature"
 LEASE = timedelta(seconds=120)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
 
@@ -78,30 +78,53 @@ class Initial(Part):
     velocities: Mapping[Name, InitialVelocity] = Field(default_factory=dict)
 
 
-class Spring(Part):
-    """A spring along the line from ``at`` on ``link`` to ``anchor`` on the ground, or on ``to_link``.
+class LineSupport(Part):
+    """What acts along the line from ``at`` on ``link`` to ``anchor`` on the ground, or on ``to_link``."""
+
+    kind: str
+    link: Name
+    at: Point
+    anchor: Point
+
+    @property
+    def drawn_length(self) -> float:
+        """From ``at`` to ``anchor``, m."""
+        return math.dist(self.at, self.anchor)
+
+    @model_validator(mode="after")
+    def _check_direction(self) -> Self:
+        if self.drawn_length == 0:
+            raise RuleError("must not be the point at; a mount needs no anchor", ("anchor",), list(self.anchor))
+        return self
+
+
+class Spring(LineSupport):
+    """A spring along a line.
 
     Its free length [m] is given, or follows from ``static_deflection`` [m] (free length minus drawn length), or is the
     drawn length.
     """
 
     kind: Literal["spring"] = "spring"
-    link: Name
-    at: Point
-    anchor: Point
     stiffness: Stiffness
     free_length: Annotated[float, QuantityField(units.LENGTH, at_least=0)] | None = None
     static_deflection: Length | None = None
     to_link: Name | None = None
 
+    @model_validator(mode="after")
+    def _check_free_length(self) -> Self:
+        at, deflection = ("static_deflection",), self.static_deflection
+        if deflection is not None and self.free_length is not None:
+            raise RuleError("give only one of free_length, static_deflection", at, deflection)
+        if deflection is not None and self.drawn_length + deflection < 0:
+            raise RuleError("would make the free length negative", at, deflection)
+        return self
 
-class Damper(Part):
-    """A damper along the line from ``at`` on ``link`` to ``anchor`` on the ground, or on ``to_link``."""
+
+class Damper(LineSupport):
+    """A damper along a line."""
 
     kind: Literal["damper"] = "damper"
-    link: Name
-    at: Point
-    anchor: Point
     damping: Damping
     to_link: Name | None = None
 

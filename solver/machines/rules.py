@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import RuleError, nearest
 from jointplay.solver.machines.friction import FRICTION_NUMBERS, DryFriction
 from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact, SlidingJoint, TurningJoint
-from jointplay.solver.machines.parts import Damper, ForceDrive, RotationDrive, Spring, TorqueDrive
+from jointplay.solver.machines.parts import ForceDrive, RotationDrive, TorqueDrive
 from jointplay.solver.machines.refusals import show_value
 from jointplay.solver.machines.restitution import remark
 
@@ -238,14 +237,6 @@ def _supports(machine: MachineContent) -> Iterator[Breach]:
             yield from _check_known(f"{path}.to_link", support.to_link, machine.links, "link")
             if support.to_link == support.link:
                 yield Breach(f"{path}.to_link", support.to_link, "must be another link than link")
-        if isinstance(support, (Spring, Damper)) and math.dist(support.at, support.anchor) == 0:
-            yield Breach(f"{path}.anchor", list(support.anchor), "must not be the point at; a mount needs no anchor")
-        if isinstance(support, Spring) and support.static_deflection is not None:
-            if support.free_length is not None:
-                yield Breach(path, None, "give only one of free_length, static_deflection")
-            if math.dist(support.at, support.anchor) + support.static_deflection < 0:
-                yield Breach(f"{path}.static_deflection", support.static_deflection,
-                             "would make the free length negative")  # fmt: skip
 
 
 def _loads(machine: MachineContent) -> Iterator[Breach]:

@@ -14,7 +14,7 @@ from answers import diagnosis, hypothesis, joint
 from jointplay.app.pages.history import chart, history
 from jointplay.app.rows import Play
 from jointplay.app.storage.assets import FindingRow
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 
 API = "/api/v1"
 

@@ -24,7 +24,8 @@ from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.backup import TABLES
 from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
 from jointplay.app.storage.keys import Keys
-from jointplay.app.storage.store import DiagnosisRow, NewDiagnosis, Store, measurement_key
+from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.storage.database import Database
 

@@ -21,7 +21,8 @@ from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
-from jointplay.app.storage.store import DiagnosisRow, Store, measurement_key
+from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.store import Store, measurement_key
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.measurements.measurement import Recording
 

@@ -14,7 +14,8 @@ from starlette.responses import Response
 import jointplay.app.storage.idempotency
 from jointplay.app.errors import KeyInUseError, KeyReusedError
 from jointplay.app.storage.idempotency import KEPT, LEASE, forget, once, reserve, settle
-from jointplay.app.storage.store import Store, now
+from jointplay.app.storage.rows import now
+from jointplay.app.storage.store import Store
 
 API = "/api/v1"
 

@@ -21,7 +21,8 @@ from jointplay.app.reports.figures import figures_of, spectrum
 from jointplay.app.routes.diagnoses import DiagnosisOut
 from jointplay.app.rows import Comparison
 from jointplay.app.settings import ServiceSettings
-from jointplay.app.storage.store import DiagnosisRow, MeasurementRow, Store
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.store import Store
 from jointplay.catalogue.diagnosing.answer import BandEvidence
 
 API = "/api/v1"

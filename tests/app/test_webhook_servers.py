@@ -20,7 +20,8 @@ import jointplay.app.storage.webhooks
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.assets import Assets
-from jointplay.app.storage.store import NewDiagnosis, Store, now
+from jointplay.app.storage.rows import now
+from jointplay.app.storage.store import NewDiagnosis, Store
 from jointplay.app.storage.webhooks import LEASE, Taken, Webhooks
 
 SERVERS = 2

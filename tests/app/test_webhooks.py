@@ -19,7 +19,8 @@ from jointplay.app.errors import BadFieldError
 from jointplay.app.jobs import webhook_sender
 from jointplay.app.jobs.webhook_sender import NotDeliveredError, WebhookSender, address_of, check_url, is_public
 from jointplay.app.settings import ServiceSettings
-from jointplay.app.storage.store import Store, now
+from jointplay.app.storage.rows import now
+from jointplay.app.storage.store import Store
 from jointplay.app.storage.webhooks import LEASE, WAITS, Taken, Webhooks
 
 API = "/api/v1"

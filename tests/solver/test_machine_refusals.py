@@ -108,7 +108,7 @@ TORQUE = {"kind": "torque", "joint": "O"}
         ("supports.0", {**SPRING, "anchor": [0, 0]},
          "supports.0.anchor: [0, 0]: must not be the point at; a mount needs no anchor"),
         ("supports.0", {**SPRING, "free_length": 0.1, "static_deflection": 0.1},
-         "supports.0: give only one of free_length, static_deflection"),
+         "supports.0.static_deflection: 0.1: give only one of free_length, static_deflection"),
         ("supports.0", {**SPRING, "static_deflection": "-101 mm"},
          "supports.0.static_deflection: -0.101: would make the free length negative"),
         ("supports.0.stiffness", [1, -1], "supports.0.stiffness.1: -1: must not be less than 0"),
