@@ -148,37 +148,47 @@ class _Drawing:
         # joint.
         columns = sum(len(opened) if path in SHARED else 1 for path in spread)
         points = unit_draws(seed, len(opened) + 2 + columns, sequence.count)
+        ranges = {joint: self._range(joint, len(hypothesis.joints)) for joint in hypothesis.joints}
+        variants = {law: self._variant(spread, law) for law in laws}
+        scatters = {law: self._scatter(variant, spread, laws) for law, variant in variants.items()}
         for draw, point in enumerate(points.tolist()):
             is_silent = point[len(opened) + 1] < plan.fits.silent
             ideal = others if is_silent else []
-            joints = tuple(sorted(set(opened).difference(ideal)))
-            sizes = {joint: self._clearance(joint, point[opened.index(joint)], hypothesis.joints) for joint in joints}
-            variant = self._variant(spread, _choice(laws, point[len(opened)]))
-            scatter = self._scatter(variant, spread, laws)
+            sizes = {}
+            for joint, u in zip(opened, point, strict=False):
+                if joint in ranges:
+                    sizes[joint] = log_uniform(*ranges[joint], u)
+                elif not is_silent:
+                    sizes[joint] = plan.fits.quantile(u, self._turning(joint))
+            joints = tuple(sorted(sizes))
+            law = _choice(laws, point[len(opened)])
+            parameters = scatters[law].parameters(point[len(opened) + 2 :], sequence.speed)
             yield Entry.of(
                 self.machine,
                 self.recipe,
                 hypothesis=hypothesis,
                 joints=joints,
                 clearances=tuple(sizes[joint] for joint in joints),
-                parameters=_without(ideal, scatter.parameters(point[len(opened) + 2 :], sequence.speed)),
+                parameters=_without(ideal, parameters),
                 draw=draw,
                 stratum=stratum,
                 speed=sequence.speed,
-                variant=variant,
+                variant=variants[law],
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _clearance(self, joint: str, u: float, worn: tuple[str, ...]) -> float:
+    def _turning(self, joint: str) -> TurningJoint:
         part = self.machine.joints[joint]
         assert isinstance(part, TurningJoint)
-        if joint not in worn:
-            return self.plan.fits.quantile(u, part)
+        return part
+
+    def _range(self, joint: str, worn: int) -> tuple[float, float]:
+        """Least and largest clearance of a joint that wears, alone or together with others, m."""
         bounds = self.plan.clearance
-        low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(part)[1])
+        low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(self._turning(joint))[1])
         # Draws of several worn joints have too much to fill as it is.
-        high = bounds.high * (bounds.beyond if len(worn) == 1 else 1.0)
-        return log_uniform(low, max(min(high, travel(self.machine, joint)), 2.0 * low), u)
+        high = bounds.high * (bounds.beyond if worn == 1 else 1.0)
+        return low, max(min(high, travel(self.machine, joint)), 2.0 * low)
 
     def _variant(self, spread: Mapping[str, Distribution], law: LawChoice) -> Variant:
         orders = {order for order in map(ripple_order, spread) if order is not None}

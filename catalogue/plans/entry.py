@@ -40,7 +40,10 @@ def _plain(value: object, where: str) -> object:
         for name, item in value.items():
             if not isinstance(name, str):
                 raise KeyContentError(where, name, "must be a string to be a key of a mapping")
-            plain[name] = _plain(item, f"{where}.{name}" if where else name)
+            if type(item) is float and math.isfinite(item):  # what most of a case is made of
+                plain[name] = item + 0.0
+            else:
+                plain[name] = _plain(item, f"{where}.{name}" if where else name)
         return plain
     if isinstance(value, (list, tuple)):
         return [_plain(item, f"{where}.{index}") for index, item in enumerate(value)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -197,7 +197,7 @@ class Scatter:
     ) -> None:
         skipped = set(left_out)
         self._speed = numbers.by_path[DRIVE_SPEED]
-        self._drawn: list[tuple[int, Distribution, ParameterTarget]] = []
+        self._drawn: list[tuple[int, Callable[[float], float], bool, str, float, float]] = []
         first = 0
         for path in sorted(spread):
             # A joint's column is its own in every variant, whatever numbers its contact law and the other joints have.
@@ -205,7 +205,9 @@ class Scatter:
             if path not in skipped:
                 for target in numbers.targets(path):
                     column = first + (own.index(target.path) if own else 0)
-                    self._drawn.append((column, spread[path], target))
+                    drawn = spread[path]
+                    numbers_of = (target.path, target.nominal, target.share)
+                    self._drawn.append((column, drawn.quantile, drawn.is_factor, *numbers_of))
             first += len(own) or 1
 
     def parameters(self, point: list[float], speed: float) -> dict[str, float]:
@@ -225,11 +227,9 @@ class Scatter:
             Numbers by path, SI.
         """
         parameters: dict[str, float] = {}
-        for column, spread, target in self._drawn:
-            value = spread.quantile(point[column])
+        for column, quantile, is_factor, path, nominal, share in self._drawn:
             # Factors of a number multiply: of all mounts, and of one of them.
-            known = parameters.get(target.path, target.nominal)
-            parameters[target.path] = value * (known if spread.is_factor else target.share)
+            parameters[path] = quantile(point[column]) * (parameters.get(path, nominal) if is_factor else share)
         if speed != 1.0:
             parameters[DRIVE_SPEED] = parameters.get(DRIVE_SPEED, self._speed) * speed
         return parameters

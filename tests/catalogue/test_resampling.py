@@ -33,8 +33,12 @@ def wandering(hertz: float, seconds: float, wander: float, seed: int) -> tuple[n
     phase = rng.uniform(0.0, 6.0, (len(orders), 2))
     signals = []
     for angle in (np.cumsum(2 * np.pi * hertz * (1 + course)) / FS, 2 * np.pi * hertz * t):
-        waves = [a * np.cos(k * angle[:, None] + p) for k, a, p in zip(orders, size, phase, strict=True)]
-        signals.append(np.sum(waves, axis=0) + noise)
+        first, total = np.exp(1j * angle), np.zeros(noise.shape)
+        wave, order = np.ones(len(t), complex), 0
+        for k, factor in zip(orders, size * np.exp(1j * phase), strict=True):
+            wave, order = wave * first ** (k - order), k  # by products: a cosine takes ten times as long
+            total += (wave[:, None] * factor).real
+        signals.append(total + noise)
     return signals[0], signals[1]
 
 
