@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 @click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png", help="Draw the machine.")
 @json_option
 def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None, as_json: bool) -> None:
-    """Validate MACHINE (a shipped machine's name, or a file) and show what it consists of."""
+    """Validate MACHINE (a shipped machine's name, or a file); show what it consists of, and what is implausible."""
     if drawing is not None:
         from jointplay.app.figures.pictures import check_ending
 
         check_ending(drawing)
+    from jointplay.solver.cases.remarks import find_remarks
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
-    from jointplay.solver.machines.rules import restitution_remarks
     from jointplay.solver.simulation.account import account
     from jointplay.solver.simulation.simulate import check_assembly
 
@@ -45,7 +45,7 @@ def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None,
 
         save_drawing(found, state.joints, drawing)
     matrix = matrix_of(found, state)
-    notes = restitution_remarks(found, found.turning_joints)
+    notes = find_remarks(found)
     if as_json:
         print_json(document(found, state, sizes, matrix, arrays, drawing) | {"notes": notes})
     else:

@@ -132,6 +132,28 @@ def mobility_of(machine: Machine, joints: tuple[str, ...], values: Mapping[str, 
     return _mobility(_moving(machine), joints, _drive_numbers(machine, values), masses)
 
 
+def grips_of(machine: Machine) -> Mapping[str, tuple[float, float]]:
+    """Where the friction of each guide presses its surfaces together most over one period of the drive.
+
+    Returns
+    -------
+    mapping of str to (float, float)
+        By sliding joint with friction: the friction that is added to the normal force by a part of the friction, and
+        how far the drive has gone there since the drawn pose, rad at a rotation and s at a slide.
+    """
+    model = _turning(_moving(machine), (), ())
+    if model.rubbing is None:
+        return {}
+    p, rest = model.vector({}), np.zeros(model.size)
+    found = []
+    for t, z in walk(model, p, 1.0):
+        friction, _, _, leverage, *_ = evaluate(model.rubbing_state, t, z, rest, p)
+        found.append((t, friction[:, 0] * np.abs(leverage[:, 0])))
+    each = {name: [(float(grips[i]), t) for t, grips in found] for i, name in enumerate(model.rubbing.joints)}
+    # Positions that mirror each other differ by rounding: the first of them.
+    return {name: max(grips, key=lambda grip: round(grip[0], 9)) for name, grips in each.items()}
+
+
 def rubbing_rate(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: Mapping[str, float],
     mobility: Mapping[str, float],

@@ -29,6 +29,7 @@ from jointplay.solver.cases.steps import (
     response,
     smooth_eigenvalues,
     suspension_modes,
+    suspension_of,
     transient_time,
 )
 from jointplay.solver.equations.drive import drive_rates
@@ -36,7 +37,7 @@ from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
-from jointplay.solver.machines.rules import restitution_remarks
+from jointplay.solver.machines.remarks import restitution_remarks
 
 #: Most memory for one kind of record (displacement, say) of one case.
 MOST_BYTES = 2e9
@@ -118,7 +119,7 @@ def model_of(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]
 
 
 @keep_by_machine(MODELS_KEPT)
-def _standing(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
+def standing_model(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
     """The model with its drive standing, same coordinates."""
     drive = machine.drive
     if isinstance(drive, RotationDrive):
@@ -140,9 +141,9 @@ class _Smooth:
 @keep_by_machine(1024)
 def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
     """Of the machine without clearances, its drive standing, with the given numbers by path."""
-    model = _standing(without_dry_friction(machine), (), tuple(path for path, _ in values))
+    model = standing_model(without_dry_friction(machine), (), tuple(path for path, _ in values))
     p = model.vector(dict(values))
-    suspension = suspension_modes(model, p)
+    suspension = suspension_modes(suspension_of(model, p))
     if find_repeat(model, p):
         # At a change point while nothing is worn (a healthy case was refused before): rigid on its supports, it moves.
         return _Smooth(np.array(suspension), tuple(suspension))
@@ -227,7 +228,7 @@ def _start(
 ) -> tuple[FloatArray, FloatArray]:
     """Coordinates and velocities of the start: pins are concentric in it, so that no contact number matters."""
     model = model_of(machine, joints, varying)
-    standing = model if machine.initial.pose == "drawn" else _standing(machine, joints, varying)
+    standing = model if machine.initial.pose == "drawn" else standing_model(machine, joints, varying)
     z = start_pose(standing, standing.vector(dict(values)))
     v = start_velocity(model, model.vector(dict(values)), z)
     z.flags.writeable = v.flags.writeable = False  # many cases share them

@@ -155,8 +155,27 @@ def largest_step(
     return min(limits)
 
 
-def suspension_modes(model: Model, p: Sequence[float]) -> list[complex]:
-    """Modes of the whole machine, rigid as drawn, on its supports: one of each conjugate pair, 1/s.
+@dataclass(frozen=True, eq=False)
+class Suspension:
+    """The whole machine, rigid as drawn, on its supports; arrays (k, k) over the free motions of the frame.
+
+    Attributes
+    ----------
+    motions : tuple of str
+        Which of x, y, theta are free.
+    mass : array
+        kg, kg m, kg m2.
+    gradients : pair of arrays
+        Of the generalised forces with respect to displacements and velocities.
+    """
+
+    motions: tuple[str, ...]
+    mass: FloatArray
+    gradients: tuple[FloatArray, FloatArray]
+
+
+def suspension_of(model: Model, p: Sequence[float]) -> Suspension:
+    """Mass, stiffness and damping of the machine on its supports.
 
     Parameters
     ----------
@@ -182,13 +201,19 @@ def suspension_modes(model: Model, p: Sequence[float]) -> list[complex]:
             rigid[row, 2] = cg[1] - place[1] if kind == "x" else place[0] - cg[0]
     free = [k for k, i in enumerate(model.frame_indices) if i is not None]
     rigid = rigid[:, free]
-    if not free:
-        return []
     zero = np.zeros(model.size)
     mass = rigid.T @ evaluate(model.mass_matrix, 0.0, zero, zero, p)[0] @ rigid
-    parts = [rigid.T @ part @ rigid for part in evaluate(model.force_gradient, 0.0, zero, zero, p)]
-    n = len(free)
-    system = np.block([[np.zeros((n, n)), np.eye(n)], [np.linalg.solve(mass, part) for part in parts]])
+    stiffness, damping = (rigid.T @ part @ rigid for part in evaluate(model.force_gradient, 0.0, zero, zero, p))
+    return Suspension(tuple(("x", "y", "theta")[k] for k in free), mass, (stiffness, damping))
+
+
+def suspension_modes(suspension: Suspension) -> list[complex]:
+    """Motions of a suspension that swing: one of each conjugate pair, 1/s."""
+    n = len(suspension.motions)
+    if not n:
+        return []
+    parts = [np.linalg.solve(suspension.mass, part) for part in suspension.gradients]
+    system = np.block([[np.zeros((n, n)), np.eye(n)], parts])
     return [complex(s) for s in np.linalg.eigvals(system) if s.imag > 1e-6 * max(1.0, abs(s))]
 
 

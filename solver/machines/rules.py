@@ -12,7 +12,6 @@ from jointplay.solver.machines.friction import FRICTION_NUMBERS, DryFriction
 from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.parts import ForceDrive, RotationDrive, TorqueDrive
 from jointplay.solver.machines.refusals import show_value
-from jointplay.solver.machines.restitution import remark
 
 _Breach = tuple[str, object, str]
 
@@ -59,29 +58,6 @@ def friction_breaches(path: str, said: DryFriction) -> Iterator[_Breach]:
         if name not in own and name in said.model_fields_set:
             rule = f"friction law {said.friction_law} has no {name}, it has {_join_names(own)}"
             yield f"{path}.{name}", getattr(said, name), rule
-
-
-def restitution_remarks(
-    machine: MachineContent, joints: Iterable[str], values: Mapping[str, float] | None = None
-) -> list[str]:
-    """One line for each contact whose law returns a restitution far from the one it is asked for.
-
-    Parameters
-    ----------
-    machine : MachineContent
-    joints : iterable of str
-        Turning joints to look at.
-    values : mapping of str to float, optional
-        Numbers by path that differ from the machine file.
-    """
-    lines = []
-    for joint in joints:
-        contact = getattr(machine.joints[joint], "contact", None)
-        if isinstance(contact, Contact) and contact.restitution is not None:
-            asked = (values or {}).get(f"joints.{joint}.contact.restitution", contact.restitution)
-            line = remark(contact.law, asked)
-            lines += [f"joint {joint}: {line}"] if line else []
-    return lines
 
 
 def _join_names(names: tuple[str, ...]) -> str:

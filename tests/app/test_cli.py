@@ -112,7 +112,7 @@ def test_a_matrix_is_shown_and_simulated_as_its_file_gives_it(tmp_path: Path) ->
     page = (Path(__file__).parents[2] / "docs" / "reference" / "machine-file.md").read_text(encoding="utf-8")
     (given,) = re.findall(r"```yaml\n(name: slider-crank\nmatrix:.*?)```", page, re.DOTALL)
     path = tmp_path / "m.yaml"
-    path.write_text(f"{given}drive: {{kind: rotation, joint: O, speed: 600 rpm}}\n")
+    path.write_text(f"{given}drive: {{kind: rotation, joint: O, speed: 300 rpm}}\n")
     shown = invoke("check", path).stdout
     assert shown.splitlines()[0].endswith("; fault: A=0.2mm, as the file gives it")
     assert [line.split()[1:] for line in shown.splitlines()[-4:]] == [
@@ -187,8 +187,8 @@ def test_check_says_where_a_contact_law_returns_another_restitution(tmp_path: Pa
     path.write_text(invoke("machines", "slider-crank").stdout.replace(at_a, f"{at_a}, contact: {contact}"))
     note = "joint A: contact law lankarani-nikravesh asked for a restitution of 0.5 returns 0.725"
     assert invoke("check", path).stdout.endswith(f"note: {note}\n")
-    assert json.loads(invoke("check", path, "--json").stdout)["notes"] == [note]
-    assert json.loads(invoke("check", "slider-crank", "--json").stdout)["notes"] == []
+    assert json.loads(invoke("check", path, "--json").stdout)["notes"][-1] == note
+    assert json.loads(invoke("check", "four-bar", "--json").stdout)["notes"] == []
     short = ("--duration", "20 ms", "-o", tmp_path / "out.npz")
     assert f"note: {note}\n" in invoke("simulate", path, "--fault", "A=0.1mm", *short).stdout
     assert "note" not in invoke("simulate", path, "--fault", "B=0.1mm", *short).stdout

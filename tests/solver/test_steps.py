@@ -22,6 +22,7 @@ from jointplay.solver.cases.steps import (
     largest_step,
     response,
     suspension_modes,
+    suspension_of,
     transient_time,
 )
 from jointplay.solver.equations.model import build_model
@@ -178,7 +179,7 @@ def test_suspension_of_a_rigid_machine() -> None:
     machine = shipped_machine("quick-return")
     still = machine.model_copy(update={"drive": machine.drive.model_copy(update={"speed": 0.0})})
     model = build_model(still)
-    modes = suspension_modes(model, model.vector({}))
+    modes = suspension_modes(suspension_of(model, model.vector({})))
     assert len(modes) == 3
     mass = sum(link.mass for link in machine.links.values())
     # Rotation couples a little: 1 %.
