@@ -138,10 +138,11 @@ def density_db(noise: FloatArray, width: FloatArray) -> FloatArray:
 LEAST_ON_EITHER_SIDE = 2
 """Cases of a hypothesis that are learned from, and held out, at least."""
 
-FEW_CASES = 4000
-"""Cases in all below which networks are trained in double precision: strongly held weights fade, to numbers too small
-for the normal form of single precision, and processors take many times longer for those (832 cases: 104 s a network,
-and 29 in double precision; 24 064 cases: 24 and 36)."""
+FADING = (1500, 4000)
+"""Cases in all between which networks are trained in double precision: there weights are held strongly for so many
+steps that some fade to numbers too small for the normal form of single precision, for which some processors take many
+times longer (seen from 1986 cases on, not at 1324, where none is below 1e-25). Elsewhere single precision takes half
+the time."""
 
 CASE_ROWS = 75
 """Recordings of a case, at most, of networks that tell hypotheses apart: more say nothing new (docs/decisions/0143)."""
@@ -252,7 +253,7 @@ class NetworkTraining:
             # In place: of a machine with forty bands they are 0.6 GB.
             inputs -= centre
             inputs /= scale
-            if cases < FEW_CASES:
+            if FADING[0] <= cases < FADING[1]:
                 inputs = inputs.astype(np.float64)
             classifier = self._fit(inputs, index, penalty, epochs, lambda s: tell(self.blocks + 10 * s, total))
         labels = tuple(known.label for known in matrix.hypotheses if known.label not in learning.without)

@@ -158,15 +158,20 @@ class Weighed:
         Logarithm of the mean of the weights before that.
     effective : float
         Effective size of the sample.
-    k : float
-        Pareto shape of the largest weights: above 0.7 they are not to be believed (A. Vehtari et al., J. Mach. Learn.
-        Res. 25 (2024) 72). It is told, and not tempered away: of a dozen weights it is known to 0.3 at best.
     """
 
     weights: FloatArray
     log_mean: float
     effective: float
-    k: float
+
+    @property
+    def k(self) -> float:
+        """Pareto shape of the largest weights: above 0.7 they are not to be believed.
+
+        It is told, and not tempered away: of a dozen weights it is known to 0.3 at best (A. Vehtari et al., J. Mach.
+        Learn. Res. 25 (2024) 72).
+        """
+        return pareto_k(self.weights)
 
     @property
     def error(self) -> float:
@@ -179,12 +184,12 @@ def effective_size(weights: FloatArray) -> float:
     return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
-def pareto_k(log_weights: FloatArray) -> float:
+def pareto_k(weights: FloatArray) -> float:
     """Return the shape of the generalised Pareto law of the largest weights (n,); -1 where they are all the same."""
-    count = max(5, min(len(log_weights) // 5, int(3 * np.sqrt(len(log_weights)))))
-    if len(log_weights) <= count:
+    count = max(5, min(len(weights) // 5, int(3 * np.sqrt(len(weights)))))
+    if len(weights) <= count:
         return 0.0
-    top = np.exp(np.sort(log_weights)[-count - 1 :] - log_weights.max())
+    top = np.sort(weights)[-count - 1 :] / weights.max()
     excess = top[1:] - top[0]
     if excess[-1] < 1e-12:
         return -1.0
@@ -223,4 +228,4 @@ def weigh(samples: list[FloatArray]) -> tuple[list[Weighed], float]:
 def _weigh(log_weights: FloatArray) -> Weighed:
     total = float(logsumexp(log_weights))
     weights = np.exp(log_weights - total)
-    return Weighed(weights, total - float(np.log(len(weights))), effective_size(weights), pareto_k(log_weights))
+    return Weighed(weights, total - float(np.log(len(weights))), effective_size(weights))
