@@ -330,13 +330,13 @@ def test_scheduler_that_does_not_answer_is_not_waited_for_in_silence(tmp_path: P
 
 @pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
-    arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "thorough"]
+    arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "standard"]
     with subprocess.Popen([*JOINTPLAY, *arguments], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         shown = list(itertools.takewhile(lambda line: not line.startswith("building: 0 of "), process.stderr))
         process.send_signal(signal.SIGINT)
         assert process.wait(300) == 130
-        assert re.fullmatch(r"plan thorough, [0-9a-f]{12}: 48128 cases \(24064 trusted, 24064 wide\)\n", shown[0])
+        assert re.fullmatch(r"plan standard, [0-9a-f]{12}: 24064 cases \(12032 trusted, 12032 wide\)\n", shown[0])
         assert "hypotheses: healthy, 5 of a single, 10 of a pair, 10 of a triple\n" in shown
         assert process.stderr.read().splitlines()[-1] == "jointplay: interrupted"
 
