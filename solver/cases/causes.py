@@ -87,7 +87,7 @@ def contact_causes(
 
 def _of(machine: Machine, joint: str, name: str) -> bool:
     found = machine.joints[joint]
-    return name == "restitution" or (isinstance(found, TurningJoint) and found.contact.has(name))
+    return name == "restitution" or found.contact.has(name)
 
 
 def support_causes(

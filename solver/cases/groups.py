@@ -11,18 +11,21 @@ from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.preparation import Prepared, model_of, prepare
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.equations.model import Model
-from jointplay.solver.equations.numbers import CONTACT_NUMBERS, contact_path, contact_paths
+from jointplay.solver.equations.numbers import CONTACT_NUMBERS, contact_numbers, contact_path, contact_paths
 from jointplay.solver.errors import AssemblyError, MachineError
 from jointplay.solver.machines.fault import check_fault
 from jointplay.solver.machines.fields import nearest
-from jointplay.solver.machines.joints import LEAST_RESTITUTION, TurningJoint
+from jointplay.solver.machines.joints import LEAST_RESTITUTION
 from jointplay.solver.machines.machine import Machine
 
 _CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
 #: Shorthand for all joints with clearance.
 SHORTHANDS = (*_CONTACT, "pin_radius")
-#: Numbers of a turning joint that count while it has no clearance.
-_CLOSED = ("viscous", "journal_friction")
+#: Numbers of a joint that count while it has no clearance.
+_CLOSED = {
+    "turning": ("viscous", "journal_friction"),
+    "sliding": ("viscous", "friction", "friction_velocity", "presliding"),
+}
 #: Last part of paths whose numbers must be greater than 0, and of those that must not be negative.
 _POSITIVE = ("mass", "inertia", "friction_velocity", "presliding")
 _NOT_NEGATIVE = (
@@ -52,17 +55,11 @@ def _check(machine: Machine, path: str, value: float) -> float:
     return float(value)
 
 
-def _has(machine: Machine, joint: str, name: str) -> bool:
-    """Whether a contact number means something in a turning joint."""
-    found = machine.joints[joint]
-    return isinstance(found, TurningJoint) and found.contact.has(name)
-
-
 def full_paths(machine: Machine, case: Case) -> dict[str, float]:
     """Parameters of a case by full path, and its clearances.
 
-    Numbers of a contact that is closed in this case, and the viscous resistance of a joint that has clearance, have no
-    effect there and are left out. A short path means the joints whose contact law has such a number.
+    Numbers of a contact that is closed in this case, and the resistance of a joint without clearance where it has some,
+    have no effect there and are left out. A short path means the joints whose contact law has such a number.
 
     Parameters
     ----------
@@ -81,21 +78,22 @@ def full_paths(machine: Machine, case: Case) -> dict[str, float]:
         joint, _, number = rest.partition(".")
         if path in SHORTHANDS:
             name = path.rpartition(".")[2]
-            if value and not any(_has(machine, turning, name) for turning in machine.turning_joints):
+            if value and not any(name in contact_numbers(machine.joints[joint]) for joint in machine.wearing_joints):
                 raise MachineError(machine.name, path, given, f"no contact law of this machine has a {name}")
             for worn in case.fault.joints:
-                if _has(machine, worn, name):
+                if name in contact_numbers(machine.joints[worn]):
                     values.setdefault(contact_path(worn, name), value)
-        elif first == "joints" and joint in machine.turning_joints:
-            if number not in (*SHORTHANDS, *_CLOSED):
-                rule = f"no such number{nearest(number, [*SHORTHANDS, *_CLOSED])}"
-                raise MachineError(machine.name, path, given, rule)
-            name = number.rpartition(".")[2]
-            if not _has(machine, joint, name):
+        elif first == "joints" and joint in machine.wearing_joints:
+            found = machine.joints[joint]
+            closed, name = _CLOSED[found.kind], number.rpartition(".")[2]
+            known = [*(short for short in SHORTHANDS if short != "pin_radius" or found.kind == "turning"), *closed]
+            if number not in known:
+                raise MachineError(machine.name, path, given, f"no such number{nearest(number, known)}")
+            if number not in closed and name not in contact_numbers(found):
                 # Nothing is what every law has of the numbers that it does not have.
                 if value:
                     raise MachineError(machine.name, path, given, f"the contact law of this joint has no {name}")
-            elif (joint in case.fault) != (number in _CLOSED):
+            elif (joint in case.fault) != (number in closed):
                 values[path] = value
         else:
             values[path] = value

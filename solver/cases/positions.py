@@ -15,7 +15,7 @@ from jointplay.solver.cases.steps import contact_mobility
 from jointplay.solver.equations.drive import travel_range
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.equations.numbers import evaluate
-from jointplay.solver.machines.joints import Contact, TurningJoint
+from jointplay.solver.machines.joints import Contact
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
@@ -60,10 +60,7 @@ def _moving(machine: Machine) -> Machine:
     drive = machine.drive
     if isinstance(drive, RotationDrive):
         drive = drive.model_copy(update={"ripple": ()})
-    joints = {
-        name: joint.model_copy(update={"contact": Contact()}) if isinstance(joint, TurningJoint) else joint
-        for name, joint in machine.joints.items()
-    }
+    joints = {name: joint.model_copy(update={"contact": Contact()}) for name, joint in machine.joints.items()}
     return machine.model_copy(update={"joints": joints, "drive": drive, "loads": ()})
 
 

@@ -19,7 +19,7 @@ from jointplay.solver.equations.contact import SLOWEST_APPROACH
 from jointplay.solver.equations.friction import RETARDATION
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import contact_path, evaluate
-from jointplay.solver.machines.joints import Joint, SlidingJoint, TurningJoint
+from jointplay.solver.machines.joints import Joint, SlidingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
@@ -75,9 +75,8 @@ def deepest_point(stiffness: float, exponent: float, speed: float) -> float:
 
 
 def _rates(machine: Machine, joint: str, w: float, values: Mapping[str, float], acceleration: float) -> ContactRates:
-    found = machine.joints[joint]
-    assert isinstance(found, TurningJoint)
-    law, n = found.contact.law, found.contact.exponent
+    contact = machine.joints[joint].contact
+    law, n = contact.law, contact.exponent
 
     def number(name: str) -> float:
         return values.get(contact_path(joint, name), 0.0)
@@ -142,8 +141,7 @@ def friction_rate(
     for i, joint in enumerate(model.clearance_joints):
         number = {name: values.get(contact_path(joint, name), 0.0) for name in _NUMBERS}
         pressed = float(np.hypot(*reactions[:, count + 2 * i : count + 2 * i + 2].T).max())
-        found = model.machine.joints[joint]
-        exponent = found.contact.exponent or 1.0 if isinstance(found, TurningJoint) else 1.0
+        exponent = model.machine.joints[joint].contact.exponent or 1.0
         speed = math.sqrt(4 * number["clearance"] * pressed * mobility[joint])
         depth = deepest_point(number["stiffness"] * mobility[joint], exponent, speed)
         impact = number["stiffness"] * depth**exponent

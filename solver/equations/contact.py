@@ -1,4 +1,4 @@
-"""Force between pin and socket of a turning joint with clearance (the paper's impact pair, groups V and VIII).
+"""Force between two surfaces of a joint with clearance (the paper's impact pair, groups V and VIII).
 
 The normal force is the paper's linear pair, or K d^n with hysteresis (d the penetration). The laws that take a
 restitution remember v0, the velocity of approach when the contact began. That memory is a part of the state: 0 while
@@ -15,11 +15,8 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from jointplay.solver.equations.geometry import Complex
 from jointplay.solver.equations.numbers import Number
-from jointplay.solver.machines.joints import TurningJoint
-from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
+from jointplay.solver.machines.restitution import hysteresis_factor
 
 #: Least velocity of approach (m/s) that counts as v0: hysteresis c/v0 would grow without bound where a contact begins
 #: at a creep, and be stiff for nothing. Impacts slower than this lose less than the law says; measured in
@@ -35,12 +32,6 @@ class NormalForce:
 
     elastic: ca.SX
     switch: ca.SX
-
-
-def remembers(machine: Machine, joint: str) -> bool:
-    """Whether the contact of a turning joint remembers the velocity of approach."""
-    found = machine.joints[joint]
-    return isinstance(found, TurningJoint) and found.contact.law in HYSTERESIS
 
 
 def linear_force(stiffness: Number, damping: Number, penetration: ca.SX, approach: ca.SX) -> NormalForce:
@@ -76,20 +67,6 @@ def power(x: ca.SX, exponent: float) -> ca.SX:
     return result
 
 
-#: Squared eccentricity (m2) below which the contact normal has no meaning; there is no force there anyway (e <= c).
-TINY = 1e-60
-
-
-@dataclass(frozen=True)
-class ContactNumbers:
-    """Numbers of one clearance joint, constants or symbols; SI units."""
-
-    clearance: Number
-    friction: Number
-    viscous: Number
-    pin_radius: Number
-
-
 #: (penetration, approach) -> normal force: one of the laws above with its numbers.
 NormalLaw: TypeAlias = Callable[[ca.SX, ca.SX], NormalForce]
 #: Sliding velocity -> what stands for its sign in Coulomb's law.
@@ -98,64 +75,49 @@ SlidingSign: TypeAlias = Callable[[ca.SX], ca.SX]
 
 @dataclass(frozen=True)
 class ContactForce:
-    """Force on the pin and the moments about both centres.
+    """What two surfaces do to each other.
 
     Attributes
     ----------
-    on_pin : Complex
-        Force on the pin's link, N, in the axes of `e`; its opposite acts on the socket's link.
-    moment_on_pin, moment_on_socket : casadi.SX
-        Moments about the pin centre and about the socket centre, N m.
+    pushing, rubbing : casadi.SX
+        Normal force, never negative, and the friction against the slip, N; 0 where they do not touch.
     penetration, approach : casadi.SX
-        e - c, m, and its rate, m/s.
+        m, and its rate, m/s.
     switch : casadi.SX
         m; the surfaces push exactly where it is positive: penetration, or what the force makes of it if that is less.
     """
 
-    on_pin: Complex
-    moment_on_pin: ca.SX
-    moment_on_socket: ca.SX
+    pushing: ca.SX
+    rubbing: ca.SX
     penetration: ca.SX
     approach: ca.SX
     switch: ca.SX
 
 
-def impact_pair(
-    e: Complex, e_rate: Complex, pin_omega: Number, socket_omega: Number, numbers: ContactNumbers, law: NormalLaw,
-    sign: SlidingSign, touching: ca.SX,
-) -> ContactForce:  # fmt: skip
-    """A contact law along the normal, never attractive; Coulomb and viscous friction across it.
+@dataclass(frozen=True)
+class Surfaces:
+    """Two surfaces that may touch: a law along the normal, never attractive; Coulomb and viscous friction across it.
 
-    Parameters
+    Attributes
     ----------
-    e, e_rate : Complex
-        Vector from socket centre to pin centre, m, and its rate, m/s, in the same axes.
-    pin_omega, socket_omega : symbol
-        Angular velocities of the two links, rad/s.
-    numbers : ContactNumbers
     law, sign : callable
+    friction, viscous : symbol or float
+        Coefficient; N s/m.
     touching : casadi.SX
-        1 where the surfaces push, 0 where they do not: a symbol, replaced by ``switch > 0`` or held over a step.
-
-    Notes
-    -----
-    Contact only at e > c, strictly. Both forces act at one point, the pin's surface at pin centre + r_pin n, so that
-    the angular momentum of a free machine is kept; its arm about the socket centre is (e + r_pin) n.
+        1 where they push, 0 where they do not: a symbol, replaced by ``switch > 0`` or held over a step.
     """
-    eccentricity = ca.sqrt(ca.fmax(e.dot(e), TINY))
-    normal = Complex(e.re / eccentricity, e.im / eccentricity)
-    penetration = eccentricity - numbers.clearance
-    approach = normal.dot(e_rate)
-    normal_force = law(penetration, approach)
-    # Selecting the normal force to zero takes friction and moments with it.
-    pushing = ca.if_else(touching > 0, normal_force.elastic, 0)
-    arm_socket = eccentricity + numbers.pin_radius
-    # Velocity of the pin's body relative to the socket's at the common contact point, along the tangent (-n_y, n_x).
-    slip = normal.cross(e_rate) + pin_omega * numbers.pin_radius - socket_omega * arm_socket
-    rubbing = numbers.friction * pushing * sign(slip)
-    rubbing += ca.if_else(touching > 0, numbers.viscous * slip, 0)
-    on_pin = normal * Complex(-pushing, -rubbing)
-    moment_on_socket = rubbing * arm_socket
-    return ContactForce(
-        on_pin, -rubbing * numbers.pin_radius, moment_on_socket, penetration, approach, normal_force.switch
-    )
+
+    law: NormalLaw
+    sign: SlidingSign
+    friction: Number
+    viscous: Number
+    touching: ca.SX
+
+    def force(self, penetration: ca.SX, approach: ca.SX, slip: ca.SX) -> ContactForce:
+        """Forces at a penetration, m, that grows at the rate `approach`, of surfaces that slip, m/s."""
+        normal_force = self.law(penetration, approach)
+        # Selecting the normal force to zero takes friction and moments with it.
+        pushing = ca.if_else(self.touching > 0, normal_force.elastic, 0)
+        rubbing = self.friction * pushing * self.sign(slip)
+        rubbing += ca.if_else(self.touching > 0, self.viscous * slip, 0)
+        return ContactForce(pushing, rubbing, penetration, approach, normal_force.switch)

@@ -6,26 +6,15 @@ follow by virtual work, Q = (d displacement / dz)' force, so no moment arm is ev
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import casadi as ca
 
-from jointplay.solver.equations.contact import (
-    ContactForce,
-    ContactNumbers,
-    NormalForce,
-    NormalLaw,
-    hertzian_force,
-    impact_hysteresis,
-    impact_pair,
-    linear_force,
-)
 from jointplay.solver.equations.drive import Harmonics, interpolate, interpolate_periodic, known_effort
-from jointplay.solver.equations.friction import Bristles, sliding_sign
+from jointplay.solver.equations.friction import Bristles
 from jointplay.solver.equations.geometry import Complex, Kinematics, Vector, constant
-from jointplay.solver.equations.numbers import CONTACT_NUMBERS, Number, Numbers, contact_path
-from jointplay.solver.machines.friction import FRICTION_NUMBERS
-from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
+from jointplay.solver.equations.numbers import Number, Numbers
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount, Spring
 
@@ -257,52 +246,3 @@ def viscous_joints(scene: Scene, open_joints: frozenset[str]) -> None:
             continue
         displacement, rate = scene.slides[name] if isinstance(joint, SlidingJoint) else scene.angle(joint)
         scene.add(displacement, -scene.number(f"joints.{name}.viscous", joint.viscous) * rate)
-
-
-def contact(scene: Scene, name: str, place: int, touching: ca.SX, memory: ca.SX) -> tuple[ca.SX, ContactForce]:
-    """Contact of one clearance joint: the vector from socket to pin centre (m), and the force on the pin.
-
-    `place` is the joint's among those with clearance; `memory` is what a law that takes a restitution remembers, see
-    :mod:`jointplay.solver.equations.contact`.
-    """
-    joint = scene.machine.joints[name]
-    assert isinstance(joint, TurningJoint)
-    pin = joint.pin
-    socket = joint.links[1] if pin == joint.links[0] else joint.links[0]
-    poses, terms = scene.kinematics.poses, scene.kinematics.terms
-    vector = poses[pin].point(joint.at) - poses[socket].point(joint.at)
-    e = terms.value(vector)
-    nominal = {key: getattr(joint.contact, key, 0.0) for key in CONTACT_NUMBERS} | {"pin_radius": joint.pin_radius}
-    known = [key for key in CONTACT_NUMBERS if joint.contact.has(key)]
-    numbers = {key: scene.number(contact_path(name, key), nominal[key]) for key in known}
-    shared = ContactNumbers(**{each.name: numbers[each.name] for each in fields(ContactNumbers)})
-    law = _normal_law(joint.contact, numbers, memory)
-
-    def sign(slip: ca.SX) -> ca.SX:
-        if not joint.contact.friction and not scene.number.varies(contact_path(name, "friction")):
-            return ca.SX(0)
-        kind = joint.contact.friction_law
-        return sliding_sign(kind, slip, numbers[FRICTION_NUMBERS[kind][0]], place, scene.bristles)
-
-    force = impact_pair(e, terms.rate(vector), poses[pin].omega, poses[socket].omega, shared, law, sign, touching)
-    # The force moves the centres apart; off the centres, at the common contact point, it also turns both links.
-    scene.push(vector, force.on_pin)
-    scene.twist(pin, force.moment_on_pin)
-    scene.twist(socket, force.moment_on_socket)
-    return e.column, force
-
-
-def _normal_law(contact: Contact, numbers: dict[str, Number], memory: ca.SX) -> NormalLaw:
-    """The law of the machine file with its numbers, as a function of penetration and approach."""
-
-    def law(penetration: ca.SX, approach: ca.SX) -> NormalForce:
-        stiffness = numbers["stiffness"]
-        if contact.exponent is None:
-            return linear_force(stiffness, numbers["damping"], penetration, approach)
-        if contact.restitution is None:
-            hysteresis = numbers["hysteresis"]
-        else:
-            hysteresis = impact_hysteresis(contact.law, numbers["restitution"], approach, memory)
-        return hertzian_force(stiffness, contact.exponent, hysteresis, penetration, approach)
-
-    return law

@@ -33,7 +33,7 @@ class Bristles:
     Attributes
     ----------
     contacts : list of int
-        Clearance joint (its place among them) of each; -1 for a guide, whose surfaces never part.
+        Contact (its place among them) of each; -1 for a guide without clearance, whose surfaces never part.
     deflections, slips : list of casadi.SX
         Symbols: x; and 1 or -1 where it slips (the sign of v), 0 at rest.
     pulls : list of casadi.SX

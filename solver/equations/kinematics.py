@@ -3,7 +3,7 @@
 Each link's orientation is an absolute angle; links that a sliding joint or a prescribed rotation ties together share
 one. Positions follow from the frame outwards along a spanning tree of the ideal joints, turning joints first because
 they cost no coordinate. What the tree leaves over closes a loop: one closure equation per sliding joint, two per
-turning joint. A joint with clearance is in neither; its pin floats.
+turning joint. A joint with clearance is in neither; its pin floats, or its block between the walls.
 """
 
 from __future__ import annotations
@@ -99,7 +99,8 @@ class Tree:
         for name, joint in self.machine.joints.items():
             first, second = joint.links
             if isinstance(joint, SlidingJoint):
-                ties.append((name, first, second, 0))
+                if name not in self.open:
+                    ties.append((name, first, second, 0))
             elif self.drives(name, rotation=True):
                 ties.append((name, first, second, 1))
         if self.expanded:
@@ -199,7 +200,7 @@ class Tree:
     def grow_slide(self, depth: dict[str, int]) -> list[str]:
         """Place one more link through a sliding joint, if any reaches out of what is placed."""
         for name, joint in self.machine.joints.items():
-            if not isinstance(joint, SlidingJoint) or name in self.rubbing:
+            if not isinstance(joint, SlidingJoint) or name in self.open | self.rubbing:
                 continue  # friction needs the normal force, hence the closure equation
             near = [link for link in joint.links if link in depth and depth[link] < MAX_DEPTH]
             far = [link for link in joint.links if link not in self.poses]
@@ -243,16 +244,19 @@ class Tree:
 def _closures(tree: Tree) -> Iterator[Closure]:
     """Closure equations of the ideal joints that the tree did not use, of a locked link and of a driven slide."""
     for name, joint in tree.machine.joints.items():
-        if name in tree.eliminated or name in tree.open:
+        if name in tree.eliminated:
             continue
         if isinstance(joint, TurningJoint):
+            if name in tree.open:
+                continue
             first, second = (tree.poses[link].point(joint.at) for link in joint.links)
             gap = tree.terms.value(first - second).column
             yield Closure(f"{name}.x", gap[0])
             yield Closure(f"{name}.y", gap[1])
         else:
             along, across = slide(joint, tree.poses, tree.terms)
-            yield Closure(f"{name}.normal", across)
+            if name not in tree.open:
+                yield Closure(f"{name}.normal", across)
             driven = tree.drives(name, rotation=False)
             if driven:
                 yield Closure(f"{name}.drive", along - driven.value)
@@ -273,7 +277,8 @@ def _angle_closures(tree: Tree) -> Iterator[Closure]:
         first, second = (tree.angles[link].theta for link in joint.links)
         driven = tree.drives(name, rotation=True)
         if isinstance(joint, SlidingJoint):
-            yield Closure(f"{name}.couple", first - second)
+            if name not in tree.open:
+                yield Closure(f"{name}.couple", first - second)
         elif driven:
             yield Closure(f"{name}.drive", first - second - driven.value)
 
@@ -293,7 +298,7 @@ def kinematics(
     ----------
     machine : Machine
     open_joints : frozenset of str
-        Turning joints with clearance.
+        Joints with clearance.
     motion : PrescribedMotion or None
         Motion of the drive joint, a function of the time symbol.
     gravity : symbol or float

@@ -30,7 +30,8 @@ class LinkMotion:
     reactions : dict of str to array
         By name: ``force_J`` (n, 2) on links[0] of turning joint J, N, global axes; ``force_J_on_pin`` (n, 2) for one
         with clearance; ``normal_J`` and ``couple_J`` (n,) on links[0] of a sliding joint, N and N m, the normal being
-        the direction turned by +90 deg; ``drive_effort`` (n,) on links[0] of a prescribed drive, N m or N.
+        the direction turned by +90 deg (with clearance the sum over the corners, and the moment of all their forces
+        about the joint's point); ``drive_effort`` (n,) on links[0] of a prescribed drive, N m or N.
     open : tuple of str
         Those of joints that hold together more than there is to hold: their sum has a value, their shares have none.
         Joints that repeat another have 0 here; the others share by least squares.
@@ -75,7 +76,10 @@ def expanded_state(reduced: Model, full: Model) -> ca.Function:
 def _names(model: Model) -> list[str]:
     """Name of every column that :func:`_evaluation` puts out."""
     columns = [_name(closure) for closure in model.repeats.all]
-    return columns + [f"force_{joint}_on_pin" for joint in model.clearance_joints for _ in range(2)]
+    for joint in model.clearance_joints:
+        guide = joint in model.machine.sliding_joints
+        columns += [f"normal_{joint}", f"couple_{joint}"] if guide else [f"force_{joint}_on_pin"] * 2
+    return columns
 
 
 def _name(closure: str) -> str:
@@ -105,7 +109,8 @@ def _evaluation(reduced: Model, full: Model) -> ca.Function:
             forces.append(terms.to_ground(_pair(every, row)).column)
         elif kind != "y":
             forces.append(every[row])
-    forces += [terms.to_ground(_pair(push, 0)).column for push in full.push.values()]
+    for name, push in full.push.items():
+        forces.append(push if name in full.machine.sliding_joints else terms.to_ground(_pair(push, 0)).column)
     reactions = full.function_of_memory("reactions", ca.vertcat(*forces) if forces else ca.SX(0, 1))(
         *arguments, reduced.memory
     )

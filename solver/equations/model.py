@@ -15,12 +15,13 @@ from functools import cached_property
 import casadi as ca
 
 from jointplay.solver.equations import drive, forces
-from jointplay.solver.equations.contact import ContactForce, remembers
+from jointplay.solver.equations.contact import ContactForce
 from jointplay.solver.equations.dynamics import Solver, constrained_solver, inertia
 from jointplay.solver.equations.friction import Bristles
 from jointplay.solver.equations.geometry import Kinematics
 from jointplay.solver.equations.kinematics import kinematics
 from jointplay.solver.equations.numbers import Numbers, contact_paths
+from jointplay.solver.equations.play import wear
 from jointplay.solver.equations.redundancy import Repeats, without_repeats
 from jointplay.solver.equations.rubbing import Rubbing, journals, rubbing_joints, solve_with_friction
 from jointplay.solver.errors import MachineError
@@ -198,19 +199,20 @@ class Model(ModelFunctions):
     acceleration, reactions : casadi.SX
         z'' (n, 1) and lambda (m, 1).
     eccentricity : casadi.SX
-        Vectors from socket to pin centre of the clearance joints, stacked, (2k, 1), m.
+        How far the clearance joints are off where they were drawn, stacked, (2k, 1), m; this and `push` as of
+        :class:`~jointplay.solver.equations.play.WornJoint`.
     push : dict of str to casadi.SX
-        (2, 1) force on the pin of each clearance joint, N, axes of the frame.
+        (2, 1) force in each clearance joint.
     contacts : tuple of ContactForce
-        With whether the surfaces push as a symbol.
+        One of a pin, four of a block in its guide; with whether the surfaces push as a symbol.
     touching, held_acceleration : casadi.SX
-        These symbols, one a clearance joint, and z'' as a function of them: smooth as long as they are held.
+        These symbols, one a contact, and z'' as a function of them: smooth as long as they are held.
     rubbing : Rubbing or None
         Sliding joints with Coulomb friction, contacts held; ``None`` without any.
     jam : casadi.SX
         1 where they jam: accelerations and reactions have no meaning there; else 0.
     remembering : tuple of int
-        Clearance joints (as in `contacts`) whose law remembers, see :mod:`jointplay.solver.equations.contact`.
+        Places of contacts whose law remembers, see :mod:`jointplay.solver.equations.contact`.
     bristles : Bristles
         Rubbing surfaces that can stick.
     memory : casadi.SX
@@ -288,7 +290,7 @@ def build_model(
     ----------
     machine : Machine
     clearance_joints : iterable of str
-        Turning joints that have clearance in this model.
+        Joints that have clearance in this model.
     varying : iterable of str
         Numbers of the machine file, by path, that become lane parameters besides the contact numbers of the clearance
         joints and the drive speed.
@@ -298,21 +300,21 @@ def build_model(
     Raises
     ------
     MachineError
-        A joint that is no turning joint, a path that no equation holds, or something the solver does not model.
+        A joint that cannot have clearance, a path that no equation holds, or something the solver does not model.
     """
     wanted = tuple(clearance_joints)
     for name in wanted:
-        if name not in machine.turning_joints:
-            rule = f"only a turning joint can have clearance; these are {', '.join(machine.turning_joints)}"
+        if name not in machine.wearing_joints:
+            rule = f"cannot have clearance; that can {', '.join(machine.wearing_joints)}"
             raise MachineError(machine.name, f"joints.{name}", None, rule)
-    open_joints = tuple(name for name in machine.turning_joints if name in wanted)
+    open_joints = tuple(name for name in machine.wearing_joints if name in wanted)
     contacted = [path for name in open_joints for path in contact_paths(machine, name)]
     speed = ["drive.speed"] if isinstance(getattr(machine.drive, "speed", None), float) else []
     number = Numbers([*contacted, *speed, *varying])
 
     t = ca.SX.sym("t")
     motion = drive.prescribed_motion(machine, number, t)
-    rubbing_names, turning = rubbing_joints(machine, number), journals(machine, number, open_joints)
+    rubbing_names, turning = (find(machine, number, open_joints) for find in (rubbing_joints, journals))
     rubs, gravity = frozenset((*rubbing_names, *turning)), number("gravity", machine.gravity)
 
     def moving(motion: drive.PrescribedMotion | None) -> Kinematics:
@@ -335,14 +337,7 @@ def build_model(
     forces.loads(scene)
     forces.effort(scene)
     forces.viscous_joints(scene, frozenset(open_joints))
-    touching = ca.SX.sym("touching", len(open_joints))
-    remembering = tuple(i for i, name in enumerate(open_joints) if remembers(machine, name))
-    memory = ca.SX.sym("memory", len(remembering))
-    memories = dict(zip(remembering, ca.vertsplit(memory), strict=True)) if remembering else {}
-    contacts = {
-        name: forces.contact(scene, name, i, touching[i], memories.get(i, ca.SX(0)))
-        for i, name in enumerate(open_joints)
-    }
+    play = wear(scene, open_joints)
 
     closed = bool(kin.closures)
     phi = ca.vertcat(*(c.phi for c in kin.closures)) if closed else ca.SX(0, 1)
@@ -357,19 +352,16 @@ def build_model(
     else:
         held, reactions = solution.solve(scene.total, gamma)
     held = ca.mtimes(kin.axes, held)
-    switch = ca.vertcat(*(contact.switch for _, contact in contacts.values()))
     force, acceleration, reactions, jam, *pushes = with_contacts_decided(
-        touching,
-        switch,
-        [scene.total, held, reactions, held_jam, *(contact.on_pin.column for _, contact in contacts.values())],
-    )
+        play.touching, play.switch,
+        [scene.total, held, reactions, held_jam, *(joint.push for joint in play.joints.values())],
+    )  # fmt: skip
     unused = number.unused()
     if unused:
         raise MachineError(machine.name, unused[0], None, "no equation of this machine holds such a number")
-    eccentricity = ca.vertcat(*(e for e, _ in contacts.values())) if contacts else ca.SX(0, 1)
     return Model(
         machine, open_joints, number.paths, number.nominal, t, z, v, number.vector, kin, mass, force,
-        solution, phi, phi_rate, acceleration, reactions, eccentricity,
-        dict(zip(contacts, pushes, strict=True)), tuple(contact for _, contact in contacts.values()), touching, held,
-        rubbing, jam, remembering, scene.bristles, ca.vertcat(memory, scene.bristles.memory), repeats,
+        solution, phi, phi_rate, acceleration, reactions, play.eccentricity,
+        dict(zip(play.joints, pushes, strict=True)), play.contacts, play.touching, held,
+        rubbing, jam, play.remembering, scene.bristles, ca.vertcat(play.memory, scene.bristles.memory), repeats,
     )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.joints import Joint, SlidingJoint
 from jointplay.solver.machines.machine import Machine
 
 Number = ca.SX | float
@@ -23,11 +23,18 @@ CONTACT_NUMBERS = (
 )  # fmt: skip
 
 
+def contact_numbers(joint: Joint) -> dict[str, float]:
+    """Contact numbers that a joint has, by name: those of its laws, and of a pin its radius; clearance is 0."""
+    values = {name: getattr(joint.contact, name, 0.0) or 0.0 for name in CONTACT_NUMBERS if joint.contact.has(name)}
+    if isinstance(joint, SlidingJoint):
+        del values["pin_radius"]
+        return values
+    return values | {"pin_radius": joint.pin_radius}
+
+
 def contact_paths(machine: Machine, joint: str) -> list[str]:
-    """Paths of the contact numbers of a turning joint that are lane parameters whether or not a case changes them."""
-    found = machine.joints[joint]
-    assert isinstance(found, TurningJoint)
-    values = {**found.contact.model_dump(), "pin_radius": found.pin_radius, "clearance": 1.0}
+    """Paths of the contact numbers of a joint that are lane parameters whether or not a case changes them."""
+    values = {**contact_numbers(machine.joints[joint]), "clearance": 1.0}
     return [contact_path(joint, name) for name in CONTACT_NUMBERS if values.get(name)]
 
 

@@ -191,7 +191,7 @@ def _check_friction(
             joint, same = machine.joints.get(other), machine.joints.get(first)
             if not isinstance(joint, SlidingJoint) or not isinstance(same, SlidingJoint):
                 shared.update((*of, name))
-            elif set(joint.links) != set(same.links) or _friction(joint) != _friction(same):
+            elif set(joint.links) != set(same.links) or joint.own_friction != same.own_friction:
                 rule = f"must be the friction of {first}, {same.friction:g}: both guide the same links, and rub as one"
                 raise AssemblyError(machine.name, f"joints.{other}.friction", joint.friction, rule)
     for name in sorted(rub(shared)):
@@ -200,11 +200,6 @@ def _check_friction(
         among = ", ".join(sorted({_owner(closure) for closure in shared}))
         rule = f"no force to rub by: how {among} share the load is open; leave one of them out"
         raise AssemblyError(machine.name, f"joints.{name}.{number}", getattr(joint, number), rule)
-
-
-def _friction(joint: SlidingJoint) -> dict[str, object]:
-    """What a guide rubs with."""
-    return joint.model_dump(exclude={"links", "at", "direction", "viscous"})
 
 
 def _positions(machine: Machine, kin: Kinematics) -> list[FloatArray]:

@@ -58,8 +58,8 @@ def journals(machine: Machine, number: Numbers, open_joints: Collection[str]) ->
     )
 
 
-def rubbing_joints(machine: Machine, number: Numbers) -> tuple[str, ...]:
-    """Sliding joints with Coulomb friction, in the file or as a number that a case varies.
+def rubbing_joints(machine: Machine, number: Numbers, open_joints: Collection[str]) -> tuple[str, ...]:
+    """Sliding joints without clearance, with Coulomb friction in the file or as a number that a case varies.
 
     Raises
     ------
@@ -69,7 +69,9 @@ def rubbing_joints(machine: Machine, number: Numbers) -> tuple[str, ...]:
     found = tuple(
         name
         for name, joint in machine.joints.items()
-        if isinstance(joint, SlidingJoint) and (joint.friction or number.varies(f"joints.{name}.friction"))
+        if isinstance(joint, SlidingJoint)
+        and name not in open_joints
+        and (joint.friction or number.varies(f"joints.{name}.friction"))
     )
     if len(found) > MOST:
         path, rule = f"joints.{found[MOST]}.friction", f"at most {MOST} sliding joints of a machine may have friction"

@@ -105,9 +105,9 @@ class Lanes(NamedTuple):
     saved : (2 n, LANES) array
         Coordinates and velocities before a correction.
     remembering : (m,) array of int
-        Clearance joints whose contact law remembers.
+        Contacts whose law remembers.
     rubbing : (k,) array of int
-        Clearance joint of each pair of surfaces that can stick, -1 for guides.
+        Contact of each pair of surfaces that can stick, -1 for guides without clearance.
     free : (slots,) array of int
         Stack of free slots.
     ended : (slots, 2) array of int
@@ -137,7 +137,7 @@ def idle_lanes(n: int, contacts: int, remembering: IntArray, rubbing: IntArray, 
     Parameters
     ----------
     n, contacts : int
-        Coordinates, clearance joints.
+        Coordinates, contacts of joints with clearance.
     remembering, rubbing : array of int
         See :class:`Lanes`.
     slots : int

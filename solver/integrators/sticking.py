@@ -58,7 +58,7 @@ def first_change(
     step, shortest : float
         The step, and the one below which a case stalls, s.
     rubbing : (k,) array of int
-        The clearance joint of each pair, -1 for guides.
+        The contact of each pair, -1 for guides without clearance.
 
     Returns
     -------

@@ -39,7 +39,13 @@ class MachineContent(Part):
         return tuple(name for name, joint in self.joints.items() if isinstance(joint, SlidingJoint))
 
     @property
+    def wearing_joints(self) -> tuple[str, ...]:
+        """Joints that can have clearance, in the order of the file: turning ones, and guides with a length."""
+        found = self.joints.items()
+        return tuple(name for name, joint in found if isinstance(joint, TurningJoint) or joint.length is not None)
+
+    @property
     def clearances(self) -> dict[str, float]:
-        """Radial clearance (m) of the joints to which the file gives one: the fault where no other is asked for."""
-        found = {name: joint.clearance for name, joint in self.joints.items() if isinstance(joint, TurningJoint)}
+        """Half the play (m) of the joints to which the file gives one: the fault where no other is asked for."""
+        found = {name: joint.clearance for name, joint in self.joints.items()}
         return {name: clearance for name, clearance in found.items() if clearance is not None}

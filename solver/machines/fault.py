@@ -1,4 +1,4 @@
-"""A fault state: which turning joints have clearance, and how much."""
+"""A fault state: which joints have clearance, and how much."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from jointplay.solver.machines.machine import Machine
 
 
 class Fault(Mapping[str, float]):
-    """Radial clearance (m) of each worn joint; joints not named are ideal. Immutable, ordered by name.
+    """Clearance (m) of each worn joint; joints not named are ideal. Immutable, ordered by name.
 
     Parameters
     ----------
     clearances : mapping of str to float
-        Half the diametral play of each joint, m; a joint with clearance 0 is ideal and left out.
+        Half the play of each joint, m: that of a pin's diameter, or between the walls of a guide; a joint with
+        clearance 0 is ideal and left out.
 
     Raises
     ------
@@ -74,18 +75,16 @@ def check_fault(fault: Fault, machine: Machine) -> None:
     Raises
     ------
     MachineError
-        A joint that the machine does not have, or a sliding joint.
+        A joint that the machine does not have, or a sliding joint without a length.
     """
     for joint, clearance in fault.items():
-        if joint in machine.turning_joints:
+        if joint in machine.wearing_joints:
             continue
-        shown = f"{clearance * 1e3:g} mm"
-        turning = ", ".join(machine.turning_joints) or "none"
         if joint in machine.joints:
-            rule = f"a sliding joint has no clearance; only turning joints do: {turning}"
-        else:
-            rule = f"no such joint{nearest(joint, machine.turning_joints)}"
-        raise MachineError(machine.name, f"fault.{joint}", shown, rule)
+            rule = f"is missing: clearance of sliding joint {joint} tilts its block by its length"
+            raise MachineError(machine.name, f"joints.{joint}.length", None, rule)
+        rule = f"no such joint{nearest(joint, machine.wearing_joints)}"
+        raise MachineError(machine.name, f"fault.{joint}", f"{clearance * 1e3:g} mm", rule)
 
 
 def parse_fault(text: str | None, machine: Machine) -> Fault:

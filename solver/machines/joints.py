@@ -55,7 +55,7 @@ LAW_NUMBERS = {
 
 
 class Contact(DryFriction):
-    """Contact of pin and socket in a turning joint that has clearance.
+    """Contact of pin and socket, or of a block's corner and a wall, in a joint that has clearance.
 
     ``law`` of the normal force, with d the penetration: ``linear`` is K d + C d', with ``stiffness`` K [N/m] and
     ``damping`` C [N s/m]; ``hertz`` is K d^n (1 + a d') with ``stiffness`` [N/m^n], ``exponent`` n and ``hysteresis``
@@ -164,7 +164,10 @@ class TurningJoint(Part):
 class SlidingJoint(DryFriction):
     """``links`` [0] slides along a line through ``at`` along ``direction`` (unit length), fixed in ``links`` [1].
 
-    ``viscous`` [N s/m] acts along it beside the dry friction.
+    ``viscous`` [N s/m] acts along it beside the dry friction, both while the joint has no clearance. One that can have
+    says how long its block is, ``length`` [m] along the line with ``at`` in the middle, and how high, ``height`` [m]
+    from wall to wall; ``contact`` of its corners counts once it has. ``clearance`` [m, half the play between the walls]
+    is what the joint has in a simulation that is asked for no other fault.
     """
 
     kind: Literal["sliding"] = "sliding"
@@ -172,6 +175,18 @@ class SlidingJoint(DryFriction):
     at: Point
     direction: Direction
     viscous: Damping = 0.0
+    length: Annotated[float, QuantityField(units.LENGTH, above=0)] | None = None
+    height: Annotated[float, QuantityField(units.LENGTH, at_least=0)] = 0.0
+    contact: Contact = Contact()
+    clearance: Annotated[float, ClearanceField(above=0)] | None = None
+
+    @model_serializer(mode="wrap")
+    def _leave_out_numbers_of_other_laws(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Machines that say nothing of clearance keep the content key they had before a file could.
+        since = {"length": None, "height": 0.0, "clearance": None}
+        written = super()._leave_out_numbers_of_other_laws(write)
+        known = self.length is not None
+        return {k: v for k, v in written.items() if (k != "contact" or known) and (k not in since or v != since[k])}
 
 
 Joint: TypeAlias = Annotated[TurningJoint | SlidingJoint, Field(discriminator="kind")]

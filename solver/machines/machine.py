@@ -50,9 +50,9 @@ class Machine(MachineContent):
         return self
 
     def _complete_joint(self, joint: TurningJoint | SlidingJoint) -> TurningJoint | SlidingJoint:
-        if isinstance(joint, SlidingJoint):
-            return joint
         contact = joint.contact.over(self.defaults.contact)
+        if isinstance(joint, SlidingJoint):
+            return joint if joint.length is None else joint.model_copy(update={"contact": contact})
         return joint.model_copy(update={"pin": joint.pin or joint.links[0], "contact": contact})
 
     def canonical_json(self) -> str:

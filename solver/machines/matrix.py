@@ -48,7 +48,7 @@ class MechanismMatrix:
         ----------
         machine : MachineContent
         clearance_joints : iterable of str
-            Turning joints that have clearance.
+            Joints that have clearance. The paper has none in guides: they stay A.
 
         Raises
         ------
@@ -57,8 +57,8 @@ class MechanismMatrix:
         """
         names = sorted(machine.links, key=lambda name: name != machine.frame)
         open_joints = set(clearance_joints)
-        for name in sorted(open_joints - set(machine.turning_joints)):
-            raise MachineError(machine.name, f"joints.{name}", None, "is not a turning joint of this machine")
+        for name in sorted(open_joints - set(machine.wearing_joints)):
+            raise MachineError(machine.name, f"joints.{name}", None, "is no joint that can have clearance")
         table = [["0"] * len(names) for _ in names]
         for name, joint in machine.joints.items():
             i, j = (names.index(link) for link in joint.links)

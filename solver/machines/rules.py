@@ -166,11 +166,13 @@ def _joints(machine: MachineContent) -> Iterator[Breach]:
             )
         if isinstance(joint, SlidingJoint):
             yield from (Breach(*breach) for breach in friction_breaches(path, joint))
+            said = [key for key in ("clearance", "height", "contact") if key in joint.model_fields_set]
+            if joint.length is None and said:
+                yield Breach(f"{path}.length", None, f"is missing: {said[0]} is that of a block of this length")
 
 
 def _contacts(machine: MachineContent) -> Iterator[Breach]:
-    turning = {name: joint for name, joint in machine.joints.items() if isinstance(joint, TurningJoint)}
-    contacts = {f"joints.{name}.contact": joint.contact for name, joint in turning.items()}
+    contacts = {f"joints.{name}.contact": machine.joints[name].contact for name in machine.wearing_joints}
     for path, value, rule in contact_breaches(machine.defaults.contact, contacts):
         yield Breach(path, value, rule)
 

@@ -163,7 +163,9 @@ def _unknowns_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
     for joint_name, joint in machine.joints.items():
         eliminated = joint_name in model.kinematics.eliminated
         driven = machine.drive is not None and machine.drive.joint == joint_name and prescribes_motion(machine)
-        if isinstance(joint, SlidingJoint):
+        if joint_name in model.clearance_joints:
+            yield LeftOut(f"2 reactions of {joint_name}", "clearance: its force follows from the motion", 2)
+        elif isinstance(joint, SlidingJoint):
             tied = 1 if tie(joint.links) else 0
             if eliminated:
                 why = "sliding joint fulfilled by the choice of coordinates"
@@ -175,8 +177,6 @@ def _unknowns_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
         elif eliminated:
             why = "turning joint fulfilled by the choice of coordinates"
             yield LeftOut(f"2 equations and 2 reactions of {joint_name}", why, 4)
-        elif joint_name in model.clearance_joints:
-            yield LeftOut(f"2 reactions of {joint_name}", "clearance: its force follows from the motion", 2)
         # The drive of a slide that closes a loop stays, as a closure.
         if driven and (eliminated or not isinstance(machine.drive, TranslationDrive)):
             if isinstance(joint, TurningJoint):
@@ -187,20 +187,22 @@ def _unknowns_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
 def _terms_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
     """Forces that this scene does not have."""
     for name, joint in machine.joints.items():
-        if isinstance(joint, SlidingJoint):
-            if not joint.friction:
-                yield LeftOut(f"friction of {name}", "friction is 0")
-            if not joint.viscous:
-                yield LeftOut(f"viscous resistance of {name}", "viscous is 0")
-        elif name in model.clearance_joints:
+        guide = isinstance(joint, SlidingJoint)
+        drag = "viscous resistance of" if guide else "viscous torque of"
+        rubs = "friction of" if guide else "friction of the journal"
+        rubbing = joint.friction if isinstance(joint, SlidingJoint) else joint.journal_friction
+        if name in model.clearance_joints:
             if joint.viscous:
-                yield LeftOut(f"viscous torque of {name}", "only while the joint has no clearance")
-            if joint.journal_friction:
-                yield LeftOut(f"friction of the journal {name}", "only while the joint has no clearance")
-        else:
+                yield LeftOut(f"{drag} {name}", "only while the joint has no clearance")
+            if rubbing:
+                yield LeftOut(f"{rubs} {name}", "only while the joint has no clearance")
+            continue
+        if name in machine.wearing_joints:
             yield LeftOut(f"contact of {name}", "no clearance in this fault state")
-            if not joint.viscous:
-                yield LeftOut(f"viscous torque of {name}", "viscous is 0")
+        if guide and not rubbing:
+            yield LeftOut(f"{rubs} {name}", "friction is 0")
+        if not joint.viscous:
+            yield LeftOut(f"{drag} {name}", "viscous is 0")
     standing = {name for name, link in machine.links.items() if link.fixed}
     for i, support in enumerate(machine.supports):
         if support.link in standing and (support.to_link is None or support.to_link in standing):

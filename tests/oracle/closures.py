@@ -19,11 +19,13 @@ def lacking(machine: Machine, clearances: Mapping[str, float], t: float, positio
     gaps: list[float] = [0.0]
     for name, joint in machine.joints.items():
         i, j = (state.index(link) for link in joint.links)
+        if name in clearances:
+            continue
         if isinstance(joint, SlidingJoint):
             slide = state.slide(joint)
             gaps += [float(slide.normal @ slide.gap), slide.normal_rate]
             gaps += [positions[i, 2] - positions[j, 2], velocities[i, 2] - velocities[j, 2]]
-        elif name not in clearances:
+        else:
             gaps += list(state.point(i, joint.at) - state.point(j, joint.at))
             gaps += list(state.velocity(i, joint.at) - state.velocity(j, joint.at))
     for i, k in blocked_motions(machine):

@@ -2,9 +2,10 @@
 
 For N links and J joints there are 3N + 2J unknowns: x'', y'', theta'' of every link's centre of gravity, and two for
 every joint (turning pair: the force on its first link; sliding pair: the normal force and the couple on its first link;
-turning pair with clearance: the force on its pin, which is a function of the state). A prescribed drive adds its effort
-as one more unknown, and its motion as one more row. Nothing here comes from the solver's equations; the numbers of a
-machine file and the positions and velocities of all links are the only input.
+pair with clearance: the force on its pin, or the normal force and the couple of a block's corners, which are functions
+of the state). A prescribed drive adds its effort as one more unknown, and its motion as one more row. Nothing here
+comes from the solver's equations; the numbers of a machine file and the positions and velocities of all links are the
+only input.
 
 Links are numbered in the order of the file. A state is two arrays (N, 3): x, y of the centre of gravity in global
 coordinates (m) and the angle since the drawing (rad), and their rates.
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from oracle.closures import blocked_motions
-from oracle.state import Array, ContactState, Held, Slide, State, across, cross, sliding_sign
+from oracle.state import Array, ContactState, CornerState, Held, Slide, State, across, cross, sliding_sign
 from oracle.tables import periodic_row, prescribed, table, time_row
 
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
@@ -36,7 +37,7 @@ class Solution:
     """Accelerations (N, 3), reactions by joint, the drive's effort (0 unless prescribed), and [A] itself.
 
     A reaction is (Fx, Fy) on links[0] of a turning joint, on the pin where it has clearance, and (normal force, couple)
-    on links[0] of a sliding joint. What rounding of a solution is to be measured by: `scale` are the largest terms of
+    on links[0] of a sliding joint, with clearance of all forces of its corners. What rounding of a solution is to be measured by: `scale` are the largest terms of
     the equations as accelerations, m/s2 and rad/s2; `effort_scale` the same as they stand, N and N m.
     """
 
@@ -101,7 +102,9 @@ class _System:
         self.supports()
         self.loads()
         for name, joint in self.machine.joints.items():
-            if isinstance(joint, SlidingJoint):
+            if isinstance(joint, SlidingJoint) and name in clearances:
+                self.corners(name, joint)
+            elif isinstance(joint, SlidingJoint):
                 self.sliding(joint, self.columns[name])
                 if joint.friction:
                     self.rubbing[name] = self.friction(name, joint)
@@ -229,6 +232,15 @@ class _System:
         share[slide.slider] += self.wrench(slide.slider, slide.point, force)
         share[slide.guide] += self.wrench(slide.guide, slide.point, -force)
         return share.ravel()
+
+    def corners(self, name: str, joint: SlidingJoint) -> None:
+        """Known forces of the corners, each at its own; rows that say what they come to at the joint's point."""
+        slide, column = self.state.slide(joint), self.columns[name]
+        self.a[column, column] = self.a[column + 1, column + 1] = 1.0
+        for corner in CornerState.all(self.state, name, self.clearances[name], self.began):
+            self.pair(corner.block, corner.guide, corner.point, corner.force)
+            self.c[column] += slide.normal @ corner.force
+            self.c[column + 1] += cross(corner.point - slide.point, corner.force)
 
     def clearance(self, name: str) -> None:
         """Rows that say the force on the pin is what the state makes it; it acts at one common point."""

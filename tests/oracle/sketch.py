@@ -1,7 +1,7 @@
 """Random machines and random states of them, the same for the same seed.
 
 A machine grows from its frame: a link on a turning or sliding pair, two links that close a loop (a dyad, which neither
-adds nor takes a freedom), or a body held by supports alone. Any turning pair may get clearance, any pair the drive.
+adds nor takes a freedom), or a body held by supports alone. Any pair may get clearance, or the drive.
 """
 
 from __future__ import annotations
@@ -196,6 +196,19 @@ class _Draft:
         return data | {kind: [[x, *row] for x, row in zip(arguments, rows.tolist(), strict=True)]}
 
 
+def _loosen(joints: dict[str, dict[str, Any]], seed: int) -> dict[str, float]:
+    """Give every guide a block; clearances of those that are worn. Drawn apart: all else is as without them."""
+    draft, worn = _Draft(np.random.default_rng([seed, 2])), {}
+    for name, joint in joints.items():
+        if joint["kind"] == "sliding":
+            joint["length"] = draft.between(0.02, 0.2)
+            joint["height"] = draft.choose((0.0, draft.between(0.01, 0.1)))
+            joint["contact"] = draft.contact()
+            if draft.rng.random() < 0.25:
+                worn[name] = draft.between(1e-5, 1e-3)
+    return worn
+
+
 def sketch(seed: int) -> Sketch:
     """A machine of 3 to 12 links with anything that a machine file can say."""
     draft = _Draft(np.random.default_rng(seed))
@@ -211,6 +224,7 @@ def sketch(seed: int) -> Sketch:
     by_angle = drive is not None and drive["kind"] in ("rotation", "torque")
     names = list(draft.links)
     draft.rng.shuffle(names)  # the frame may stand anywhere in the file
+    guides = _loosen(draft.joints, seed)
     tree = {
         "name": "drawn",
         "frame": "L0",
@@ -221,11 +235,12 @@ def sketch(seed: int) -> Sketch:
         "loads": [draft.load(by_angle=by_angle) for _ in range(int(draft.rng.integers(3)))],
         "drive": drive,
     }
-    return Sketch(parse_machine(tree), {name: draft.between(1e-5, 1e-2) for name in worn}, seed)
+    return Sketch(parse_machine(tree), {name: draft.between(1e-5, 1e-2) for name in worn} | guides, seed)
 
 
 def random_state(model: Model, p: list[float], seed: int) -> tuple[float, Array, Array] | None:
-    """A time, coordinates and velocities that fulfil joints and drive; pins anywhere in their sockets or pressed in.
+    """A time, coordinates and velocities that fulfil joints and drive; pins anywhere in their sockets or pressed in, ends
+    of blocks too.
 
     Far from the drawing first, nearer and nearer where the loops do not close there. ``None`` where they never do.
     """
@@ -239,7 +254,10 @@ def random_state(model: Model, p: list[float], seed: int) -> tuple[float, Array,
         clearance = p[model.parameters.index(f"joints.{joint}.clearance")]
         inside, outside = clearance * rng.uniform(0, 0.98), clearance + float(np.exp(rng.uniform(-14, -8)))
         size, angle = inside if rng.random() < 0.35 else outside, rng.uniform(0, 2 * math.pi)
-        pins[2 * k : 2 * k + 2] = size * np.array([math.cos(angle), math.sin(angle)])
+        way = np.array([math.cos(angle), math.sin(angle)])
+        # Of a block at one or both of its ends, on one side or on both.
+        ends = (np.sign(way), np.rint(1.2 * way))[int(4 * angle) % 2]
+        pins[2 * k : 2 * k + 2] = size * (ends if joint in model.machine.sliding_joints else way)
     for nearness in (1.0, 0.5, 0.2, 0.05):
         t = latest * nearness
         z = _closed(model, t, nearness * spread + np.where(angles, turn, 0.0), p, pins)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -53,7 +53,8 @@ class Slide:
         return float(self.normal @ self.gap_rate - self.omega * (self.along @ self.gap))
 
 
-#: Of surfaces with bristles, by joint: their deflection, and 1 or -1 where they slip.
+#: Of surfaces with bristles, by joint (``G.2`` for the third corner of a block): their deflection, and 1 or -1 where they
+#: slip.
 Held: TypeAlias = Mapping[str, tuple[float, float]]
 
 
@@ -126,9 +127,10 @@ class State:
             else:
                 total += 0.5 * support.stiffness * (math.hypot(*gap) - float(support.free_length or 0.0)) ** 2
         for name, clearance in clearances.items():
-            contact = ContactState.of(self, name, clearance)
-            n = contact.exponent
-            total += contact.stiffness * max(0.0, contact.penetration) ** (n + 1) / (n + 1)
+            law = self.machine.joints[name].contact
+            n = law.exponent or 1.0
+            for contact in contacts(self, name, clearance):
+                total += law.stiffness * max(0.0, contact.penetration) ** (n + 1) / (n + 1)
         return total
 
 
@@ -156,6 +158,60 @@ def sliding_sign(law: Contact | SlidingJoint, slip: float, held: tuple[float, fl
     return slips or min(1.0, max(-1.0, deflection + 1e-5 * slip / law.presliding))
 
 
+def pushing(law: Contact, depth: float, rate: float, began: float) -> float:
+    """Normal force of a contact law, which never pulls."""
+    if depth <= 0:
+        return 0.0
+    if law.law == "linear":
+        return max(0.0, law.stiffness * depth + law.damping * rate)
+    loss = 1 + hysteresis(law, rate, began) * rate
+    return max(0.0, law.stiffness * depth ** float(law.exponent or 0.0) * loss)
+
+
+@dataclass(frozen=True)
+class CornerState:
+    """A corner of a block between two walls: links, the force on the block, where it acts, and how deep it is in."""
+
+    block: int
+    guide: int
+    point: Array
+    force: Array
+    penetration: float
+    normal_force: float
+
+    @classmethod
+    def all(
+        cls, state: State, name: str, clearance: float, began: Mapping[str, float] | None = None
+    ) -> list[CornerState]:
+        joint = state.machine.joints[name]
+        assert isinstance(joint, SlidingJoint) and joint.length is not None
+        law, half = joint.contact, joint.height / 2
+        i, j = (state.index(link) for link in joint.links)
+        along, line = state.turned(j, joint.direction), state.point(j, joint.at)
+        normal, drawn = across(along), np.array(joint.direction)
+        corners = []
+        for s in (-joint.length / 2, joint.length / 2):
+            for side in (-1, 1):
+                key = f"{name}.{len(corners)}"
+                x, y = np.array(joint.at) + s * drawn + side * half * across(drawn)
+                point = state.point(i, (x, y))
+                depth = float(side * normal @ (point - line) - half - clearance)
+                relative = state.velocity_at(i, point) - state.velocity_at(j, point)
+                push = pushing(law, depth, float(side * normal @ relative), (began or {}).get(key, 0.0))
+                slip = float(along @ relative)
+                rub = law.friction * push * sliding_sign(law, slip, state.held.get(key)) + law.viscous * slip
+                force = -side * push * normal - (rub if push > 0 else 0.0) * along
+                corners.append(cls(i, j, point, force, depth, push))
+        return corners
+
+
+def contacts(state: State, name: str, clearance: float) -> Sequence[ContactState | CornerState]:
+    """Of a worn joint: a pin has one, a block four."""
+    if isinstance(state.machine.joints[name], SlidingJoint):
+        return CornerState.all(state, name, clearance)
+    return [ContactState.of(state, name, clearance)]
+
+
 @dataclass(frozen=True)
 class ContactState:
     """A pin in its socket: links, force on the pin, and the common contact point in space."""
@@ -165,8 +221,6 @@ class ContactState:
     point: Array
     force: Array
     penetration: float
-    stiffness: float
-    exponent: float
     normal_force: float
 
     @classmethod
@@ -180,18 +234,14 @@ class ContactState:
         e = centre - state.point(socket, joint.at)
         size = math.hypot(*e)
         if size <= clearance:
-            return cls(pin, socket, centre, np.zeros(2), size - clearance, law.stiffness, law.exponent or 1.0, 0.0)
+            return cls(pin, socket, centre, np.zeros(2), size - clearance, 0.0)
         n = e / size
         point = centre + joint.pin_radius * n
         rate = float(n @ (state.velocity(pin, joint.at) - state.velocity(socket, joint.at)))
         depth = size - clearance
-        if law.law == "linear":
-            pushing = max(0.0, law.stiffness * depth + law.damping * rate)
-        else:
-            loss = 1 + hysteresis(law, rate, began) * rate
-            pushing = max(0.0, law.stiffness * depth ** float(law.exponent or 0.0) * loss)
+        push = pushing(law, depth, rate, began)
         tangent = across(n)
         slip = float(tangent @ (state.velocity_at(pin, point) - state.velocity_at(socket, point)))
-        rubbing = -(law.friction * pushing * sliding_sign(law, slip, state.held.get(name)) + law.viscous * slip)
-        force = -pushing * n + (rubbing if pushing > 0 else 0.0) * tangent
-        return cls(pin, socket, point, force, depth, law.stiffness, law.exponent or 1.0, pushing)
+        rubbing = -(law.friction * push * sliding_sign(law, slip, state.held.get(name)) + law.viscous * slip)
+        force = -push * n + (rubbing if push > 0 else 0.0) * tangent
+        return cls(pin, socket, point, force, depth, push)

@@ -12,7 +12,7 @@ import numpy as np
 from oracle.closures import lacking
 from oracle.dense import JammedError, Solution, solve
 from oracle.sketch import Sketch, parameters, random_state, sketch
-from oracle.state import ContactState, State
+from oracle.state import ContactState, CornerState, State
 
 from jointplay.solver.equations.links import LinkMotion, link_motion
 from jointplay.solver.equations.model import build_model
@@ -66,21 +66,35 @@ def features(sketch: Sketch, state: State) -> set[str]:
     seen |= {
         "other lock" for name, link in machine.links.items() if name != machine.frame and (link.fixed or link.locked)
     }
-    for joint in machine.joints.values():
+    for name, joint in machine.joints.items():
         if isinstance(joint, SlidingJoint):
+            if name in sketch.clearances:
+                continue
             seen.add("vertical slide" if joint.direction[0] == 0 else "slide")
             if joint.friction:
                 seen.add("vertical rubbing slide" if joint.direction[0] == 0 else "rubbing slide")
         seen |= {f"viscous {joint.kind}"} if joint.viscous else set()
-    rubbing = [name for name in machine.sliding_joints if machine.joints[name].friction]
+    guides = machine.sliding_joints
+    rubbing = [name for name in guides if machine.joints[name].friction and name not in sketch.clearances]
     if len(rubbing) > 1:
         seen.add("several rubbing slides")
     if rubbing:
         seen.add("rubbing on a fixed frame" if frame.fixed else "rubbing on a floating frame")
         seen |= {"rubbing beside a worn joint"} if sketch.clearances else set()
     for name, clearance in sketch.clearances.items():
-        contact = ContactState.of(state, name, clearance)
         law = machine.joints[name]
+        if isinstance(law, SlidingJoint):
+            corners = CornerState.all(state, name, clearance)
+            pressed = [corner for corner in corners if corner.normal_force]
+            seen.add(f"{len(pressed)} corners pressed")
+            parting = [corner for corner in corners if corner.penetration > 0 and not corner.normal_force]
+            seen |= {"corner leaves without pull"} if parting else set()
+            if pressed:
+                seen |= {"block with a height"} if law.height else {"flat block"}
+                seen |= {f"corner {key}" for key in ("friction", "viscous") if getattr(law.contact, key)}
+                seen.add(f"corner law {law.contact.law}")
+            continue
+        contact = ContactState.of(state, name, clearance)
         if contact.normal_force == 0:
             seen.add("pin in flight" if contact.penetration <= 0 else "pin leaves without pull")
         else:
@@ -99,7 +113,8 @@ def features(sketch: Sketch, state: State) -> set[str]:
         more = ("ripple", "harmonics", "curve")
         seen |= {f"{drive.kind} {key}" for key in more if getattr(drive, key, None)}
         seen |= {f"{drive.kind} ramp"} if isinstance(getattr(drive, "speed", None), tuple) else set()
-        seen |= {f"{drive.kind} of a worn joint"} if drive.joint in sketch.clearances else set()
+        loose = "guide" if drive.joint in guides else "joint"
+        seen |= {f"{drive.kind} of a worn {loose}"} if drive.joint in sketch.clearances else set()
     return seen
 
 

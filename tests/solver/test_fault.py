@@ -44,7 +44,7 @@ def test_value() -> None:
     [
         (
             "G1=0.1mm",
-            "quick-return: fault.G1: 0.1 mm: a sliding joint has no clearance; only turning joints do: O, A, C, E, F",
+            "quick-return: joints.G1.length: is missing: clearance of sliding joint G1 tilts its block by its length",
         ),
         ("a=0.1mm", 'quick-return: fault.a: 0.1 mm: no such joint; did you mean "A"?'),
         ("A=0.2", "quick-return: fault.A: 0.2: is 200 mm without a unit; write 0.2mm if that is meant, or the unit"),

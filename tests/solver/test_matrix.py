@@ -168,7 +168,7 @@ def test_what_a_matrix_cannot_say() -> None:
         "m: joints.Q: is a second joint between the same links, which a mechanism matrix cannot hold"
     )
     assert message(shipped_machine("slider-crank"), "G1") == (
-        "slider-crank: joints.G1: is not a turning joint of this machine"
+        "slider-crank: joints.G1: is no joint that can have clearance"
     )
 
 

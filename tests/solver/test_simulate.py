@@ -126,7 +126,7 @@ def test_parameters_that_mean_nothing(parameters: dict[str, float], line: str) -
 
 
 def test_fault_on_a_sliding_joint() -> None:
-    with pytest.raises(MachineError, match=r"fault\.G1: 0\.1 mm: a sliding joint has no clearance"):
+    with pytest.raises(MachineError, match=r"joints\.G1\.length: is missing"):
         simulate(QR, Case(Fault({"G1": 1e-4})), SHORT)
 
 
