@@ -133,7 +133,11 @@ EXPECTED = {
     "load over angle": 3, "load of an order": 2, "rotation": 10, "rotation ripple": 5, "rotation ramp": 3,
     "translation": 5,
     "translation harmonics": 2, "translation ramp": 2, "torque": 5, "torque curve": 2, "force": 5, "force curve": 2,
-    "rotation of a worn joint": 2,
+    "rotation of a worn joint": 2, "0 corners pressed": 10, "1 corners pressed": 15, "2 corners pressed": 15,
+    "corner leaves without pull": 5, "flat block": 15, "block with a height": 15, "corner friction": 15,
+    "corner viscous": 15, "corner law linear": 10, "corner law hertz": 2, "corner law hunt-crossley": 2,
+    "corner law flores": 2, "corner law gonthier": 2, "corner law lankarani-nikravesh": 2,
+    "translation of a worn guide": 2, "force of a worn guide": 2,
 }  # fmt: skip
 
 

@@ -58,6 +58,13 @@ def sticking_guides() -> Machine:
     return loaded("quick-return", joints=joints)
 
 
+def worn_guides(**contact: Any) -> Machine:
+    joints: Any = shipped_machine("quick-return").model_dump(mode="json")["joints"]
+    joints["G1"] |= {"length": 0.04, "height": 0.03, "friction": 0.3}
+    joints["G2"] |= {"length": 0.1, "contact": {**LAWS["B"], **contact}}
+    return loaded("quick-return", joints=joints)
+
+
 def dry_journals(machine: Machine, **friction: float) -> Machine:
     joints: Any = machine.model_dump(mode="json")["joints"]
     for name, value in friction.items():
@@ -120,6 +127,16 @@ SCENES = {
         ("joints.G1.friction",),
     ),
     "quick-return, a guide sticks": (sticking_guides(), ("A",), ("joints.G1.presliding",)),
+    "quick-return, both guides worn": (worn_guides(), ("G1", "G2", "A"), ("links.ram.mass",)),
+    "quick-return, a worn guide driven": (
+        loaded(
+            "quick-return",
+            joints=worn_guides().model_dump(mode="json")["joints"],
+            drive={"kind": "translation", "joint": "G2", "harmonics": [{"frequency": 4.0, "amplitude": -0.02}]},
+        ),
+        ("G2",),
+        (),
+    ),
     "four-bar, every joint worn": (shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints), ()),
 }
 
@@ -224,6 +241,33 @@ def test_memories() -> None:
         sticking += sum(slips[lane, k] == 0 and solution.reactions["AB"[k]].any() for k in range(2))
     assert pressed >= 5
     assert sticking >= 3
+
+
+def test_memories_of_corners() -> None:
+    """As :func:`test_memories`, of a block that may touch with four corners beside a pin that touches with one."""
+    machine, worn = worn_guides(), ("A", "G2")
+    model = build_model(machine, worn)
+    assert (len(model.contacts), model.remembering, model.bristles.contacts) == (5, (1, 2, 3, 4), [1, 2, 3, 4])
+    corners = [f"G2.{k}" for k in range(4)]
+    kernel, drawn, rng = compile_model(model), lanes(model), np.random.default_rng(9)
+    began = np.exp(rng.uniform(-5, 1, (LANES, 4))) * rng.choice([0.0, 1.0], (LANES, 4))
+    bent, slips = rng.uniform(-1, 1, (LANES, 4)), rng.choice([-1.0, 0.0, 0.0, 1.0], (LANES, 4))
+    work = filled(kernel, model, drawn)
+    work[kernel.rows.memory], work[kernel.rows.bristles], work[kernel.rows.slips] = began.T, bent.T, slips.T
+    repeat(kernel.functions, work, 1)
+    motion, pressed = LinkMotion(model), 0
+    for lane, (values, t, z, v) in enumerate(drawn):
+        compiled = work[kernel.rows.a, lane]
+        positions, velocities, accelerations = motion(t, z, v, compiled, model.vector(values))
+        other, clearances = changed(machine, values)
+        then = dict(zip(corners, began[lane], strict=True))
+        held = dict(zip(corners, zip(bent[lane], slips[lane], strict=True), strict=True))
+        solution = solve(other, clearances, t, positions, velocities, then, held)
+        gap = np.abs(accelerations - solution.accelerations)
+        assert gap[:, :2].max() < 1e-10 * solution.scale[0]
+        assert gap[:, 2].max() < 1e-10 * solution.scale[1]
+        pressed += solution.reactions["G2"].any()
+    assert pressed >= 4
 
 
 def test_error_controlled_steps(scene: tuple[Machine, Model]) -> None:
