@@ -139,6 +139,8 @@ def friction_rate(
     reactions = np.abs([_ideal_reactions(model, t, z, p) for t, z in poses])
     rates, impacts = [0.0], 0.0
     for i, joint in enumerate(model.clearance_joints):
+        if not mobility[joint]:  # neither body can move
+            continue
         number = {name: values.get(contact_path(joint, name), 0.0) for name in _NUMBERS}
         pressed = float(np.hypot(*reactions[:, count + 2 * i : count + 2 * i + 2].T).max())
         exponent = model.machine.joints[joint].contact.exponent or 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from jointplay.solver.machines.joints import Contact, TurningJoint
+from jointplay.solver.machines.joints import Contact, Joint
 from jointplay.solver.machines.machine import Machine
 
 #: Penetration at which a fitted law is as stiff as the one it stands for, m (docs/reference/plan.md).
@@ -16,7 +16,7 @@ USUAL_HYSTERESIS = 3.0
 DAMPING_RATIO = 0.1
 
 
-def equal_contact(machine: Machine, joint: TurningJoint, law: Literal["linear", "hertz"]) -> Contact:
+def equal_contact(machine: Machine, joint: Joint, law: Literal["linear", "hertz"]) -> Contact:
     """The contact of a joint under a law, as stiff at :data:`EQUAL_PENETRATION`, its friction kept."""
     own = joint.contact
     if own.law == law:

@@ -20,7 +20,7 @@ from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.machines.equal_contact import equal_contact
 from jointplay.solver.machines.friction import FRICTION_CHOICES, FRICTION_NUMBERS, DryFriction, FrictionLaw
-from jointplay.solver.machines.joints import Contact, Joint, SlidingJoint, TurningJoint
+from jointplay.solver.machines.joints import Contact, Joint, SlidingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.tradeoff import CHAOTIC_DB
 from jointplay.solver.simulation.workbench import Bench, bench_of, middle
@@ -150,24 +150,21 @@ def _machines(machine: Machine, case: Case) -> Iterator[tuple[str, str, Machine]
             yield "friction", f"{{friction_law: {law}, {number}: {value:g}}}", _with_friction(machine, said)
     if rubbing:
         yield "friction", "{friction: 0}", _with_friction(machine, {"friction": 0.0})
-    worn = [joint for name in case.fault.joints if isinstance(joint := machine.joints[name], TurningJoint)]
     for form in ("linear", "hertz"):
-        if any(joint.contact.law != form for joint in worn):
-            joints = {
-                name: joint.model_copy(update={"contact": equal_contact(machine, joint, form)})
-                if isinstance(joint, TurningJoint)
-                else joint
-                for name, joint in machine.joints.items()
-            }
+        if any(machine.joints[name].contact.law != form for name in case.fault.joints):
+            joints = dict(machine.joints)
+            for name in machine.wearing_joints:
+                contact = equal_contact(machine, joints[name], form)
+                joints[name] = joints[name].model_copy(update={"contact": contact})
             yield "contact", f"{{law: {form}}}, as stiff at 40 um", machine.model_copy(update={"joints": joints})
 
 
 def _rubbing(machine: Machine, case: Case) -> Iterator[DryFriction]:
     for name, joint in machine.joints.items():
-        if isinstance(joint, SlidingJoint):
-            yield joint
-        elif name in case.fault:
+        if name in case.fault:
             yield joint.contact
+        elif isinstance(joint, SlidingJoint):
+            yield joint
 
 
 def _with_friction(machine: Machine, said: Mapping[str, object]) -> Machine:
@@ -179,16 +176,18 @@ def _with_friction(machine: Machine, said: Mapping[str, object]) -> Machine:
 
     joints: dict[str, Joint] = {}
     for name, joint in machine.joints.items():
-        if isinstance(joint, SlidingJoint):
-            joints[name] = SlidingJoint(**change(joint)) if joint.friction else joint
-        else:
-            joints[name] = joint.model_copy(update={"contact": Contact(**change(joint.contact))})
+        if isinstance(joint, SlidingJoint) and joint.friction:
+            joint = SlidingJoint(**change(joint))
+        if name in machine.wearing_joints:
+            joint = joint.model_copy(update={"contact": Contact(**change(joint.contact))})
+        joints[name] = joint
     return machine.model_copy(update={"joints": joints})
 
 
 def _without_numbers_of_friction(case: Case, machine: Machine) -> Case:
     """The case without numbers that only another law of friction has."""
-    laws = {f"joints.{n}.contact" if isinstance(j, TurningJoint) else f"joints.{n}" for n, j in machine.joints.items()}
+    laws = {f"joints.{name}.contact" for name in machine.wearing_joints}
+    laws |= {f"joints.{name}" for name in machine.sliding_joints}
     places = {f"{place}.{name}" for place in laws for name in ("friction_velocity", "presliding")}
     places |= {"contact.friction_velocity", "contact.presliding"}
     return replace(case, parameters={k: v for k, v in case.parameters.items() if k not in places})

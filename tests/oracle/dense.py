@@ -37,8 +37,9 @@ class Solution:
     """Accelerations (N, 3), reactions by joint, the drive's effort (0 unless prescribed), and [A] itself.
 
     A reaction is (Fx, Fy) on links[0] of a turning joint, on the pin where it has clearance, and (normal force, couple)
-    on links[0] of a sliding joint, with clearance of all forces of its corners. What rounding of a solution is to be measured by: `scale` are the largest terms of
-    the equations as accelerations, m/s2 and rad/s2; `effort_scale` the same as they stand, N and N m.
+    on links[0] of a sliding joint, with clearance of all forces of its corners. What rounding of a solution is to be
+    measured by: `scale` are the largest terms of the equations as accelerations, m/s2 and rad/s2; `effort_scale` the
+    same as they stand, N and N m.
     """
 
     accelerations: Array

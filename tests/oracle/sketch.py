@@ -239,8 +239,8 @@ def sketch(seed: int) -> Sketch:
 
 
 def random_state(model: Model, p: list[float], seed: int) -> tuple[float, Array, Array] | None:
-    """A time, coordinates and velocities that fulfil joints and drive; pins anywhere in their sockets or pressed in, ends
-    of blocks too.
+    """A time, coordinates and velocities that fulfil joints and drive; pins and ends of blocks anywhere between their
+    walls or pressed in.
 
     Far from the drawing first, nearer and nearer where the loops do not close there. ``None`` where they never do.
     """

@@ -53,8 +53,8 @@ class Slide:
         return float(self.normal @ self.gap_rate - self.omega * (self.along @ self.gap))
 
 
-#: Of surfaces with bristles, by joint (``G.2`` for the third corner of a block): their deflection, and 1 or -1 where they
-#: slip.
+#: Of surfaces with bristles, by joint (``G.2`` for the third corner of a block): their deflection, and 1 or -1 where
+#: they slip.
 Held: TypeAlias = Mapping[str, tuple[float, float]]
 
 

@@ -53,7 +53,7 @@ def displacement(history: History) -> np.ndarray:
 @METHODS
 @pytest.mark.parametrize("height", [0.0, 0.05])
 def test_a_block_falls_freely_and_bounces_without_loss(method: str, height: float) -> None:
-    """c = g t^2 / 2 to the wall; then all four corners have said nothing yet, and two push back to where it came from."""
+    """c = g t^2 / 2 to the wall without any force; then two corners push it back to where it came from."""
     clearance = 2e-3
     history = run(block(STIFF, height=height), clearance, 0.2, method=method, accuracy="reference")
     y, t = displacement(history)[:, 1], history.t
@@ -81,7 +81,10 @@ def test_it_bounces_with_the_restitution_of_its_law(law: str) -> None:
 @METHODS
 @pytest.mark.parametrize("cg", [0.0, 0.06, 0.16])
 def test_where_it_comes_to_rest(cg: float, method: str) -> None:
-    """Corners share the weight as a beam's supports do: both below, or one below and one above where it tilts. Nothing holds it along the line, so its centre of gravity stays where it is."""
+    """Corners share the weight as a beam's supports do: both below, or one below and one above where it tilts.
+
+    Nothing holds the block along the line, so its centre of gravity stays where it is.
+    """
     machine = block(STIFF | {"damping": 500.0}, cg=(cg, 0.0))
     history = run(machine, 1e-4, 1.0, method=method, accuracy="reference", sample_rate=4000)
     near, far = (MASS * G * (0.5 + sign * cg / LENGTH) for sign in (1, -1))
@@ -176,9 +179,7 @@ def test_methods_agree_on_a_worn_guide(fault: str) -> None:
     machine = crank(friction=0.1, friction_law="tanh", friction_velocity=0.01)
     case = Case(parse_fault(fault, machine))
     options = [{"rtol": 1e-10}, {"method": "gill", "step": 5e-7}, {"method": "full", "step": 5e-7}]
-    fine, gill, full = (
-        simulate(machine, case, Settings(duration=0.01, sample_rate=5000, **each)) for each in options
-    )
+    fine, gill, full = (simulate(machine, case, Settings(duration=0.01, sample_rate=5000, **each)) for each in options)
     assert fine.status == gill.status == full.status == "ok"
     size = np.abs(fine.velocity).max(axis=0)
     assert (np.abs(gill.velocity - fine.velocity) / size).max() < 1e-3
@@ -215,8 +216,8 @@ def test_the_account_is_complete() -> None:
 
 def test_starting_in_equilibrium() -> None:
     """The block stands on the line of its guide, as pins do in their sockets; then it falls."""
-    history = run(block(STIFF, drive={"kind": "translation", "joint": "G", "speed": 0.0}, initial={"pose": "equilibrium"}),
-                  1e-3, 0.01)  # fmt: skip
+    held = {"kind": "translation", "joint": "G", "speed": 0.0}
+    history = run(block(STIFF, drive=held, initial={"pose": "equilibrium"}), 1e-3, 0.01)
     assert displacement(history)[0] == pytest.approx(0.0, abs=1e-12)
     assert displacement(history)[-1, 1] == pytest.approx(-G * 0.01**2 / 2, rel=1e-6)
 
@@ -287,7 +288,8 @@ def test_a_file_that_says_nothing_of_a_block_keeps_its_key() -> None:
         ),
         (
             {"length": 0.1, "contact": {"law": "flores", "stiffness": "1 kN/mm", "restitution": 0.5}},
-            "joints.G1.contact.stiffness: 1 kN/mm: must be a plain number: with this law it is in N/m^n, n the exponent",
+            "joints.G1.contact.stiffness: 1 kN/mm: must be a plain number: "
+            "with this law it is in N/m^n, n the exponent",
         ),
     ],
 )
