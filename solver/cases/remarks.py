@@ -51,7 +51,7 @@ def find_remarks(machine: Machine) -> list[str]:
         *drawing_remarks(machine),
         *_suspension_remarks(felt),
         *_wedging_remarks(felt),
-        *restitution_remarks(machine, machine.turning_joints),
+        *restitution_remarks(machine, machine.wearing_joints),
     ]
 
 

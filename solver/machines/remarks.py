@@ -86,7 +86,7 @@ def restitution_remarks(
     ----------
     machine : MachineContent
     joints : iterable of str
-        Turning joints to look at.
+        To look at.
     values : mapping of str to float, optional
         Numbers by path that differ from the machine file.
     """
