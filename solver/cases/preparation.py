@@ -41,6 +41,8 @@ from jointplay.solver.machines.remarks import restitution_remarks
 
 #: Most memory for one kind of record (displacement, say) of one case.
 MOST_BYTES = 2e9
+#: Mobility of a contact, 1/kg, that is rounding: a block in two guides, of which one is tight, say.
+_RIGID = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +196,8 @@ def prepare(
     remarks += restitution_remarks(machine, joints, complete)
     closed = ", ".join(joint for joint in machine.clearances if joint not in joints)
     remarks += [f"without the clearance that the file gives {closed}"] if closed else []
+    tight = ", ".join(joint for joint, each in mobility.items() if each < _RIGID)
+    remarks += [f"clearance of {tight} is without effect: other joints leave it no play"] if tight else []
     duration = settings.duration
     if duration is None:
         duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)

@@ -231,6 +231,7 @@ def test_a_tight_guide_beside_it_leaves_no_play() -> None:
     both, one = (simulate(machine, Case(Fault(fault)), settings) for fault in ({}, {"G2": 1e-4}))
     assert both.status == one.status == "ok"
     assert one.velocity == pytest.approx(both.velocity, abs=1e-9)
+    assert (both.message, one.message) == ("", "clearance of G2 is without effect: other joints leave it no play")
 
 
 def test_friction_of_the_guide_is_that_of_its_contact_once_it_is_worn() -> None:
