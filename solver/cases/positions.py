@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.change_points import ChangePoint, describe_change_point
 from jointplay.solver.cases.rates import friction_rate
-from jointplay.solver.cases.start import follow, walk
+from jointplay.solver.cases.start import follow, walk, walk_round
 from jointplay.solver.cases.steps import contact_mobility
 from jointplay.solver.equations.drive import travel_range
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
@@ -65,18 +66,27 @@ def _moving(machine: Machine) -> Machine:
 
 
 @keep_by_machine(MODELS_KEPT)
-def _poses(machine: Machine, joints: tuple[str, ...], motion: _Numbers) -> list[tuple[float, FloatArray]]:
-    """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`."""
+def _walked(
+    machine: Machine, joints: tuple[str, ...], motion: _Numbers
+) -> tuple[list[tuple[float, FloatArray]], list[str]]:
+    """Twelve poses over one turn at 1 rad/s, or over one period of a slide with the numbers `motion`; remarks."""
     model = _turning(machine, joints, _paths(motion))
-    poses = walk(model, model.vector(dict(motion)), 1.0)
-    return poses[:: max(1, len(poses) // 12)]
+    p = model.vector(dict(motion))
+    poses, passed = walk_round(model, p, 1.0)
+    return poses[:: max(1, len(poses) // 12)], _remarks(model, p, passed)
+
+
+def _remarks(model: Model, p: Sequence[float], passed: Sequence[ChangePoint]) -> list[str]:
+    """What a user should know of change points."""
+    subject = "without clearance the machine" if model.clearance_joints else "the machine"
+    return [f"{subject} {describe_change_point(model, p, point)}" for point in passed]
 
 
 @keep_by_machine(1024)
 def _mobility(machine: Machine, joints: tuple[str, ...], motion: _Numbers, masses: _Numbers) -> Mapping[str, float]:
     numbers = motion + masses
     model = _turning(machine, joints, _paths(numbers))
-    return contact_mobility(model, _poses(machine, joints, motion), model.vector(dict(numbers)))
+    return contact_mobility(model, _walked(machine, joints, motion)[0], model.vector(dict(numbers)))
 
 
 def link_motion(machine: Machine, positions: int) -> Mapping[str, FloatArray]:
@@ -151,6 +161,11 @@ def grips_of(machine: Machine) -> Mapping[str, tuple[float, float]]:
     return {name: max(grips, key=lambda grip: round(grip[0], 9)) for name, grips in each.items()}
 
 
+def change_point_remarks(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float]) -> list[str]:
+    """What a user should know of change points that the drive passes or comes near; as :func:`mobility_of`."""
+    return list(_walked(_moving(machine), joints, _drive_numbers(machine, values))[1])
+
+
 def rubbing_rate(
     machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], values: Mapping[str, float],
     mobility: Mapping[str, float],
@@ -170,7 +185,7 @@ def rubbing_rate(
         Of the clearance joints, 1/kg.
     """
     model = _turning(machine, joints, varying)
-    poses = _poses(machine, joints, _drive_numbers(machine, values))
+    poses = _walked(machine, joints, _drive_numbers(machine, values))[0]
     numbers = dict(values)
     if isinstance(machine.drive, RotationDrive):
         # A crank that stands is judged at 1 rad/s; the speed 0 of a slide is one: harmonics move it.
@@ -179,8 +194,8 @@ def rubbing_rate(
     return friction_rate(model, poses, model.vector(numbers), numbers, mobility)
 
 
-def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float], duration: float) -> None:
-    """Refuse a slide that is driven to where the ideal machine does not close.
+def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float], duration: float) -> list[str]:
+    """Refuse a slide that is driven to where the ideal machine does not close; remarks on change points on its way.
 
     Parameters
     ----------
@@ -197,16 +212,20 @@ def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str,
     AssemblyError
         Names the travel and the joint that stays open.
     """
-    if isinstance(machine.drive, TranslationDrive):
-        low, high = travel_range(machine, dict(_drive_numbers(machine, values)), duration)
-        _check_ends(machine, joints, low, high)
+    if not isinstance(machine.drive, TranslationDrive):
+        return []
+    low, high = travel_range(machine, dict(_drive_numbers(machine, values)), duration)
+    return list(_check_ends(machine, joints, low, high))
 
 
 @keep_by_machine(MODELS_KEPT)
-def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: float) -> None:
+def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: float) -> list[str]:
     assert isinstance(machine.drive, TranslationDrive)
     drive = machine.drive.model_copy(update={"speed": 1.0, "harmonics": ()})  # time is travel then
     model = build_model(machine.model_copy(update={"drive": drive}), joints, ())
+    remarks = []
     for end in (low, high):
         p = model.vector({"drive.speed": math.copysign(1.0, end)})
-        follow(model, p, [abs(end) * k / _TRAVEL_STEPS for k in range(_TRAVEL_STEPS + 1)])
+        times = [abs(end) * k / _TRAVEL_STEPS for k in range(_TRAVEL_STEPS + 1)]
+        remarks += _remarks(model, p, follow(model, p, times, abs(end))[1])
+    return remarks

@@ -18,7 +18,7 @@ from jointplay.solver.cases.causes import (
     support_causes,
 )
 from jointplay.solver.cases.history import Settings
-from jointplay.solver.cases.positions import check_travel, mobility_of, rubbing_rate
+from jointplay.solver.cases.positions import change_point_remarks, check_travel, mobility_of, rubbing_rate
 from jointplay.solver.cases.rates import contact_rates, pace_of, without_dry_friction
 from jointplay.solver.cases.start import find_repeat, start_pose, start_velocity
 from jointplay.solver.cases.steps import (
@@ -201,7 +201,8 @@ def prepare(
     duration = settings.duration
     if duration is None:
         duration = transient + settings.revolutions * (2 * math.pi / abs(speed) if speed else 1.0)
-    check_travel(machine, joints, complete, duration)
+    travel = check_travel(machine, joints, complete, duration)
+    remarks += dict.fromkeys(change_point_remarks(machine, joints, complete) + travel)
     rule = STEP_RULES[settings.accuracy]
     rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.fixed_step else 0.0
     contacts = contact_rates(machine, mobility, complete, fastest)

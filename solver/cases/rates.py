@@ -14,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.start import inner_coordinates
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
 from jointplay.solver.equations.friction import RETARDATION
 from jointplay.solver.equations.model import Model
@@ -176,7 +175,7 @@ def _ideal_reactions(model: Model, t: float, z: FloatArray, p: Sequence[float]) 
     """Multipliers of closures and eccentricities, pins kept concentric; without friction, from a frame at rest."""
     v = np.zeros(model.size)
     _, jacobian, drift = evaluate(model.constraint, t, z, v, p)
-    free = inner_coordinates(model)
+    free = model.inner_indices
     if free and drift.size:
         v[free] = np.linalg.lstsq(jacobian[:, free], -drift[:, 0], rcond=1e-9)[0]
     mass, force = evaluate(model.inertia, t, z, v, p)

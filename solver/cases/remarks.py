@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import linalg
 
-from jointplay.solver.cases.positions import grips_of
+from jointplay.solver.cases.positions import change_point_remarks, grips_of
 from jointplay.solver.cases.preparation import standing_model
 from jointplay.solver.cases.rates import without_dry_friction
 from jointplay.solver.cases.reach import reach_of
@@ -49,6 +49,7 @@ def find_remarks(machine: Machine) -> list[str]:
     felt = reach_of(machine).machine
     return [
         *drawing_remarks(machine),
+        *change_point_remarks(machine, (), {}),
         *_suspension_remarks(felt),
         *_wedging_remarks(felt),
         *restitution_remarks(machine, machine.wearing_joints),

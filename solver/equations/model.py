@@ -110,6 +110,14 @@ class ModelFunctions:
         return self.function("constraint", stacked, ca.jacobian(stacked, self.z), ca.jacobian(stacked, self.t))
 
     @cached_property
+    def constraint_curvature(self) -> ca.Function:
+        """(t, z, p, u) -> second derivatives by t and z of the sum of closures and eccentricities stacked, times u."""
+        stacked, place = ca.vertcat(self.phi, self.eccentricity), ca.vertcat(self.t, self.z)
+        weights = ca.SX.sym("u", stacked.shape[0])
+        second = ca.densify(ca.hessian(ca.dot(weights, stacked), place)[0])
+        return ca.Function("constraint_curvature", [self.t, self.z, self.p, weights], [second])
+
+    @cached_property
     def constraint_bias(self) -> ca.Function:
         """(t, z, v, p) -> second time derivative of closures and eccentricities stacked, without accelerations."""
         bias = ca.vertcat(self.phi, self.eccentricity)
@@ -264,6 +272,11 @@ class Model(ModelFunctions):
     def frame_indices(self) -> tuple[int | None, int | None, int | None]:
         """Where x, y, theta of the frame are among the coordinates; ``None`` for a motion it does not have."""
         return self.kinematics.indices_of(self.machine.frame)
+
+    @property
+    def inner_indices(self) -> list[int]:
+        """Where the other coordinates are."""
+        return [i for i in range(self.size) if i not in self.frame_indices]
 
     def vector(self, values: dict[str, float]) -> list[float]:
         """Lane parameters in kernel order: `values` where given, the machine file's numbers elsewhere."""

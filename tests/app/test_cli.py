@@ -14,6 +14,7 @@ import httpx
 import numpy as np
 import pytest
 from command_line import JOINTPLAY, assert_refused, invoke
+from extremes.scenes import four_bar
 
 from jointplay.app.cli import COMMANDS
 from jointplay.app.commands.progress import clock
@@ -178,6 +179,18 @@ def test_check_shows_the_arrays_of_the_matrix() -> None:
     assert arrays["NTC"] == [0, 1, 0, 0, 0, 0]
     assert arrays["JTC"] == [[0] * 6, [3] + [0] * 5, *[[0] * 6] * 4]
     assert (arrays["xi"][1], arrays["n"][2][1], arrays["s"][5][0]) == ([0, None, 1, None, None, None], 1, 1)
+
+
+def test_check_says_how_near_a_change_point_the_machine_comes(tmp_path: Path) -> None:
+    path = tmp_path / "near.json"
+    path.write_text(four_bar(0.06, 0.12, 0.14 + 1e-6, 0.20, 1.0).model_dump_json())
+    note = (
+        "the machine comes within 1 um of a change point at a drive angle of 122.7 deg: links that are off by as much"
+    )
+    assert f"note: {note}" in invoke("check", path).stdout
+    assert json.loads(invoke("check", path, "--json").stdout)["notes"][0].startswith(note)
+    path.write_text(four_bar(0.06, 0.12, 0.14 - 1e-6, 0.20, 1.0).model_dump_json())
+    assert "at a drive angle of 122.3 deg: a little further joint B stays 1 um open" in invoke("check", path).stderr
 
 
 def test_check_says_where_a_contact_law_returns_another_restitution(tmp_path: Path) -> None:

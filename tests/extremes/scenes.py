@@ -96,6 +96,14 @@ def four_bar(crank: float, coupler: float, rocker: float, base: float, angle: fl
     return parse_machine({"name": "four-bar", "links": links, "joints": joints, "drive": drive, "supports": supports})
 
 
+def equal_legs() -> Tree:
+    """A slider-crank with a rod of the crank's length: with the crank upright the slider is on its shaft."""
+    tree = tree_of("slider-crank")
+    tree["joints"]["B"]["at"] = tree["joints"]["G1"]["at"] = tree["links"]["slider"]["cg"] = [0.1, 0.05]
+    tree["links"]["rod"]["cg"] = [0.075, 0.05]
+    return tree
+
+
 def energy_less_work(machine: Machine, fault: Mapping[str, float], motion: LinkMotion) -> tuple[Array, float]:
     """Energy less the work of a constant torque (n,), J, and the largest of either, which its drift is measured by."""
     assert isinstance(machine.drive, TorqueDrive)

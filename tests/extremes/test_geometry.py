@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from extremes.scenes import four_bar
-from laws import Tree, run, tree_of
+from extremes.scenes import equal_legs, four_bar
+from laws import run, tree_of
 
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.errors import MachineError
@@ -21,14 +21,6 @@ from jointplay.solver.simulation.simulate import simulate
 Method = Literal["adaptive", "gill"]
 WORN = {"A": 1e-4}
 METHODS = pytest.mark.parametrize("method", ["adaptive", "gill"])
-
-
-def equal_legs() -> Tree:
-    """A slider-crank with a rod of the crank's length: with the crank upright the slider is on its shaft."""
-    tree = tree_of("slider-crank")
-    tree["joints"]["B"]["at"] = tree["joints"]["G1"]["at"] = tree["links"]["slider"]["cg"] = [0.1, 0.05]
-    tree["links"]["rod"]["cg"] = [0.075, 0.05]
-    return tree
 
 
 @METHODS

@@ -11,6 +11,7 @@ from oracle.dense import solve
 from oracle.sketch import random_state
 
 from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.positions import change_point_remarks
 from jointplay.solver.equations.links import LinkMotion, link_motion
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
@@ -201,6 +202,14 @@ def test_a_worn_crank_of_three_runs(places: tuple[tuple[float, float], ...], joi
         agree(machine, {joint: 1e-4}, history.t[k], history.links, k)
 
 
+@pytest.mark.parametrize("worn", [(), ("A3",), ("O2",)])
+def test_cranks_on_a_line_are_told_of_their_change_points(worn: tuple[str, ...]) -> None:
+    lines = change_point_remarks(cranks(LINE), worn, {})
+    told = " passes a change point at a drive angle of {} deg: crank3 turns 1 times as fast as the drive if it goes on"
+    assert [told.format(angle) in line for angle, line in zip(("117.0", "297.0"), lines, strict=True)] == [True, True]
+    assert change_point_remarks(cranks(TRIANGLE), worn, {}) == []
+
+
 @pytest.mark.parametrize(
     ("machine", "joint"),
     [
@@ -212,7 +221,7 @@ def test_a_worn_crank_of_three_runs(places: tuple[tuple[float, float], ...], joi
 def test_a_joint_that_does_not_fit_is_refused_with_its_gap(machine: Machine, joint: str) -> None:
     """It fits as drawn, and may even let go to first order; a little further it does not."""
     rule = rf"joints\.{joint}: cannot be assembled at a drive angle of [0-9.]+ deg: a little further joint {joint} "
-    with pytest.raises(AssemblyError, match=rule + r"stays [0-9.e-]+ mm open"):
+    with pytest.raises(AssemblyError, match=rule + r"stays [0-9.e-]+ [mu]m open"):
         check_assembly(machine)
 
 
