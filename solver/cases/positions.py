@@ -226,6 +226,6 @@ def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: flo
     remarks = []
     for end in (low, high):
         p = model.vector({"drive.speed": math.copysign(1.0, end)})
-        times = [abs(end) * k / _TRAVEL_STEPS for k in range(_TRAVEL_STEPS + 1)]
+        times = [abs(end) * k / _TRAVEL_STEPS for k in range(_TRAVEL_STEPS + 1)] if end else [0.0]
         remarks += _remarks(model, p, follow(model, p, times, abs(end))[1])
     return remarks
