@@ -131,7 +131,8 @@ def friction_rate(
     Notes
     -----
     A pin is pressed by the force F that its joint would carry were it ideal, and hits with the speed that F gives it
-    across the play 2 c: at its peak by F + sqrt(K / w) sqrt(4 c F w), with d^n by F + K D^n, D the depth. A guide
+    across the play 2 c: at its peak by F + sqrt(K / w) sqrt(4 c F w), with d^n by F + K D^n, D the depth. So do the
+    ends of a block in a worn guide, whose mobility across it stands for that along it. A guide without clearance
     is pressed by its normal force in the ideal machine and by what the impacts of all clearance joints add.
     """
     count = len(model.kinematics.closures)

@@ -93,7 +93,8 @@ def contact_mobility(model: Model, poses: Sequence[tuple[float, FloatArray]], p:
     largest = {}
     for i, joint in enumerate(model.clearance_joints):
         rows = jacobian[:, closures + 2 * i : closures + 2 * i + 2]
-        largest[joint] = float(np.linalg.eigvalsh(rows @ mobility @ rows.swapaxes(1, 2))[:, -1].max())
+        found = np.linalg.eigvalsh(rows @ mobility @ rows.swapaxes(1, 2))[:, -1].max()
+        largest[joint] = max(0.0, float(found))  # less is rounding, where neither body can move
     return largest
 
 

@@ -41,3 +41,12 @@ def test_compiled_lanes() -> None:
     for drawn in small_scenes(20_000, 6):
         confirmed += judge(drawn, evaluations=250).confirmed
     assert confirmed >= 2
+
+
+@pytest.mark.parametrize("seed", [83, 134, 238])
+def test_surfaces_of_which_neither_can_move(seed: int) -> None:
+    """Their mobility is rounding, of either sign."""
+    drawn = scene(seed)
+    with uncompiled(trials=400):
+        verdict = judge(replace(drawn, duration=min(HORIZON, drawn.duration)), evaluations=250)
+    assert "is without effect: other joints leave it no play" in verdict.message
