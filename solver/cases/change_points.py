@@ -130,7 +130,8 @@ def find_change_point(model: Model, p: Sequence[float], t: float, z: FloatArray,
     null = np.linalg.svd(rows)[2][rank - 1 :].T
     sizes, axes = np.linalg.eigh(null.T @ second @ null)
     # A saddle; motions that nothing drives take part in it nowhere, or it says nothing.
-    if not sizes[0] < 0 < sizes[-1] or np.abs(sizes[1:-1]).max(initial=0.0) > _NO_PART * np.abs(sizes).max():
+    others, least = np.abs(sizes[1:-1]).max(initial=0.0), _NO_PART * np.abs(second).max()
+    if not sizes[0] < -least <= least < sizes[-1] or others > _NO_PART * np.abs(sizes).max():
         return None
     first, last = (null @ axes[:, [0, -1]] / np.sqrt(np.abs(sizes[[0, -1]]))).T
     open_times = -2 * d * (last[0] ** 2 - first[0] ** 2)  # their half width squared

@@ -50,3 +50,11 @@ def test_surfaces_of_which_neither_can_move(seed: int) -> None:
     with uncompiled(trials=400):
         verdict = judge(replace(drawn, duration=min(HORIZON, drawn.duration)), evaluations=250)
     assert "is without effect: other joints leave it no play" in verdict.message
+
+
+def test_no_change_point_where_nothing_curves() -> None:
+    """A block that nothing holds along its line: what its closures lack is no saddle, but rounding."""
+    with uncompiled(trials=400):
+        verdict = judge(scene(448), evaluations=250)
+    assert verdict.ending == "cannot_assemble"
+    assert verdict.message.endswith("stays 1.55 mm open")
