@@ -67,9 +67,6 @@ def command(
     if filed.clearances:
         told = f"{Fault(filed.clearances).label} of the file is left aside: the plan says what is worn"
         click.echo(f"note: {told}", err=True)
-    guides = [name for name in found.wearing_joints if name in found.sliding_joints]
-    if guides:
-        click.echo(f"note: plans wear turning joints alone: {', '.join(guides)} stay without play", err=True)
     check_plan(wanted, found, plan)
     for shown in plan_lines(wanted, found):
         click.echo(shown, err=True)

@@ -162,14 +162,13 @@ def links_of(machine: Machine) -> str:
 
 
 def joints_of(machine: Machine, fault: Fault) -> str:
-    """Return the joints as a table; all clearances are radial."""
+    """Return the joints as a table; clearances are radial, of guides half the play."""
     from jointplay.solver.machines.fits import in_um
-    from jointplay.solver.machines.joints import TurningJoint
 
     rows = []
     for name, joint in machine.joints.items():
         as_new = limit = "-"
-        if isinstance(joint, TurningJoint):
+        if name in machine.wearing_joints:
             as_new = str(joint.new_fit)
             limit = f"{in_um(joint.worn_out_from)} ({'default' if joint.limit is None else 'given'})"
         clearance = f"{fault[name] * 1e6:.6g} um" if name in fault else "-"
@@ -179,9 +178,7 @@ def joints_of(machine: Machine, fault: Fault) -> str:
 
 
 def fits_document(machine: Machine) -> dict[str, object]:
-    """Return what play each turning joint has as new and from which it is worn out, as JSON values; radial."""
-    from jointplay.solver.machines.joints import TurningJoint
-
+    """Return what play each joint that can wear has as new and from which it is worn out, as JSON values."""
     return {
         name: {
             "fit": joint.new_fit.text,
@@ -190,7 +187,7 @@ def fits_document(machine: Machine) -> dict[str, object]:
             "worn_out_from_um": round(joint.worn_out_from * 1e6, 6),
         }
         for name, joint in machine.joints.items()
-        if isinstance(joint, TurningJoint)
+        if name in machine.wearing_joints
     }
 
 

@@ -117,7 +117,7 @@ def weights_of(text: str, machine: Machine) -> dict[str, float]:
             raise BadFieldError(f"prior: {part[:80]}: {rule}", field="prior")
         found[joint] = float(weight)
     try:
-        Prior(joints=found).check(machine.turning_joints)
+        Prior(joints=found).check(machine.wearing_joints)
     except DiagnosisError as error:
         raise BadFieldError(str(error)[:240], field="prior") from None
     return found

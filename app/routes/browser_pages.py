@@ -72,7 +72,7 @@ async def catalogue(request: Request, name: str) -> Response:
 def usual(offer: Offer) -> str:
     """Return the hypothesis to begin with: the first worn joint."""
     names = offer.description.hypotheses
-    return next((name for name in names if name in offer.description.turning_joints), names[0] if names else "")
+    return next((name for name in names if name in offer.machine.wearing_joints), names[0] if names else "")
 
 
 async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:

@@ -82,9 +82,7 @@ class FindingIn(Shape):
         }
     )
 
-    joints: Annotated[
-        dict[str, JointFound], Field(default={}, max_length=200, description="By name of the turning joint.")
-    ]
+    joints: Annotated[dict[str, JointFound], Field(default={}, max_length=200, description="By name of the joint.")]
     text: Annotated[str, Field(default="", max_length=4000, pattern=TEXT)]
     at: Annotated[Moment, Field(description="When it was found, with a time zone.")]
 

@@ -20,9 +20,7 @@ class EntryFilter(BaseModel):
     hypothesis: Annotated[
         str | None, Field(max_length=400, examples=["A"], description="Label of the hypothesis: `healthy`, `A+F`.")
     ] = None
-    joint: Annotated[str | None, Field(max_length=200, examples=["A"], description="A turning joint that is worn.")] = (
-        None
-    )
+    joint: Annotated[str | None, Field(max_length=200, examples=["A"], description="A joint that is worn.")] = None
     stratum: Annotated[
         Literal["trusted", "wide"] | None,
         Field(examples=["trusted"], description="How much of the machine was uncertain."),

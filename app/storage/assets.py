@@ -154,12 +154,13 @@ class Assets:
         BadFieldError
             When it names a joint that the diagnosed machine does not have.
         """
-        turning = {name for name, joint in row.machine["joints"].items() if joint["kind"] == "turning"}
+        joints = row.machine["joints"].items()
+        wearing = {name for name, joint in joints if joint["kind"] == "turning" or "length" in joint}
         for name in found.joints:
-            if name not in turning:
-                known = ", ".join(sorted(turning))
+            if name not in wearing:
+                known = ", ".join(sorted(wearing))
                 raise BadFieldError(
-                    f"joints: {name[:80]}: is no turning joint of this machine ({known})", field="joints"
+                    f"joints: {name[:80]}: is no joint of this machine that can wear ({known})", field="joints"
                 )
         said = found.model_dump(mode="json")
         key = hashlib.sha256(f"{row.id} {json.dumps(said, sort_keys=True)}".encode()).hexdigest()[:32]

@@ -12,14 +12,13 @@ from jointplay.catalogue.diagnosing.answer import Bound, Condition, JointState
 from jointplay.catalogue.matching.matcher import HEALTHY, HypothesisMatch, MatchResult
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.machines.joints import TurningJoint
 
 EDGE = 0.02
 """Share of the catalogue's clearance range, at either end, which an interval has to reach to be a bound."""
 
 
 def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> dict[str, JointState]:
-    """Return what a recording says of every turning joint of the catalogue's hypotheses.
+    """Return what a recording says of every joint of the catalogue's hypotheses.
 
     Parameters
     ----------
@@ -37,9 +36,7 @@ def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> 
         is_worn = sightings.condition(posterior.p_worn, coverage) if sightings else None
         condition: Condition = "open" if is_worn is None else "worn" if is_worn else "in_order"
         least = sightings.detectable_from(joint, worn) if sightings and joint in sightings.joints else None
-        part = catalogue.machine.joints[joint]
-        assert isinstance(part, TurningJoint)
-        limit = part.worn_out_from
+        limit = catalogue.machine.joints[joint].worn_out_from
         low, median, high = (1e6 * posterior.quantile(share) for share in (0.05, 0.5, 0.95))
         states[joint] = JointState(
             condition=condition,
@@ -62,9 +59,7 @@ def plays_of_fits(catalogue: Catalogue, joint: str) -> FloatArray:
         found = matrix.clearance(rows)[:, matrix.joints.index(joint)]
         if (found > 0.0).any():
             return np.asarray(found[found > 0.0], np.float64)
-    part = catalogue.machine.joints[joint]
-    assert isinstance(part, TurningJoint)
-    return np.array(part.play_as_new)
+    return np.array(catalogue.machine.joints[joint].play_as_new)
 
 
 def _span(catalogue: Catalogue, joint: str) -> tuple[float, float] | None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jointplay.catalogue.diagnosing.frame_forces import Revolution
-from jointplay.catalogue.evaluation.truth import Response, Truth, contact_of, draw_contacts
+from jointplay.catalogue.evaluation.truth import Response, Truth, draw_contacts
 from jointplay.catalogue.plans.entry import seed_from
 from jointplay.catalogue.plans.parameters import MachineNumbers, nominal_drive_speed
 from jointplay.catalogue.plans.variants import Variant, output_load
@@ -64,8 +64,8 @@ def _of_normal_force(path: str) -> bool:
 @lru_cache(maxsize=16)
 def _with_law(machine: Machine, law: str) -> Machine:
     tree = json.loads(machine.canonical_json())
-    for joint in machine.turning_joints:
-        own = contact_of(machine, joint)
+    for joint in machine.wearing_joints:
+        own = machine.joints[joint].contact
         scale = 1.0 / math.sqrt(HERTZ_LENGTH) if own.law == "linear" else 1.0
         contact = {
             **own.own_friction,

@@ -112,9 +112,9 @@ class EvaluationProtocol:
         Raises
         ------
         DiagnosisError
-            The machine has too few turning joints.
+            The machine has too few joints that can wear.
         """
-        joints = sorted(catalogue.machine.turning_joints)
+        joints = sorted(catalogue.machine.wearing_joints)
         if self.kind == "listed":
             return catalogue.entries.hypotheses
         if self.kind == "healthy":
@@ -128,7 +128,7 @@ class EvaluationProtocol:
             return tuple(found)
         count = 2 if self.kind == "pairs" else 3
         if len(joints) < count:
-            raise DiagnosisError(f"protocol {self.name}: {len(joints)} turning joints: must be at least {count}")
+            raise DiagnosisError(f"protocol {self.name}: {len(joints)} joints that can wear: must be at least {count}")
         return tuple(Hypothesis.of(worn) for worn in combinations(joints, count))
 
 
@@ -248,7 +248,7 @@ def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: EvaluationPro
     recordings of two protocols differ only in what the protocols differ in.
     """
     draws = np.random.default_rng(seed_from("truth", seed, hypothesis.label, number))
-    joints = tuple(sorted(machine.turning_joints))
+    joints = tuple(sorted(machine.wearing_joints))
     ranges = {joint: protocol.clearance if joint in hypothesis.joints else protocol.fits for joint in joints}
     clearances = {
         joint: float(math.exp(draws.uniform(math.log(low), math.log(high)))) for joint, (low, high) in ranges.items()

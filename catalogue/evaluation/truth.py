@@ -13,7 +13,6 @@ from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.signals.sensors import free_motions
 from jointplay.catalogue.signals.suspension import accelerance, on_mounts
 from jointplay.solver.arrays import ComplexArray, FloatArray
-from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.sensor import sensor_transform
 
@@ -264,7 +263,7 @@ class Truth:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints with clearance: all turning joints."""
+        """Joints with clearance: all that can wear."""
         return tuple(self.clearances)
 
 
@@ -274,7 +273,7 @@ def draw_contacts(
     """Draw the numbers of the contact law in every joint, by path: log-normal factors, uniform restitutions."""
     found: dict[str, float] = {}
     for joint in joints:
-        contact = contact_of(machine, joint)
+        contact = machine.joints[joint].contact
         for name in ("stiffness", "damping", "hysteresis", "restitution"):
             own = getattr(contact, name)
             deviate, uniform = float(draws.normal()), float(draws.uniform(*RESTITUTION))
@@ -282,10 +281,3 @@ def draw_contacts(
                 path = f"joints.{joint}.contact.{name}"
                 found[path] = uniform if name == "restitution" else own * math.exp(scatter * deviate)
     return found
-
-
-def contact_of(machine: Machine, joint: str) -> Contact:
-    """Return the contact of a turning joint."""
-    found = machine.joints[joint]
-    assert isinstance(found, TurningJoint)
-    return found.contact

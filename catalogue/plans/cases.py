@@ -21,7 +21,7 @@ from jointplay.catalogue.plans.parameters import (
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import Distribution, log_uniform, unit_draws
 from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
-from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
 
 TRAVEL_SHARE = 0.1
@@ -35,8 +35,15 @@ _WORN = {"singles": 1, "pairs": 2, "triples": 3}
 
 
 def travel(machine: Machine, joint: str) -> float:
-    """Largest radial clearance [m] a catalogue gives a turning joint; infinite where its links have no other one."""
-    at, links = machine.joints[joint].at, set(machine.joints[joint].links)
+    """Largest clearance [m] a catalogue gives a joint; infinite for a pin whose links have no other one.
+
+    By it a link leans by as much as :data:`TRAVEL_SHARE`; so does the block of a guide, c at one end and -c at the
+    other.
+    """
+    part = machine.joints[joint]
+    if isinstance(part, SlidingJoint):
+        return TRAVEL_SHARE * (part.length or 0.0) / 2
+    at, links = part.at, set(part.links)
     near = (machine.joints[other] for other in machine.turning_joints if other != joint)
     distances = (math.dist(at, other.at) for other in near if links & set(other.links) and other.at != at)
     return TRAVEL_SHARE * min(distances, default=math.inf)
@@ -48,19 +55,19 @@ def hypotheses_of(plan: Plan, machine: Machine) -> tuple[Hypothesis, ...]:
     Raises
     ------
     PlanError
-        A set that names a joint which is no turning joint; two hypotheses of one name.
+        A set that names a joint which cannot wear; two hypotheses of one name.
     """
-    turning = tuple(sorted(machine.turning_joints))
+    wearing = tuple(sorted(machine.wearing_joints))
     found: dict[Hypothesis, None] = {}
     for family in plan.hypotheses:
         if family == "healthy":
             found[Hypothesis.of(())] = None
         else:
-            found |= dict.fromkeys(Hypothesis.of(worn) for worn in combinations(turning, _WORN[family]))
+            found |= dict.fromkeys(Hypothesis.of(worn) for worn in combinations(wearing, _WORN[family]))
     for i, chosen in enumerate(plan.sets):
         for joint in chosen:
-            if joint not in turning:
-                rule = f"is no turning joint of machine {machine.name}; these are {', '.join(turning)}"
+            if joint not in wearing:
+                rule = f"is no joint of machine {machine.name} that can wear; these are {', '.join(wearing)}"
                 raise PlanError("plan", f"sets.{i}", joint, rule)
         found[Hypothesis.of(chosen)] = None
     _check_labels(found, machine.name)
@@ -139,7 +146,7 @@ class _Drawing:
 
     def entries(self, sequence: Sequence) -> Iterator[Entry]:
         plan, hypothesis, stratum = self.plan, sequence.hypothesis, sequence.stratum
-        others = sorted(joint for joint in self.machine.turning_joints if joint not in hypothesis.joints)
+        others = sorted(joint for joint in self.machine.wearing_joints if joint not in hypothesis.joints)
         opened = (*hypothesis.joints, *others)
         spread = plan.spread(self.machine, stratum)
         laws = plan.law_weights(self.machine)
@@ -159,7 +166,7 @@ class _Drawing:
                 if joint in ranges:
                     sizes[joint] = log_uniform(*ranges[joint], u)
                 elif not is_silent:
-                    sizes[joint] = plan.fits.quantile(u, self._turning(joint))
+                    sizes[joint] = plan.fits.quantile(u, self.machine.joints[joint])
             joints = tuple(sorted(sizes))
             law = _choice(laws, point[len(opened)])
             parameters = scatters[law].parameters(point[len(opened) + 2 :], sequence.speed)
@@ -177,15 +184,10 @@ class _Drawing:
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _turning(self, joint: str) -> TurningJoint:
-        part = self.machine.joints[joint]
-        assert isinstance(part, TurningJoint)
-        return part
-
     def _range(self, joint: str, worn: int) -> tuple[float, float]:
         """Least and largest clearance of a joint that wears, alone or together with others, m."""
         bounds = self.plan.clearance
-        low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(self._turning(joint))[1])
+        low = max(bounds.low, BEYOND_FIT * self.plan.fits.bounds(self.machine.joints[joint])[1])
         # Draws of several worn joints have too much to fill as it is.
         high = bounds.high * (bounds.beyond if worn == 1 else 1.0)
         return low, max(min(high, travel(self.machine, joint)), 2.0 * low)

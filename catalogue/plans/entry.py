@@ -126,7 +126,7 @@ def seed_from(*parts: object) -> int:
 
 
 HEALTHY = "healthy"
-"""Hypothesis of a machine in order: every turning joint has the small play of its fit, and none is worn."""
+"""Hypothesis of a machine in order: every joint that can wear has the small play of its fit, and none is worn."""
 
 
 Stratum = Literal["trusted", "wide"]
@@ -238,7 +238,7 @@ class Entry:
     hypothesis : Hypothesis
         What it is a case of.
     joints : tuple of str
-        Joints with clearance, in alphabetical order: all turning joints of a catalogue's cases.
+        Joints with clearance, in alphabetical order: all that can wear of a catalogue's cases.
     clearances : tuple of float
         Their radial clearances [m].
     parameters : mapping of str to float

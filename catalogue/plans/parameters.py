@@ -14,12 +14,11 @@ from jointplay.solver.cases.groups import SHORTHANDS
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fields import nearest
-from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive
 
 SHARED = SHORTHANDS
-"""Short paths that stand for a number of every turning joint; each joint draws its own."""
+"""Short paths that stand for a number of every joint that can wear; each joint draws its own."""
 
 DRIVE_SPEED = "drive.speed"
 LOAD = "load"
@@ -79,11 +78,11 @@ class ParameterTarget:
 class MachineNumbers:
     """Every number of a machine by its dotted path (``supports.0.stiffness.1``), and short paths for several.
 
-    ``contact.friction`` and its like mean all turning joints that have such a number; ``frame.mass``, ``frame.inertia``
-    the frame; ``supports.stiffness.x`` (``y``; without either, of springs) and ``supports.damping.x`` all supports by
-    one factor, ``supports.0.stiffness`` both directions of a mount; ``load`` the process load, ``load.1.sin`` and
-    ``load.1.cos`` a term of it over the drive's angle, ``ripple.1.sin`` and ``ripple.1.cos`` a term of the drive's
-    ripple, where the variant of the machine has them.
+    ``contact.friction`` and its like mean all joints that can wear, as far as they have such a number; ``frame.mass``,
+    ``frame.inertia`` the frame; ``supports.stiffness.x`` (``y``; without either, of springs) and
+    ``supports.damping.x`` all supports by one factor, ``supports.0.stiffness`` both directions of a mount; ``load`` the
+    process load, ``load.1.sin`` and ``load.1.cos`` a term of it over the drive's angle, ``ripple.1.sin`` and
+    ``ripple.1.cos`` a term of the drive's ripple, where the variant of the machine has them.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ class MachineNumbers:
 
     def __init__(self, machine: Machine) -> None:
         self._machine, self._name = machine, machine.name
-        self.turning = tuple(sorted(machine.turning_joints))
+        self.wearing = tuple(sorted(machine.wearing_joints))
         self.by_path: dict[str, float] = dict(_numbers(machine.model_dump(), ""))
 
     def targets(self, path: str) -> tuple[ParameterTarget, ...]:
@@ -120,7 +119,7 @@ class MachineNumbers:
     def _short(self, path: str) -> list[tuple[str, float]]:
         order = ripple_order(path)
         if path in SHARED:
-            listed = [(f"joints.{joint}.{path}", 1.0) for joint in self.turning if self._has(joint, path)]
+            listed = [(f"joints.{joint}.{path}", 1.0) for joint in self.wearing if self._has(joint, path)]
         elif path in ("frame.mass", "frame.inertia"):
             listed = [(f"links.{self._machine.frame}.{path.partition('.')[2]}", 1.0)]
         elif path in _SUPPORTS:
@@ -137,8 +136,7 @@ class MachineNumbers:
         return [(full, share) for full, share in listed if full in self.by_path]
 
     def _has(self, joint: str, path: str) -> bool:
-        found = self._machine.joints[joint]
-        return isinstance(found, TurningJoint) and found.contact.has(path.rpartition(".")[2])
+        return self._machine.joints[joint].contact.has(path.rpartition(".")[2])
 
     def _load(self, order: int | None, *, is_sine: bool) -> list[tuple[str, float]]:
         load = output_load(self._machine)
@@ -169,7 +167,7 @@ def check_drawable(machine: Machine, paths: frozenset[str]) -> None:
 @lru_cache(maxsize=256)
 def _check_held(machine: Machine, paths: tuple[str, ...]) -> None:
     try:
-        build_model(machine, machine.turning_joints, paths)
+        build_model(machine, machine.wearing_joints, paths)
     except MachineError as error:
         raise PlanError("plan", f"uncertain.{error.path}", None, error.rule) from None
 
@@ -201,7 +199,7 @@ class Scatter:
         first = 0
         for path in sorted(spread):
             # A joint's column is its own in every variant, whatever numbers its contact law and the other joints have.
-            own = [f"joints.{joint}.{path}" for joint in numbers.turning] if path in SHARED else []
+            own = [f"joints.{joint}.{path}" for joint in numbers.wearing] if path in SHARED else []
             if path not in skipped:
                 for target in numbers.targets(path):
                     column = first + (own.index(target.path) if own else 0)

@@ -6,7 +6,6 @@ from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import DrawCounts
-from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
 _ONCE = DrawCounts(healthy=1, single=1, pair=1, larger=1)
@@ -110,8 +109,7 @@ def _list_cases(plan: Plan, machine: Machine, *, wide: bool) -> str:
 
 def _fits(plan: Plan, machine: Machine) -> str:
     """Play of the joints that are not worn: one range, or that of each joint."""
-    joints = {name: part for name, part in machine.joints.items() if isinstance(part, TurningJoint)}
-    ranges = {name: _um(*plan.fits.bounds(part)) for name, part in sorted(joints.items())}
+    ranges = {name: _um(*plan.fits.bounds(machine.joints[name])) for name in sorted(machine.wearing_joints)}
     if len(set(ranges.values())) == 1:
         return next(iter(ranges.values()))
     return ", ".join(f"{name} {text}" for name, text in ranges.items())

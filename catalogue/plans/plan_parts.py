@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from jointplay.catalogue.plans.variants import LawChoice, output_load
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
-from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.joints import WearingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Damper, Mount, Part, RotationDrive, Spring
 from jointplay.solver.machines.units import FREQUENCY, LENGTH, RATIO
@@ -170,11 +170,11 @@ class Fits(Part):
     tight: Share = 0.1
     silent: Share = 0.25
 
-    def bounds(self, joint: TurningJoint) -> tuple[float, float]:
+    def bounds(self, joint: WearingJoint) -> tuple[float, float]:
         """Least and greatest play of a joint [m], tight ones aside."""
         return joint.play_as_new if self.low is None or self.high is None else (self.low, self.high)
 
-    def quantile(self, u: float, joint: TurningJoint) -> float:
+    def quantile(self, u: float, joint: WearingJoint) -> float:
         """Play [m] below which the fraction `u` of all fits of a joint lies, in a machine that is not silent."""
         low, high = self.bounds(joint)
         if u < self.tight:
@@ -253,7 +253,7 @@ WEIGHT = 9.81
 
 def default_laws(machine: Machine) -> dict[LawChoice, float]:
     """Contact laws that are drawn, with their weights: the machine's own, and the other one of linear and Hertzian."""
-    contacts = [joint.contact.law for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
+    contacts = [machine.joints[joint].contact.law for joint in machine.wearing_joints]
     return {"own": 1.0, "hertz" if "linear" in contacts else "linear": 1.0}
 
 
@@ -271,8 +271,8 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     dict of str to Distribution
         By path, see :class:`~jointplay.catalogue.plans.parameters.MachineNumbers`.
     """
-    turning = [joint.contact for joint in machine.joints.values() if isinstance(joint, TurningJoint)]
-    contacts = turning if "own" in laws else []  # any other law takes the place of the file's in every joint
+    filed = [machine.joints[joint].contact for joint in machine.wearing_joints]
+    contacts = filed if "own" in laws else []  # any other law takes the place of the file's in every joint
     known = {contact.law for contact in contacts} | set(laws)
     found = {
         "drive.speed": Distribution(factor_uniform=(0.97, 1.03)),

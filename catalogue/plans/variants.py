@@ -13,7 +13,7 @@ from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import Load, Ripple, RotationDrive
 
 LawChoice = Literal["own", "linear", "hertz"]
-"""Contact law of the turning joints: as the machine file has it, or another one fitted to it."""
+"""Contact law of the joints that can wear: as the machine file has it, or another one fitted to it."""
 
 _PHASES = (0.0, math.pi / 2)
 """Of the sine and the cosine of an order."""
@@ -26,7 +26,7 @@ class Variant:
     Parameters
     ----------
     law : {"own", "linear", "hertz"}
-        Contact law of the turning joints.
+        Contact law of the joints that can wear.
     ripple : tuple of int
         Orders of additional ripple of the drive, each a sine and a cosine of amplitude 0, so that a case can give them
         any amplitude and phase.
@@ -124,7 +124,7 @@ def _machine(base: Machine, variant: Variant) -> Machine:
     if variant.law != "own":
         changes["joints"] = {
             name: joint.model_copy(update={"contact": equal_contact(base, joint, variant.law)})
-            if isinstance(joint, TurningJoint)
+            if name in base.wearing_joints
             else joint
             for name, joint in base.joints.items()
         }

@@ -77,7 +77,7 @@ def gather(
     for number, shard in enumerate(shards):
         parts.append(_ShardPart.of(number, shard, cuts, waiting, written))
         written += len(shard.power)
-    joints = tuple(sorted(machine.turning_joints))
+    joints = tuple(sorted(machine.wearing_joints))
     names = tuple(sorted({name for part in parts for name in part.parameter_names}))
     hypotheses = tuple(sorted({part.hypothesis for part in parts}, key=_rank))
     columns, remarks, digests = _join(parts, joints, names, hypotheses, machine)

@@ -1,4 +1,4 @@
-"""Play of turning joints as new: a range of radial clearance, or a clearance fit of ISO 286 on the pin's diameter.
+"""Play of joints as new: a range of radial clearance (of guides: half the play), or a clearance fit of ISO 286.
 
 Source: ISO 286-1:2010, table 1 (standard tolerances IT5 to IT11) and tables 2 and 4 (fundamental deviations; those of
 the shafts d to h are those of the holes D to H with the opposite sign), up to 500 mm. Whole micrometres, as there.
@@ -212,36 +212,37 @@ def in_um(length: float) -> str:
     return f"{length * 1e6:.4g} um"
 
 
-def new_fit(said: FitSaid | None, pin_radius: float) -> Fit:
+def new_fit(said: FitSaid | None, size: float, needs: str) -> Fit:
     """What a joint's fit amounts to.
 
     Parameters
     ----------
     said : FitSaid or None
         What the file says; None for nothing.
-    pin_radius : float
-        m; 0 where the file gives none.
+    size : float
+        m, nominal: the pin's diameter, or of a guide from wall to wall; 0 where the file gives none.
+    needs : str
+        What a class needs and how the file gives it.
 
     Raises
     ------
     RuleError
-        A class for a pin whose diameter is not known, or not in the tables of ISO 286.
+        A class for a size that is not known, or not in the tables of ISO 286.
     """
     if said is None:
         return Fit(*DEFAULT_PLAY, "default")
     if not isinstance(said, ClassFit):
         return Fit(said[0] or LEAST_PART * said[1], said[1], "given")
-    diameter = said.diameter or 2 * pin_radius
+    diameter = said.diameter or size
     if not diameter:
-        rule = f"needs the pin's diameter: give pin_radius, or {{class: {said.fit_class}, diameter: 16 mm}}"
-        raise RuleError(rule)
+        raise RuleError(f"needs {needs}, or {{class: {said.fit_class}, diameter: 16 mm}}")
     least, greatest = said.fit_class.clearance(diameter)
     high = greatest / 2e6
     return Fit(least / 2e6 or LEAST_PART * high, high, f"{said.fit_class} at {diameter * 1e3:.6g} mm")
 
 
 class FitMarker(Marker):
-    """The field ``fit`` of a turning joint."""
+    """The field ``fit`` of a joint."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import (
     BeforeValidator,
@@ -104,30 +104,23 @@ class Defaults(Part):
     contact: Contact = Contact()
 
 
-class TurningJoint(Part):
-    """A pin in a socket. ``links`` [0] carries the pin unless ``pin`` says otherwise.
+class WearingJoint(Part):
+    """A joint and what is said of its play: radial clearance, or half the play between the walls of a guide.
 
-    ``at`` [m]; ``pin_radius`` [m], 0 neglects the moment of friction; ``viscous`` [N m s/rad] and ``journal_friction``
-    (coefficient: torque over reaction and pin radius, with the friction law of ``contact``) resist relative rotation
-    while the joint has no clearance; ``contact`` counts once it has. ``fit`` says what radial clearance the joint has
-    as new, ``limit`` [m] from which it counts as worn out; neither enters the equations of motion.
-    ``clearance`` [m, radial] is what the joint has in a simulation that is asked for no other fault.
+    ``fit`` says what play the joint has as new, ``limit`` [m] from which it counts as worn out; neither enters the
+    equations of motion. ``clearance`` [m] is what the joint has in a simulation that is asked for no other fault.
     """
 
-    kind: Literal["turning"] = "turning"
+    kind: str
     links: tuple[Name, Name]
     at: Point
-    pin: Name = Field(default="", json_schema_extra=no_default)
-    pin_radius: Annotated[float, QuantityField(units.LENGTH, at_least=0)] = 0.0
-    viscous: Annotated[float, QuantityField(units.ROTARY_DAMPING, at_least=0)] = 0.0
-    journal_friction: Annotated[float, QuantityField(units.RATIO, at_least=0)] = 0.0
     contact: Contact = Contact()
     fit: Annotated[FitSaid, FitMarker()] | None = None
     limit: Annotated[float, QuantityField(units.LENGTH, above=0, at_most=LARGEST_LIMIT)] | None = None
     clearance: Annotated[float, ClearanceField(above=0)] | None = None
 
     @model_validator(mode="after")
-    def _resolve_fit(self) -> TurningJoint:
+    def _resolve_fit(self) -> Self:
         try:
             fit = self.new_fit
         except RuleError as error:
@@ -137,56 +130,77 @@ class TurningJoint(Part):
             raise RuleError(f"must be greater than the joint's play as new, {fit}", ("limit",), in_um(self.limit))
         return self
 
-    @model_serializer(mode="wrap")
-    def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # Machines that say nothing of these keep the content key they had before a file could.
-        written: dict[str, Any] = write(self)
-        since = {"fit": None, "limit": None, "clearance": None, "journal_friction": 0.0}
-        return {key: value for key, value in written.items() if key not in since or value != since[key]}
-
     @property
     def new_fit(self) -> Fit:
         """Play of the joint as new: that of ``fit``, or the default."""
-        return new_fit(self.fit, self.pin_radius)
+        raise NotImplementedError
 
     @property
     def play_as_new(self) -> tuple[float, float]:
-        """Least and greatest radial clearance of the joint as new, m."""
+        """Least and greatest clearance of the joint as new, m."""
         fit = self.new_fit
         return fit.low, fit.high
 
     @property
     def worn_out_from(self) -> float:
-        """Radial clearance from which the joint counts as worn out, m: ``limit``, or ten times the greatest as new."""
+        """Clearance from which the joint counts as worn out, m: ``limit``, or ten times the greatest as new."""
         return LIMIT_FACTOR * self.new_fit.high if self.limit is None else self.limit
 
 
-class SlidingJoint(DryFriction):
+#: What files could not say once; machines that say nothing of it keep the content key they had then.
+_SINCE: dict[str, Any] = dict.fromkeys(("fit", "limit", "clearance", "length"))
+_SINCE |= dict.fromkeys(("journal_friction", "height"), 0.0)
+
+
+class TurningJoint(WearingJoint):
+    """A pin in a socket. ``links`` [0] carries the pin unless ``pin`` says otherwise.
+
+    ``at`` [m]; ``pin_radius`` [m], 0 neglects the moment of friction; ``viscous`` [N m s/rad] and ``journal_friction``
+    (coefficient: torque over reaction and pin radius, with the friction law of ``contact``) resist relative rotation
+    while the joint has no clearance; ``contact`` counts once it has. The size of a class of ``fit`` is the pin's
+    diameter.
+    """
+
+    kind: Literal["turning"] = "turning"
+    pin: Name = Field(default="", json_schema_extra=no_default)
+    pin_radius: Annotated[float, QuantityField(units.LENGTH, at_least=0)] = 0.0
+    viscous: Annotated[float, QuantityField(units.ROTARY_DAMPING, at_least=0)] = 0.0
+    journal_friction: Annotated[float, QuantityField(units.RATIO, at_least=0)] = 0.0
+
+    @model_serializer(mode="wrap")
+    def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in write(self).items() if key not in _SINCE or value != _SINCE[key]}
+
+    @property
+    def new_fit(self) -> Fit:
+        """Play of the joint as new: that of ``fit``, or the default."""
+        return new_fit(self.fit, 2 * self.pin_radius, "the pin's diameter: give pin_radius")
+
+
+class SlidingJoint(WearingJoint, DryFriction):
     """``links`` [0] slides along a line through ``at`` along ``direction`` (unit length), fixed in ``links`` [1].
 
     ``viscous`` [N s/m] acts along it beside the dry friction, both while the joint has no clearance. One that can have
     says how long its block is, ``length`` [m] along the line with ``at`` in the middle, and how high, ``height`` [m]
-    from wall to wall; ``contact`` of its corners counts once it has. ``clearance`` [m, half the play between the walls]
-    is what the joint has in a simulation that is asked for no other fault.
+    from wall to wall, the size of a class of ``fit``; ``contact`` of its corners counts once it has.
     """
 
     kind: Literal["sliding"] = "sliding"
-    links: tuple[Name, Name]
-    at: Point
     direction: Direction
     viscous: Damping = 0.0
     length: Annotated[float, QuantityField(units.LENGTH, above=0)] | None = None
     height: Annotated[float, QuantityField(units.LENGTH, at_least=0)] = 0.0
-    contact: Contact = Contact()
-    clearance: Annotated[float, ClearanceField(above=0)] | None = None
 
     @model_serializer(mode="wrap")
     def _leave_out_numbers_of_other_laws(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # Machines that say nothing of clearance keep the content key they had before a file could.
-        since = {"length": None, "height": 0.0, "clearance": None}
         written = super()._leave_out_numbers_of_other_laws(write)
         known = self.length is not None
-        return {k: v for k, v in written.items() if (k != "contact" or known) and (k not in since or v != since[k])}
+        return {k: v for k, v in written.items() if (k != "contact" or known) and (k not in _SINCE or v != _SINCE[k])}
+
+    @property
+    def new_fit(self) -> Fit:
+        """Play of the guide as new: that of ``fit``, or the default."""
+        return new_fit(self.fit, self.height, "the size from wall to wall: give height")
 
 
 Joint: TypeAlias = Annotated[TurningJoint | SlidingJoint, Field(discriminator="kind")]

@@ -166,7 +166,7 @@ def _joints(machine: MachineContent) -> Iterator[Breach]:
             )
         if isinstance(joint, SlidingJoint):
             yield from (Breach(*breach) for breach in friction_breaches(path, joint))
-            said = [key for key in ("clearance", "height", "contact") if key in joint.model_fields_set]
+            said = [key for key in ("clearance", "height", "contact", "fit", "limit") if key in joint.model_fields_set]
             if joint.length is None and said:
                 yield Breach(f"{path}.length", None, f"is missing: {said[0]} is that of a block of this length")
 

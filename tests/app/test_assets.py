@@ -189,8 +189,8 @@ def test_a_finding_is_kept_once_read_again_and_listed(client: httpx.Client, diag
 @pytest.mark.parametrize(
     ("body", "text"),
     [
-        ({"joints": {"Z": {"clearance_um": 1.0}}, "at": "2026-03-01T08:00:00Z"}, "Z: is no turning joint"),
-        ({"joints": {"G1": {"clearance_um": 1.0}}, "at": "2026-03-01T08:00:00Z"}, "G1: is no turning joint"),
+        ({"joints": {"Z": {"clearance_um": 1.0}}, "at": "2026-03-01T08:00:00Z"}, "Z: is no joint"),
+        ({"joints": {"G1": {"clearance_um": 1.0}}, "at": "2026-03-01T08:00:00Z"}, "G1: is no joint"),
         ({"joints": {"B": {"clearance_um": -1.0}}, "at": "2026-03-01T08:00:00Z"}, "joints.B.clearance_um"),
         ({"at": "2026-03-01T08:00:00Z"}, "give joints with their clearance, or a text"),
         ({"text": "all well"}, "at: Field required"),

@@ -108,7 +108,7 @@ def test_export_refuses(folder: Path) -> None:
             "uncertain: {sensors.0.at.0: {uniform: [0, 1]}}",
             "uncertain.sensors.0.at.0: 0 to 1: no equation of this machine holds such a number",
         ),
-        ("sets: [[Z, A]]", "sets.0: Z: is no turning joint of machine slider-crank; these are A, B, O"),
+        ("sets: [[Z, A]]", "sets.0: Z: is no joint of machine slider-crank that can wear; these are A, B, O"),
     ],
 )
 def test_plan_that_does_not_fit_the_machine_is_one_line(tmp_path: Path, text: str, line: str) -> None:

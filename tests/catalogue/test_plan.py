@@ -336,7 +336,7 @@ def test_chosen_sets_are_lists_of_joints() -> None:
     assert counted(entries) == {"healthy": 3, "A+C+F": 5, "E+O": 4}
     assert {entry.worn for entry in entries} == {(), ("A", "C", "F"), ("E", "O")}
     with pytest.raises(
-        PlanError, match=r"^plan: sets\.0: Z: is no turning joint of machine quick-return; these are A, C"
+        PlanError, match=r"^plan: sets\.0: Z: is no joint of machine quick-return that can wear; these are A, C"
     ):
         entries_of(plan_of(sets=[["A", "Z"]]), QUICK_RETURN)
 

@@ -155,9 +155,9 @@ def test_a_joint_without_pin_radius_needs_a_diameter() -> None:
     assert joint_a(tree).play_as_new == (3e-6, 17.5e-6)
 
 
-def test_a_guide_has_none() -> None:
-    with pytest.raises(MachineError, match=r"joints\.G1\.fit: H7/g6: unknown key"):
-        parse_machine(changed("joints.G1.fit", "H7/g6"))
+def test_a_guide_without_a_length_has_none() -> None:
+    with pytest.raises(MachineError, match=r"joints\.G1\.length: is missing: fit is that of a block of this length"):
+        parse_machine(changed("joints.G1.fit", ["3 um", "12 um"]))
 
 
 def test_the_compiled_model_is_the_same() -> None:
@@ -176,4 +176,4 @@ def test_every_class_leaves_a_range_to_draw_from(radius: float, hole: str, shaft
     assert 0 < low < high < joint.worn_out_from
     if (hole, shaft) == ("H", "h"):
         assert low == LEAST_PART * high
-    assert joint.new_fit == new_fit(joint.fit, radius)
+    assert joint.new_fit == new_fit(joint.fit, 2 * radius, "")
