@@ -129,6 +129,7 @@ class EntryDetail(EntryItem):
 
     parameters: dict[str, float] = Field(description="Numbers that differ from the machine's file, by path, SI.")
     segments: int = Field(description="Windows averaged.")
+    period: int = Field(description="Revolutions after which the motion repeats; 0 where it was not seen to.")
     transient_s: float | None = Field(description="Start-up time left out.")
     guard_db: float | None = Field(description="Mean difference from the same case computed more finely.")
     spectrum: EntrySpectrum | None = Field(description="null where the simulation failed.")

@@ -151,7 +151,12 @@ def _simulate(chunk: Chunk, guarded: Sequence[int]) -> list[CaseOutcome]:
     machine = entries[0].variant.machine(_machine(chunk.machine))
     revolutions = recipe.revolutions + SLACK_REVOLUTIONS
     settings = Settings(
-        sample_rate=recipe.sample_rate, revolutions=revolutions, motion=False, transient=False, settled=True
+        sample_rate=recipe.sample_rate,
+        revolutions=revolutions,
+        motion=False,
+        transient=False,
+        settled=True,
+        repeating=True,
     )
     cases = [Case(entry.fault, entry.parameters) for entry in entries]
     return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]
@@ -174,7 +179,8 @@ def _outcome(history: History, recipe: Recipe) -> CaseOutcome:
         history.drive_speed,
         recipe.scheme,
         cuts=recipe.scheme.third_octave_groups(FEATURE_ORDERS),
-        angle=abs(history.drive_speed) * history.transient,
+        angle=abs(history.drive_speed) * float(history.t[0]),
+        period=history.period,
     )
     power = bands.power.astype(np.complex64)
     if not (np.isfinite(power).all() and np.isfinite(bands.spread_db).all()):
@@ -189,4 +195,5 @@ def _outcome(history: History, recipe: Recipe) -> CaseOutcome:
         power,
         bands.spread_db.astype(np.float32),
         bands.cyclic.astype(np.complex64),
+        period=history.period,
     )

@@ -166,13 +166,8 @@ def _compute(
 
 def _compare(entry: Entry, stored: CaseOutcome, now: CaseOutcome, cuts: tuple[int, ...]) -> Compared:
     difference = 0.0
-    same = (stored.status, stored.message, stored.drive_speed, stored.transient, stored.segments) == (
-        now.status,
-        now.message,
-        now.drive_speed,
-        now.transient,
-        now.segments,
-    )
+    compared = ("status", "message", "drive_speed", "transient", "segments", "period")
+    same = all(getattr(stored, name) == getattr(now, name) for name in compared)
     if stored.power is not None and now.power is not None:
         before, after = pack(stored.power), pack(now.power)
         levels = [

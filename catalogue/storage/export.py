@@ -73,7 +73,7 @@ class _Chosen:
             "parameter_names": np.array(list(table.parameters), dtype=np.str_),
             "power_columns": np.array(PACKED),
             "cyclic_columns": np.array(CYCLIC),
-            **{name: getattr(table, name) for name in (*columns, "segments", "transient", "guard_db")},
+            **{name: getattr(table, name) for name in (*columns, "segments", "period", "transient", "guard_db")},
             "clearance": table.clearance,
             "worn": table.worn,
             "parameters": parameters,

@@ -148,6 +148,7 @@ class _ShardPart:
                 "drive_speed": shard.drive_speed,
                 "transient": shard.transient,
                 "segments": shard.segments,
+                "period": shard.period,
                 "guard_db": shard.guard_db,
                 "spectrum": np.where(shard.row >= 0, shard.row.astype(np.int64) + first, -1),
             },
@@ -158,7 +159,8 @@ class _ShardPart:
 
 def _digests(shard: Shard) -> Iterator[bytes]:
     """SHA-256 of everything that was computed of each entry; what it is a case of is in its key."""
-    table = np.column_stack([shard.drive_speed, shard.transient, shard.segments, shard.guard_db, shard.draw])
+    columns = (shard.drive_speed, shard.transient, shard.segments, shard.period, shard.guard_db, shard.draw)
+    table = np.column_stack(columns)
     for position, row in enumerate(shard.row.tolist()):
         words = (shard.hypothesis.label, shard.stratum, shard.status[position], shard.message[position])
         digest = hashlib.sha256("\0".join(words).encode())
@@ -214,6 +216,7 @@ _EMPTY: Mapping[str, Numbers] = {
     "drive_speed": np.empty(0),
     "transient": np.empty(0),
     "segments": np.empty(0, np.int32),
+    "period": np.empty(0, np.int32),
     "guard_db": np.empty(0),
     "spectrum": np.empty(0, np.int64),
 }

@@ -22,7 +22,7 @@ from jointplay.catalogue.storage.cross_power import CHANNELS, CYCLIC, PACKED, UN
 from jointplay.catalogue.storage.directory import publish
 from jointplay.catalogue.storage.shard import Shard, ShardHeader
 
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 """Of shard files and of the catalogue's folder; a change of what they hold raises it. Another one is refused."""
 
 _FORMAT = "jointplay catalogue shard"
@@ -30,7 +30,9 @@ _TEXT = h5py.string_dtype("utf-8")
 _LOCK = threading.RLock()
 
 _TEXT_COLUMNS = ("key", "status", "message")
-_NUMBER_COLUMNS = {"draw": "1", "segments": "1", "row": "1", "drive_speed": "rad/s", "transient": "s", "guard_db": "dB"}
+_NUMBER_COLUMNS = {
+    "draw": "1", "segments": "1", "period": "1", "row": "1", "drive_speed": "rad/s", "transient": "s", "guard_db": "dB",
+}  # fmt: skip
 
 
 def encode_shard(shard: Shard) -> bytes:

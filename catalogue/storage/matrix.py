@@ -270,6 +270,7 @@ class FeatureMatrix:
             speed=take("speed"),
             drive_speed=take("drive_speed"),
             segments=take("segments").astype(np.int64),
+            period=take("period").astype(np.int64),
             transient=take("transient"),
             guard_db=take("guard_db"),
         )

@@ -20,7 +20,7 @@ STRATA: tuple[Stratum, ...] = get_args(Stratum)
 LAWS: tuple[LawChoice, ...] = get_args(LawChoice)
 """In the order of their codes in the column ``law``."""
 
-MATRIX_VERSION = 1
+MATRIX_VERSION = 2
 """Of the files of a matrix; one of another version is made anew."""
 
 

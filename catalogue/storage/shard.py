@@ -47,6 +47,9 @@ class CaseOutcome:
     guard_db : float, optional
         Mean difference of the band levels from those of the same case computed more finely [dB]; for the cases that
         were computed twice.
+    period : int
+        Revolutions after which the motion was seen to repeat: the spectrum then is that of one period, and exact. 0
+        where it was not: the spectrum is a mean, known as well as `spread_db` and `segments` say.
     """
 
     status: str
@@ -59,6 +62,7 @@ class CaseOutcome:
     spread_db: NDArray[np.floating] | None = None
     cyclic: AnyComplexArray | None = None
     guard_db: float | None = None
+    period: int = 0
 
 
 @dataclass(frozen=True)
@@ -108,8 +112,9 @@ class Shard:
         Radial clearances [m].
     parameters : ndarray, shape (n, len(parameter_names))
         SI.
-    draw, segments, row : ndarray of int, shape (n,)
-        Number of the draw; windows averaged; where the spectrum stands in `power`, -1 if there is none.
+    draw, segments, period, row : ndarray of int, shape (n,)
+        Number of the draw; windows averaged; revolutions after which the motion repeats, or 0; where
+        the spectrum stands in `power`, -1 if there is none.
     drive_speed, transient, guard_db : ndarray, shape (n,)
         rad/s; s; dB, NaN for a case that was not computed twice.
     power : ndarray of float32, shape (m, B, 9)
@@ -133,6 +138,7 @@ class Shard:
     parameters: FloatArray
     draw: NDArray[np.int32]
     segments: NDArray[np.int32]
+    period: NDArray[np.int32]
     row: NDArray[np.int32]
     drive_speed: FloatArray
     transient: FloatArray
@@ -167,6 +173,7 @@ class Shard:
             ),
             draw=np.array([entry.draw for entry in entries], np.int32),
             segments=np.array([outcome.segments for outcome in outcomes], np.int32),
+            period=np.array([outcome.period for outcome in outcomes], np.int32),
             row=np.where(good, np.cumsum(good) - 1, -1).astype(np.int32),
             drive_speed=np.array([outcome.drive_speed for outcome in outcomes], np.float64),
             transient=np.array([outcome.transient for outcome in outcomes], np.float64),
@@ -190,6 +197,7 @@ class Shard:
             spread_db=self.spread_db[row] if row >= 0 else None,
             cyclic=unpack_cyclic(self.cyclic[row]) if row >= 0 else None,
             guard_db=None if np.isnan(guard) else guard,
+            period=int(self.period[position]),
         )
 
     @property

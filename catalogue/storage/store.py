@@ -44,6 +44,8 @@ class StoredEntry:
         rad/s.
     segments : int
         Windows averaged.
+    period : int
+        Revolutions after which the motion repeats; 0 where it was not seen to.
     transient : float
         Start-up time left out [s].
     guard_db : float or None
@@ -70,6 +72,7 @@ class StoredEntry:
     draw: int
     drive_speed: float
     segments: int
+    period: int
     transient: float
     guard_db: float | None
     worn: tuple[str, ...]
@@ -265,6 +268,7 @@ class Catalogue:
             draw=entry.draw,
             drive_speed=outcome.drive_speed,
             segments=outcome.segments,
+            period=outcome.period,
             transient=outcome.transient,
             guard_db=outcome.guard_db,
             worn=entry.worn,

@@ -42,6 +42,8 @@ class EntryTable:
         rad/s.
     segments : ndarray of int, shape (n,)
         Windows averaged.
+    period : ndarray of int, shape (n,)
+        Revolutions after which the motion repeats; 0 where it was not seen to.
     transient : ndarray, shape (n,)
         Start-up time left out [s].
     guard_db : ndarray, shape (n,)
@@ -62,6 +64,7 @@ class EntryTable:
     speed: FloatArray
     drive_speed: FloatArray
     segments: IntArray
+    period: IntArray
     transient: FloatArray
     guard_db: FloatArray
 

@@ -45,7 +45,7 @@ def check_shard(shard: Shard, path: Path) -> None:
     groups = len(shard.header.recipe.scheme.third_octave_groups(FEATURE_ORDERS)) - 1
     if shard.cyclic.shape != (spectra, groups, len(CYCLIC)):
         raise CatalogueFileError(path, "has cyclic powers of another shape than its bands ask for")
-    columns = ("status", "message", "clearance", "parameters", "draw", "segments", "row", "drive_speed")
+    columns = ("status", "message", "clearance", "parameters", "draw", "segments", "period", "row", "drive_speed")
     if any(len(getattr(shard, column)) != count for column in (*columns, "transient", "guard_db")):
         raise CatalogueFileError(path, "has columns of different lengths")
     if not (np.isfinite(shard.power).all() and np.isfinite(shard.spread_db).all() and (shard.spread_db >= 0).all()):

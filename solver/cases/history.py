@@ -107,6 +107,9 @@ class Settings:
         Start worn machines with the frame moving as the healthy machine's does after its transient, where there is
         such a steady state and no `duration` is given (:mod:`jointplay.solver.simulation.simulate`): the transient is
         shorter.
+    repeating : bool
+        End a run of ``adaptive`` without `motion` as soon as its revolutions, or pairs of them, are seen to repeat
+        (:mod:`jointplay.solver.simulation.repeating`): a period then stands for `revolutions`.
     whole : bool
         Model everything that the machine file has, also what its frame cannot feel
         (:mod:`jointplay.solver.cases.reach`); `links` implies it.
@@ -125,6 +128,7 @@ class Settings:
     motion: bool = True
     transient: bool = True
     settled: bool = False
+    repeating: bool = False
     whole: bool = False
     most_trials: int | None = None
 
@@ -146,6 +150,8 @@ class Settings:
             raise SettingsError(
                 f"step: {self.step:g}: only gill and full have a fixed step; {self.integrator} has rtol"
             )
+        if self.repeating and (self.motion or self.links or self.duration is not None or self.integrator != "adaptive"):
+            raise SettingsError("repeating: needs method adaptive without motion, links and duration")
         if self.links and self.integrator == "full":
             raise SettingsError("links: method full gives the motion of the frame; take adaptive or gill")
 
@@ -195,6 +201,9 @@ class History:
         Where the run stands, to go on from; a little later than the last sample, by what the filter needs beyond it.
     turning : Turning or None
         How the driver turned, of a machine whose drive is a torque or a force.
+    period : int
+        Revolutions after which the motion repeats, where the run was ended for that: it then is one such period. 0
+        where it does not, or where nobody looked.
     """
 
     case: Case
@@ -213,6 +222,7 @@ class History:
     links: LinkMotion | None = None
     end: Start | None = None
     turning: Turning | None = None
+    period: int = 0
 
     def __repr__(self) -> str:
         told = f"{self.t[-1]:.4g} s at {self.sample_rate:g} Hz" if len(self.t) else "no samples"

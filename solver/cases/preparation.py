@@ -41,6 +41,8 @@ from jointplay.solver.machines.remarks import restitution_remarks
 
 #: Most memory for one kind of record (displacement, say) of one case.
 MOST_BYTES = 2e9
+#: More samples than any case has.
+NEVER = 2**62
 #: Mobility of a contact, 1/kg, that is rounding: a block in two guides, of which one is tight, say.
 _RIGID = 1e-9
 
@@ -61,6 +63,8 @@ class Prepared:
         What contacts remember at the start, see :mod:`jointplay.solver.equations.contact`.
     begin : float
         Time of the start, s.
+    sample_rate : float
+        Of the results, Hz.
     speed : float
         What revolutions are counted by, rad/s; 0 where nothing repeats.
     transient : float
@@ -90,6 +94,8 @@ class Prepared:
         Time that it ran before `begin` to reach its limit cycle, s.
     unsteady : str or None
         Of a machine with a known effort: why it is in no limit cycle, empty where it is; None where that is not known.
+    look : int
+        Recorded samples after which it is first looked whether the motion repeats.
     """
 
     index: int
@@ -98,6 +104,7 @@ class Prepared:
     v: FloatArray
     memory: FloatArray
     begin: float
+    sample_rate: float
     speed: float
     transient: float
     remark: str
@@ -112,6 +119,7 @@ class Prepared:
     spent: float = 0.0
     before: float = 0.0
     unsteady: str | None = None
+    look: int = NEVER
 
 
 @keep_by_machine(MODELS_KEPT)
@@ -222,8 +230,8 @@ def prepare(
     memory = np.zeros(model.memory.shape[0])
     small, pace = response(motions.suspension, speed), pace_of(machine, complete)
     return Prepared(
-        index, vector, z, v, memory, 0.0, speed, transient, remark, duration, sprung, small, pace, settings.accuracy,
-        longest, smooth, motions.suspension,
+        index, vector, z, v, memory, 0.0, settings.sample_rate, speed, transient, remark, duration, sprung, small, pace,
+        settings.accuracy, longest, smooth, motions.suspension,
     )  # fmt: skip
 
 

@@ -192,6 +192,9 @@ def integrate(
 ) -> None:  # fmt: skip
     """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 
+    It also returns when a case has the samples that are to be looked at. Between calls more may be asked of that case;
+    one that is given no more than the samples it has ends with the next call.
+
     Parameters
     ----------
     kernel : tuple of int
@@ -214,9 +217,12 @@ def integrate(
     sticking = rubbing.size
     channels, velocities = records.channels, records.velocities
     coordinates, accelerations, memories = records.coordinates, records.accelerations, records.memories
-    interval = records.interval
-    loading = True
-    while True:
+    for lane in range(LANES):
+        mine = lanes[lane]
+        if mine.case >= 0 and mine.sample >= cases[mine.case].samples:
+            put_away(w, rows, lane, OK, mine.sample, cases, starts, lanes, ended, cursor)
+    loading, looking = True, False
+    while not looking:
         if loading:
             if load(w, rows, cases, starts, parameters, lanes, free, cursor) > 0:
                 call(prepare, w)
@@ -228,7 +234,7 @@ def integrate(
                     mine = lanes[lane]
                     if mine.case >= 0 and mine.fresh == 1:
                         mine.fresh = 0
-                        mine.end = mine.begin + (cases[mine.case].samples - 1) * interval
+                        mine.end = mine.begin + (cases[mine.case].samples - 1) * cases[mine.case].interval
                         for j in range(contacts):
                             w[rows.touching + j, lane] = 1.0 if w[rows.switch + j, lane] > 0.0 else 0.0
                         _remember_impacts(w, rows, remembering, lane)  # a contact at the start begins there
@@ -260,6 +266,7 @@ def integrate(
             if mine.case < 0:
                 continue
             case = cases[mine.case]
+            interval = case.interval
             mine.trials += 1
             e, step, t = w[rows.error, lane], mine.h, mine.t
             now = arrival(t, step, mine.end, interval)
@@ -326,6 +333,7 @@ def integrate(
                     put_away(w, rows, lane, OK, last, cases, starts, lanes, ended, cursor)
                     loading = loading or cursor[NEXT] < cases.size
                     continue
+                looking = looking or last >= case.look
             for i in range(n):
                 w[rows.slopes + i, lane] = w[rows.last_slopes + i, lane]
             _remember_contacts(w, rows, lane, old)

@@ -20,15 +20,17 @@ PHASES = 2
 #: Cases whose records are kept: eight in hand, and as many that have ended and wait to be taken.
 SLOTS = 2 * LANES
 
-#: A case of the queue: time of its first sample (the time reached is written over it), s; bound of the scaled error of
-#: a step; penetration within which the instant of a switch must be met, m; time in which the machine moves by its own
-#: size, first and longest step, s; samples wanted; trial steps after which it counts as stalled; how it ended; samples
-#: it has; its accepted steps.
+#: A case of the queue: time of its first sample (the time reached is written over it), time between samples of the
+#: velocity, s; bound of the scaled error of a step; penetration within which the instant of a switch must be met, m;
+#: time in which the machine moves by its own size, first and longest step, s; samples wanted; samples after which the
+#: driver returns for them to be looked at; trial steps after which it counts as stalled; how it ended; samples it has;
+#: its accepted steps.
 CASE = np.dtype(
     [
-        ("begin", np.float64), ("tolerance", np.float64), ("precision", np.float64), ("pace", np.float64),
-        ("first_step", np.float64), ("longest_step", np.float64), ("samples", np.int64), ("most_trials", np.int64),
-        ("outcome", np.int64), ("reached", np.int64), ("accepted", np.int64),
+        ("begin", np.float64), ("interval", np.float64), ("tolerance", np.float64), ("precision", np.float64),
+        ("pace", np.float64), ("first_step", np.float64), ("longest_step", np.float64), ("samples", np.int64),
+        ("look", np.int64), ("most_trials", np.int64), ("outcome", np.int64), ("reached", np.int64),
+        ("accepted", np.int64),
     ]
 )  # fmt: skip
 
@@ -73,8 +75,6 @@ class Records(NamedTuple):
     ----------
     channels : (r,) array of int
         Coordinates.
-    interval : float
-        Time between samples of the velocity, s.
     head : int
         Places left free before the first velocity of each phase.
     velocities : (slots, r, PHASES, head + reduced samples + GROUP) array
@@ -86,7 +86,6 @@ class Records(NamedTuple):
     """
 
     channels: IntArray
-    interval: float
     head: int
     velocities: FloatArray
     coordinates: FloatArray
@@ -156,7 +155,6 @@ def idle_lanes(n: int, contacts: int, remembering: IntArray, rubbing: IntArray, 
 
 def empty_records(
     channels: IntArray,
-    interval: float,
     head: int,
     slots: int,
     samples: int,
@@ -167,4 +165,4 @@ def empty_records(
     reduced = (slots if motion else 0, len(channels), -(-samples // PHASES) + GROUP)
     velocities = np.zeros((slots, len(channels), PHASES, head + reduced[2]))
     remembered = np.zeros((reduced[0], memories, reduced[2]))
-    return Records(channels, interval, head, velocities, np.zeros(reduced), np.zeros(reduced), remembered)
+    return Records(channels, head, velocities, np.zeros(reduced), np.zeros(reduced), remembered)

@@ -6,13 +6,13 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Settings, Status
-from jointplay.solver.cases.preparation import Prepared, model_of
+from jointplay.solver.cases.preparation import NEVER, Prepared, model_of
 from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.model import MODELS_KEPT, Model
@@ -26,6 +26,7 @@ from jointplay.solver.integrators.lanes import (
     NEXT,
     PHASES,
     SLOTS,
+    Lanes,
     Queue,
     Records,
     empty_records,
@@ -33,6 +34,7 @@ from jointplay.solver.integrators.lanes import (
 )
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
+from jointplay.solver.simulation.repeating import Repetition, fold
 from jointplay.solver.spectra import sampling
 
 #: Recorded samples per sample asked for; at least 2 so that nothing folds below 0.4 of the sample rate.
@@ -65,6 +67,11 @@ class Run:
         s; the mean of an error-controlled run.
     seconds : float
         Processor time.
+    begin : float
+        Time of the first velocity, s.
+    period : int
+        Revolutions after which the motion repeats, where it was ended for that; else 0. Of such a run `v` is one
+        period, (r, samples), plain.
     """
 
     case: Prepared
@@ -78,11 +85,13 @@ class Run:
     final: FloatArray
     step: float
     seconds: float
+    begin: float
+    period: int = 0
 
 
-def samples_of(case: Prepared, settings: Settings) -> int:
+def samples_of(case: Prepared) -> int:
     """Recorded samples: to the end, and what the filter needs beyond."""
-    return round(case.duration * settings.sample_rate) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
+    return round(case.duration * case.sample_rate) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1
 
 
 def describe_failure(where: str, friction: str, advice: str) -> str:
@@ -134,21 +143,52 @@ def adaptive_runs(
     slots = min(SLOTS, len(waiting))
     remembering, rubbing = (np.array(joints, dtype=np.int64) for joints in (model.remembering, model.bristles.contacts))
     lanes = idle_lanes(model.size, len(model.contacts), remembering, rubbing, slots)
-    channels, interval = np.array(recorded, dtype=np.int64), 1 / (settings.sample_rate * OVERSAMPLING)
+    channels = np.array(recorded, dtype=np.int64)
     head, most = sampling.head(OVERSAMPLING), int(queue.cases["samples"].max())
     motion = settings.motion or settings.links
-    records = empty_records(channels, interval, head, slots, most, model.memory.shape[0], motion)
+    records = empty_records(channels, head, slots, most, model.memory.shape[0], motion)
     work, rows = kernel.work_array(), kernel.first
+    repeating = [Repetition(case) if case.look < NEVER else None for case in waiting]
+    spent = 0.0
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
         adaptive.integrate(kernel.functions, work, rows, queue, records, lanes)
+        _look(lanes, queue, records, repeating)
         ended = lanes.ended[: lanes.cursor[ENDED]].copy()
         lanes.cursor[ENDED] = 0
-        took = (time.process_time() - began) / max(1, len(ended))
+        spent += time.process_time() - began
+        took = spent / max(1, len(ended))
         for index, slot in ended:
-            yield _run(model, waiting[index], queue, int(index), records, int(slot), took)
+            run = _run(model, waiting[index], queue, int(index), records, int(slot), took)
+            repeated = repeating[index]
+            yield run if repeated is None or not repeated.period else _one_period(run, repeated)
             lanes.free[lanes.cursor[FREE]] = slot
             lanes.cursor[FREE] += 1
+        if len(ended):
+            spent = 0.0
+
+
+def _one_period(run: Run, repeated: Repetition) -> Run:
+    """The last period of a run that repeats."""
+    length = repeated.period * repeated.samples
+    end = run.samples // repeated.samples * repeated.samples
+    velocity = fold(run.v[:, :, sampling.head(OVERSAMPLING) :], end, length)
+    begin = run.begin + (end - 2 * length) / (run.case.sample_rate * OVERSAMPLING)
+    return replace(run, v=velocity, samples=length, begin=begin, period=repeated.period)
+
+
+def _look(lanes: Lanes, queue: Queue, records: Records, repeating: list[Repetition | None]) -> None:
+    """End the cases whose last revolutions repeat; look at the others again after another revolution."""
+    for lane in lanes.lanes:
+        index, done = int(lane["case"]), int(lane["sample"])
+        repeated = repeating[index] if index >= 0 else None
+        if repeated is None or done < queue.cases["look"][index]:
+            continue
+        first = records.head
+        velocity = records.velocities[int(lane["slot"])][:, :, first : first + -(-done // OVERSAMPLING)]
+        if repeated.look(velocity, done):
+            queue.cases["samples"][index] = done
+        queue.cases["look"][index] = repeated.next_look(done)
 
 
 def tolerance_of(case: Prepared, settings: Settings) -> float:
@@ -160,11 +200,13 @@ def queue_of(machine: Machine, model: Model, waiting: Sequence[Prepared], settin
     """The cases as an error-controlled driver takes them."""
     cases = np.zeros(len(waiting), CASE)
     cases["begin"] = [case.begin for case in waiting]
+    cases["interval"] = [1 / (case.sample_rate * OVERSAMPLING) for case in waiting]
     tolerances = np.array([tolerance_of(case, settings) for case in waiting])
     cases["tolerance"] = tolerances * [case.response for case in waiting]
     cases["precision"] = np.minimum(1e-8, 0.01 * tolerances * min(error_scales(machine, model) or [1.0]))
     cases["pace"] = [case.pace for case in waiting]
-    cases["samples"] = [samples_of(case, settings) for case in waiting]
+    cases["samples"] = [samples_of(case) for case in waiting]
+    cases["look"] = [case.look for case in waiting]
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
     cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])
     needed = [_PATIENCE * case.duration / case.longest_step for case in waiting]
@@ -178,7 +220,7 @@ def _run(model: Model, case: Prepared, queue: Queue, index: int, records: Record
     ended = queue.cases[index]
     samples = int(ended["reached"])
     whole = -(-samples // OVERSAMPLING)
-    reached = samples * records.interval
+    reached = samples * float(ended["interval"])
     final = np.concatenate([[ended["begin"]], queue.starts[index]])
     status, message = how_it_ended(model, case, int(ended["outcome"]), final, case.begin + reached)
     motion = slot < len(records.coordinates)
@@ -186,7 +228,7 @@ def _run(model: Model, case: Prepared, queue: Queue, index: int, records: Record
     z, a, memory = ((part[slot, :, :whole] if motion else None) for part in parts)
     velocities = records.velocities[slot]
     step = reached / max(int(ended["accepted"]), 1)
-    return Run(case, status, message, z, velocities, samples, a, memory, final, step, seconds)
+    return Run(case, status, message, z, velocities, samples, a, memory, final, step, seconds, case.begin)
 
 
 def how_it_ended(model: Model, case: Prepared, outcome: int, final: FloatArray, reached: float) -> tuple[Status, str]:
@@ -287,7 +329,7 @@ def gill_group(
             work[place, lane] = column
     rate = settings.sample_rate * OVERSAMPLING
     h = 1 / (rate * substeps)
-    counts = [samples_of(case, settings) for case in lanes]
+    counts = [samples_of(case) for case in lanes]
     places = [*(place[i] for place in (rows.z, rows.v, rows.a) for i in recorded), *remembered]
     record = np.array(places, dtype=np.int64)
     out = np.zeros((LANES, len(record), max(counts)))
@@ -327,4 +369,5 @@ def gill_group(
             final,
             h,
             spent,
+            case.begin,
         )

@@ -31,6 +31,7 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive
 from jointplay.solver.simulation.limit_cycle import Driver, has_known_effort, reach_limit_cycle, turning_in
 from jointplay.solver.simulation.methods import RUNS
+from jointplay.solver.simulation.repeating import periodic_acceleration, watch
 from jointplay.solver.simulation.runs import OVERSAMPLING, Run
 from jointplay.solver.spectra import sampling
 
@@ -67,7 +68,7 @@ def settle(
     if not worn:
         return list(ready)
     healthy = [_healthy(cases[case.index]) for case in worn]
-    shortest = replace(settings, revolutions=1e-6, motion=True, links=False, settled=False)
+    shortest = replace(settings, revolutions=1e-6, motion=True, links=False, settled=False, repeating=False)
     for group in groups(machine, healthy, shortest, [case.accuracy for case in worn]):
         frame = [index for index in group.model.frame_indices if index is not None]
         for index, error in group.failed:
@@ -82,17 +83,19 @@ def settle(
 
 def _gains(machine: Machine, model: Model, case: Case, prepared: Prepared, settings: Settings) -> bool:
     """Whether the frame of the healthy machine has a steady state, and more of a transient than is dropped anyhow."""
-    if not model.clearance_joints or not prepared.sprung or settings.duration is not None:
+    if not model.clearance_joints or settings.duration is not None:
         return False
+    return _has_period(machine, case, prepared) and prepared.transient > 1.5 * _drop_time(prepared)
+
+
+def _has_period(machine: Machine, case: Case, prepared: Prepared) -> bool:
+    """Whether drive and loads come round with the numbers of the case, on a frame whose own swings die away."""
     try:
         repeating_frequency(machine, prepared.speed)
     except SettingsError:
         return False
-    return _comes_round(machine, case) and prepared.transient > 1.5 * _drop_time(prepared)
-
-
-def _comes_round(machine: Machine, case: Case) -> bool:
-    """Whether the drive does with the numbers of the case, where the machine file has none of them."""
+    if not prepared.sprung:
+        return False
     if not isinstance(machine.drive, RotationDrive):
         return "drive.speed" not in case.parameters
     rippled = any(path.startswith("drive.ripple.") for path in case.parameters)
@@ -231,6 +234,8 @@ def simulate_batch(
     runs = RUNS[settings.integrator]
     reach, asked = reach_of(machine, settings.whole or settings.links), cases
     machine, cases = reach.machine, [reach.case(case) for case in asked]
+    if has_known_effort(machine):
+        settings = replace(settings, repeating=False)  # how it turns is judged by its motion
     results: dict[int, History] = {}
     for group in groups(machine, cases, settings, accuracies):
         model = group.model
@@ -251,6 +256,8 @@ def simulate_batch(
         if driver is not None and settings.duration is None:
             free = reach_limit_cycle(machine, model, group.varying, driver, free, settings, runs)
         ready += settle(machine, model, cases, free, settings, runs) if settings.settled else free
+        if settings.repeating:
+            ready = [watch(case) if _has_period(machine, cases[case.index], case) else case for case in ready]
         if not ready:
             continue
         recorded = [i for i in model.frame_indices if i is not None]
@@ -302,9 +309,10 @@ def _history(
     case: Case, model: Model, run: Run, recorded: list[int], settings: Settings, driver: Driver | None
 ) -> History:
     """Frame motion at the sample rate from what was recorded above it."""
-    wanted = round(run.case.duration * settings.sample_rate) + 1
+    rate = run.case.sample_rate
+    wanted = round(run.case.duration * rate) + 1
     head, count = sampling.head(OVERSAMPLING), min(wanted, -(-run.samples // OVERSAMPLING))
-    first = 0 if settings.transient else min(count, _first_after(run.case.transient, settings.sample_rate))
+    first = 0 if settings.transient else min(count, _first_after(run.case.transient, rate))
     rows = {column: recorded.index(i) for column, i in enumerate(model.frame_indices) if i is not None}
 
     def frame(motion: FloatArray | None) -> FloatArray:
@@ -315,19 +323,23 @@ def _history(
             columns[column] = motion[row, first:count]
         return columns.T
 
+    if run.period:
+        first, count = 0, run.v.shape[1] // OVERSAMPLING
     smooth = np.zeros((3, count - first))
-    if count > first and rows:
-        velocity, rate = run.v, settings.sample_rate * OVERSAMPLING
+    if run.period:
+        smooth[list(rows)] = periodic_acceleration(run.v[list(rows.values())], rate)
+    elif count > first and rows:
+        velocity = run.v
         if run.samples < (count - 1) * OVERSAMPLING + sampling.reach(OVERSAMPLING) + 1:
             velocity = _hold(run, count)
         if list(rows.items()) == [(0, 0), (1, 1), (2, 2)] and len(velocity) == 3:
-            sampling.band_limited_acceleration(velocity, rate, count, smooth, first=first)
+            sampling.band_limited_acceleration(velocity, rate * OVERSAMPLING, count, smooth, first=first)
         else:
             some = velocity[list(rows.values())]
-            smooth[list(rows)] = sampling.band_limited_acceleration(some, rate, count, first=first)
-    t = run.case.begin + np.arange(first, count) / settings.sample_rate
-    rates = run.v[:, 0, head:]
-    moved = (frame(run.z), frame(None if run.z is None else rates), frame(run.a))
+            smooth[list(rows)] = sampling.band_limited_acceleration(some, rate * OVERSAMPLING, count, first=first)
+    t = run.begin + np.arange(first, count) / rate
+    rates = None if run.z is None else run.v[:, 0, head:]
+    moved = (frame(run.z), frame(rates), frame(run.a))
     turning, remarks = None, [run.message]
     if driver is not None:
         turning = turning_in(run, driver, recorded, slice(first, count), t, *moved[:2])
@@ -335,13 +347,14 @@ def _history(
     remarks.append(run.case.remark if run.status is Status.OK else "")
     message = "; ".join(remark for remark in remarks if remark)
     links = None
-    if settings.links and run.z is not None and run.memory is not None:
+    if settings.links and run.z is not None and rates is not None and run.memory is not None:
         z, v = run.z[:, first:count].T, rates[:, first:count].T
         links = link_motion(model, run.case.vector, t, z, v, run.memory[:, first:count].T)
     if not (settings.motion or settings.links):
         moved = (frame(None),) * 3
     speed = run.case.speed if turning is None else turning.speed * turning.is_steady
     return History(
-        case, run.status, message, t, *moved, smooth.T, settings.sample_rate, run.case.before + run.case.transient,
-        speed, run.step, run.case.spent + run.seconds, links, _end(run), turning,
+        case, run.status, message, t, *moved, smooth.T, rate,
+        run.case.before + (run.begin if run.period else run.case.transient),
+        speed, run.step, run.case.spent + run.seconds, links, _end(run), turning, run.period,
     )  # fmt: skip

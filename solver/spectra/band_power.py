@@ -92,6 +92,7 @@ def band_matrix(
     window_revolutions: float = WINDOW_REVOLUTIONS,
     cuts: Sequence[int] = (),
     angle: float = 0.0,
+    period: int = 0,
 ) -> BandMatrix:
     """Band powers and cross-powers of one signal.
 
@@ -119,6 +120,9 @@ def band_matrix(
         Band g of the cyclic powers joins bands ``cuts[g]`` to ``cuts[g + 1] - 1``; there are none unless given.
     angle : float
         Of the drive at the first sample [rad].
+    period : int
+        The signal is exactly one period, of so many revolutions: what one window of three of them sees. 0 for any
+        other.
 
     Returns
     -------
@@ -134,7 +138,12 @@ def band_matrix(
         raise SettingsError(f"signal: shape {values.shape}: need samples x channels")
     if not np.all(np.isfinite(values)):
         raise SettingsError("signal: holds a number that is not finite")
-    segmentation = revolution_segments(len(values), sample_rate, drive_speed, window_revolutions, HOP_REVOLUTIONS)
+    if period:
+        values = np.tile(values, (round(WINDOW_REVOLUTIONS), 1))
+        window_revolutions = period * WINDOW_REVOLUTIONS
+        segmentation = Segmentation(len(values), (0,), sample_rate)
+    else:
+        segmentation = revolution_segments(len(values), sample_rate, drive_speed, window_revolutions, HOP_REVOLUTIONS)
     edges = scheme.edges_hz(drive_speed)
     apart = [round(cycle * window_revolutions) for cycle in CYCLES] if len(cuts) else [0]
     lines = min(segmentation.length // 2 + 1, int(edges[-1] / segmentation.resolution + 0.5) + 2 + max(apart))

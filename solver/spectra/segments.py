@@ -144,21 +144,33 @@ def revolution_segments(
 
 
 def fast_length(target: float) -> int:
-    """Length nearest to ``target`` (within 0.1 %) whose Fourier transform is cheap: small prime factors only.
+    """Length near ``target`` (within 0.1 %) whose Fourier transform is cheap: small prime factors only.
 
-    A window of, say, 14 963 samples (a prime) takes fifteen times as long as one of 14 960.
+    A window of, say, 14 963 samples (a prime) takes fifteen times as long as one of 14 960. A whole number without
+    large factors is taken as it is, because in a window that is off by 0.1 % a weak order is lost beside one 40 dB
+    stronger.
     """
     return _fast_length(float(target))
 
 
 @lru_cache(maxsize=4096)
 def _fast_length(target: float) -> int:
+    nearest = max(1, round(target))
+    if abs(target - nearest) < 1e-9 * target and _is_smooth(nearest):
+        return nearest
     slack = LENGTH_TOLERANCE * target
     candidates = range(max(1, math.ceil(target - slack)), math.floor(target + slack) + 1)
-    nearest = max(1, round(target))
     if not candidates:
         return nearest
     return min(candidates, key=lambda n: (_transform_cost(n), abs(n - target)))
+
+
+def _is_smooth(length: int) -> bool:
+    """Whether no prime factor is larger than 11."""
+    for factor in (2, 3, 5, 7, 11):
+        while length % factor == 0:
+            length //= factor
+    return length == 1
 
 
 @lru_cache(maxsize=65536)  # every case of a catalogue has its own speed, and they look at the same lengths

@@ -217,7 +217,7 @@ class ExampleService:
             return KeyInUseError("Idempotency-Key: the first request with it is not answered yet")
         if "entries" in call.path and status in (409, 500):
             if status == 409:
-                return CatalogueMismatchError("slider-crank", "has layout 2; this program reads layout 1")
+                return CatalogueMismatchError("slider-crank", "has layout 1; this program reads layout 2")
             return CatalogueFileError("slider-crank", "does not match its checksum: verify the catalogue")
         computing = "504" in operation["responses"]
         return {

@@ -16,6 +16,7 @@ from jointplay.catalogue.errors import (
     PlanError,
 )
 from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.storage.hdf5 import LAYOUT_VERSION
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.verify import verify
 from jointplay.solver.errors import AssemblyError
@@ -62,15 +63,20 @@ def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.undo()
     manifest = tmp_path / "manifest.json"
     good = manifest.read_text()
-    assert good.count('"layout_version": 1,') == 1
-    others = {f'"layout_version": {other},': f"layout {other}" for other in (0, 2, 99)}
+    ours = f'"layout_version": {LAYOUT_VERSION},'
+    assert good.count(ours) == 1
+    others = {
+        f'"layout_version": {other},': f"layout {other}" for other in (0, LAYOUT_VERSION - 1, LAYOUT_VERSION + 1, 99)
+    }
     # Before layouts had versions there were schemas, the first of which had the number of the first layout.
     others |= {f'"schema_version": {other},': "a layout without a version" for other in (1, 2, 3, 4, 5)}
     for member, shown in others.items():
-        manifest.write_text(good.replace('"layout_version": 1,', member))
+        manifest.write_text(good.replace(ours, member))
         files = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
         for use in (lambda: quick_build(tmp_path), lambda: Catalogue.open(tmp_path), lambda: verify(tmp_path)):
-            rule = f"has {shown}; this program reads layout 1: build the catalogue anew in another folder$"
+            rule = (
+                f"has {shown}; this program reads layout {LAYOUT_VERSION}: build the catalogue anew in another folder$"
+            )
             with pytest.raises(CatalogueMismatchError, match=rule) as refused:
                 use()
             assert "\n" not in str(refused.value)

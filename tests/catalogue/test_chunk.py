@@ -47,7 +47,10 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
 def test_all_hypotheses_have_spectra(catalogue: Catalogue) -> None:
     assert catalogue.hypotheses == ("healthy", "A", "B", "O")
     assert len(catalogue.entries) == 2 + 3 * 4
-    assert set(catalogue.entries.segments) == {2}  # windows of three revolutions, one apart, in four
+    table = catalogue.entries
+    assert {0, 1} <= set(table.period) <= {0, 1, 2}
+    # Windows of three revolutions, one apart, in four; one of what repeats.
+    assert (table.segments == np.where(table.period, 1, 2)).all()
     auto = np.einsum("nbii->nbi", catalogue.power()).real
     assert (auto >= 0).all()
     worn = auto[catalogue.entries.hypothesis == "A", -1, 1]
@@ -58,7 +61,15 @@ def test_all_hypotheses_have_spectra(catalogue: Catalogue) -> None:
 
 def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
     wanted = [entry for entry in entries_of(PLAN, MACHINE) if entry.worn == ("A",)]
-    settings = Settings(sample_rate=4000.0, accuracy="draft", revolutions=4.01, settled=True)
+    settings = Settings(
+        sample_rate=4000.0,
+        accuracy="draft",
+        revolutions=4.01,
+        settled=True,
+        repeating=True,
+        motion=False,
+        transient=False,
+    )
     # In the order in which a catalogue writes its machine: equations in another order round otherwise, which machines
     # with contacts in all joints amplify.
     machine = parse_machine(MACHINE.canonical_json())
@@ -67,9 +78,16 @@ def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
         entry = catalogue.entry(case.key)
         assert entry.drive_speed == history.drive_speed == case.parameters["drive.speed"]
         assert entry.transient == history.transient
-        signal = history.band_limited_acceleration[history.t >= history.transient]
-        cuts, angle = catalogue.matrix.cuts, history.drive_speed * history.transient
-        bands = band_matrix(signal, 4000.0, history.drive_speed, catalogue.scheme, cuts=cuts, angle=angle)
+        assert entry.period == history.period
+        bands = band_matrix(
+            history.band_limited_acceleration,
+            history.sample_rate,
+            history.drive_speed,
+            catalogue.scheme,
+            cuts=catalogue.matrix.cuts,
+            angle=history.drive_speed * history.t[0],
+            period=history.period,
+        )
         assert entry.power is not None
         assert entry.spread_db is not None
         assert np.allclose(entry.power, bands.power, rtol=1e-6, atol=0)
@@ -77,6 +95,26 @@ def test_stored_spectra_are_those_of_the_solver(catalogue: Catalogue) -> None:
         ((_, outcome),) = catalogue.cases(np.array(catalogue.matrix.find(case.key)))
         assert outcome.cyclic is not None
         assert np.allclose(outcome.cyclic, bands.cyclic, rtol=1e-5, atol=1e-7 * np.abs(bands.cyclic).max())
+
+
+def test_a_period_has_the_spectrum_of_a_long_record(catalogue: Catalogue) -> None:
+    repeating = [entry for entry in entries_of(PLAN, MACHINE) if catalogue.entry(entry.key).period]
+    settings = Settings(sample_rate=4000.0, accuracy="draft", revolutions=12.01, settled=True, transient=False)
+    cuts, differences = np.array(catalogue.matrix.cuts[:-1]), []
+    for case, long in zip(
+        repeating,
+        simulate_batch(MACHINE, [Case(entry.fault, entry.parameters) for entry in repeating], settings),
+        strict=True,
+    ):
+        bands = band_matrix(long.band_limited_acceleration, 4000.0, long.drive_speed, catalogue.scheme)
+        power = catalogue.entry(case.key).power
+        assert power is not None
+        stored, found = (np.einsum("bii->bi", np.add.reduceat(p, cuts)).real for p in (power, bands.power))
+        differences.append(np.abs(10 * np.log10(stored / found)))
+    # Four thousand cases of the shipped machines: 0.01 dB in the median, 0.14 at the 90th percentile.
+    assert len(differences) >= 4
+    assert np.median(differences) < 0.05
+    assert np.quantile(differences, 0.9) < 0.5
 
 
 def test_spectra_do_not_depend_on_which_order_of_the_machine_file_was_met_first(catalogue: Catalogue) -> None:

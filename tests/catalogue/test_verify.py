@@ -18,7 +18,7 @@ from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchErro
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory, sha256_of
-from jointplay.catalogue.storage.hdf5 import decode_shard, encode_shard
+from jointplay.catalogue.storage.hdf5 import LAYOUT_VERSION, decode_shard, encode_shard
 from jointplay.catalogue.storage.shard import Shard
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.catalogue.storage.verify import reindex, verify
@@ -172,7 +172,9 @@ def test_index_that_says_something_else_is_corrected(directory: Path, statement:
     assert verify(directory).is_sound
 
 
-@pytest.mark.parametrize("content", [None, "", "{}", '{"format": "jointplay catalogue", "layout_version": 1}'])
+@pytest.mark.parametrize(
+    "content", [None, "", "{}", f'{{"format": "jointplay catalogue", "layout_version": {LAYOUT_VERSION}}}']
+)
 def test_manifest_is_made_again_from_a_shard(directory: Path, built: Path, content: str | None) -> None:
     before = Catalogue.open(directory)
     (directory / "manifest.json").unlink()
@@ -239,9 +241,11 @@ def test_catalogue_of_another_layout_that_lost_its_manifest_is_left_alone(
 ) -> None:
     (directory / "manifest.json").unlink()
     before = sorted(path for path in directory.rglob("*") if path.name != "build.lock")
-    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 2)
+    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 99)
     for check in (verify, reindex):
-        with pytest.raises(CatalogueMismatchError, match=r"\.h5: has layout 1; this program reads layout 2: build the"):
+        with pytest.raises(
+            CatalogueMismatchError, match=rf"\.h5: has layout {LAYOUT_VERSION}; this program reads layout 99: build the"
+        ):
             check(directory)
     assert sorted(path for path in directory.rglob("*") if path.name != "build.lock") == before
 
@@ -249,13 +253,13 @@ def test_catalogue_of_another_layout_that_lost_its_manifest_is_left_alone(
 def test_shard_of_another_layout_is_put_aside(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = sorted((directory / "shards").iterdir())[0]
     shard = decode_shard(path.read_bytes(), path)
-    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 2)
+    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 99)
     content = encode_shard(shard)
     monkeypatch.undo()
     stray = directory / "shards" / f"{sha256_of(content)}.h5"
     stray.write_bytes(content)
     report = verify(directory)
-    rule = "has layout 2; this program reads layout 1: build the catalogue anew in another folder"
+    rule = f"has layout 99; this program reads layout {LAYOUT_VERSION}: build the catalogue anew in another folder"
     assert [(finding.path, finding.what) for finding in report.findings] == [(stray, rule)]
     assert report.entries == TOTAL
 
@@ -265,7 +269,7 @@ def test_a_stray_shard_of_another_layout_does_not_keep_a_lost_manifest_from_bein
 ) -> None:
     names = sorted(path.stem for path in (directory / "shards").iterdir())
     shard = decode_shard((directory / "shards" / f"{names[-1]}.h5").read_bytes(), directory)
-    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 2)
+    monkeypatch.setattr("jointplay.catalogue.storage.hdf5.LAYOUT_VERSION", 99)
     content = encode_shard(shard)
     monkeypatch.undo()
     stray = directory / "shards" / f"{sha256_of(content)}.h5"
