@@ -217,7 +217,7 @@ def set_sentence(result: Answer) -> str:
 
 
 def fit_sentence(result: Answer) -> str:
-    """Return how well the best hypothesis fits."""
+    """Return how well the best fitting of the candidates does."""
     p_value = result.goodness_of_fit.p_value
     return f"goodness of fit: p = {p_value:.2g}"
 

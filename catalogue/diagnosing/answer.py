@@ -116,7 +116,10 @@ class RankedHypothesis(_Frozen):
 
 
 class GoodnessOfFit(_Frozen):
-    """Whether the best hypothesis explains the recording: share of its own simulated recordings that fit it worse."""
+    """Whether a likely hypothesis explains the recording: share of its own simulated recordings that fit it worse.
+
+    Of the candidate set's hypothesis that fits best, which need not be the most probable one.
+    """
 
     p_value: Annotated[float, Field(gt=0.0, le=1.0)]
 

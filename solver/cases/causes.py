@@ -13,7 +13,7 @@ from jointplay.solver.equations.numbers import contact_path
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Damper, Mount, Spring
+from jointplay.solver.machines.parts import Support
 
 #: Longest run, steps or samples of one case: refused beyond, so that a mistyped number does not run for days.
 MOST_STEPS = 2_000_000_000
@@ -118,7 +118,7 @@ def support_causes(
     yield Cause(rule.smooth / abs(fastest), path, value, why)
 
 
-def _numbers(support: Spring | Damper | Mount, name: str, path: str) -> Iterator[tuple[str, float]]:
+def _numbers(support: Support, name: str, path: str) -> Iterator[tuple[str, float]]:
     value = getattr(support, name, None)
     if isinstance(value, tuple):
         yield from ((f"{path}.{k}", part) for k, part in enumerate(value))

@@ -7,6 +7,7 @@ follow by virtual work, Q = (d displacement / dz)' force, so no moment arm is ev
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import assert_never
 
 import casadi as ca
 
@@ -16,7 +17,7 @@ from jointplay.solver.equations.geometry import Complex, Kinematics, Vector, con
 from jointplay.solver.equations.numbers import Number, Numbers
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Mount, Spring
+from jointplay.solver.machines.parts import Damper, Mount, Spring
 
 #: Length (m) below which a spring has no direction; it pulls with its force along nothing.
 SHORTEST = 1e-9
@@ -96,8 +97,10 @@ def supports(scene: Scene) -> None:
         if isinstance(support, Spring):
             free = number(f"{path}.free_length", support.free_length or 0.0)
             tension = number(f"{path}.stiffness", support.stiffness) * (length - free)
-        else:
+        elif isinstance(support, Damper):
             tension = number(f"{path}.damping", support.damping) * line.dot(terms.rate(vector)) / length
+        else:
+            assert_never(support)
         pull = -tension / length
         scene.push(vector, Complex(pull * line.re, pull * line.im))
 

@@ -22,7 +22,7 @@ from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.matrix import read_matrix_form
-from jointplay.solver.machines.parts import Damper, Mount, Spring
+from jointplay.solver.machines.parts import Spring, Support
 from jointplay.solver.machines.refusals import first_error
 from jointplay.solver.machines.yamlfile import read_text, read_tree
 
@@ -81,7 +81,7 @@ class Machine(MachineContent):
         return hash(self.content_key)
 
 
-def _complete_support(support: Spring | Damper | Mount) -> Spring | Damper | Mount:
+def _complete_support(support: Support) -> Support:
     if not isinstance(support, Spring) or support.free_length is not None:
         return support
     free_length = math.dist(support.at, support.anchor) + (support.static_deflection or 0.0)

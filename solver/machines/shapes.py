@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Load, Mount, Spring, Support
+from jointplay.solver.machines.parts import Damper, Load, Mount, Spring, Support
 
 Point: TypeAlias = tuple[float, float]
 
@@ -189,8 +189,8 @@ def _support_mark(machine: Machine, support: Support) -> SupportMark:
         upward = support.at[1] > machine.links[support.link].cg[1]
         spring, damper = any(support.stiffness), any(support.damping)
         return SupportMark(support.link, support.at, None, upward, spring, damper, on_ground)
-    is_spring = isinstance(support, Spring)
-    return SupportMark(support.link, support.at, support.anchor, False, is_spring, not is_spring, on_ground)
+    is_spring, is_damper = isinstance(support, Spring), isinstance(support, Damper)
+    return SupportMark(support.link, support.at, support.anchor, False, is_spring, is_damper, on_ground)
 
 
 def _pull(load: Load) -> Point | None:

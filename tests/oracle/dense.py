@@ -25,7 +25,15 @@ from oracle.tables import periodic_row, prescribed, table, time_row
 
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import ForceDrive, Mount, RotationDrive, Spring, TorqueDrive, TranslationDrive
+from jointplay.solver.machines.parts import (
+    Damper,
+    ForceDrive,
+    Mount,
+    RotationDrive,
+    Spring,
+    TorqueDrive,
+    TranslationDrive,
+)
 
 
 class JammedError(Exception):
@@ -168,7 +176,7 @@ class _System:
                 force = -np.array(support.stiffness) * gap - np.array(support.damping) * relative
             elif isinstance(support, Spring):
                 force = -support.stiffness * (math.hypot(*gap) - float(support.free_length or 0.0)) * along
-            else:
+            elif isinstance(support, Damper):
                 force = -support.damping * (along @ relative) * along
             self.force(i, point, force)
             if j is not None:
