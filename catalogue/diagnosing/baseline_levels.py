@@ -25,6 +25,9 @@ LEAST_SIGNAL = 4.0
 #: where the play of fits shifts it by no more than this, and scatters no more than this [dB].
 MOST_SHIFT_DB = 3.0
 MOST_SCATTER_DB = 2.0
+#: and not this much below the strongest of its channel [dB]: what is left of an order there says more of play, of a
+#: sensor's angle and of how evenly the drive turns than of the frame.
+WEAKEST_DB = 40.0
 #: Fewest entries that say how a machine in order scatters.
 LEAST_ENTRIES = 20
 #: Parts of the entries, each judged by what the others scatter.
@@ -142,9 +145,12 @@ class LevelStatistics:
 
     def usable(self, nominal: FloatArray) -> BoolArray:
         """Levels (m,) that say something of frame and supports; `nominal` is of the simulated healthy machine."""
-        power = 10.0 ** (0.1 * self.levels.measured)
+        measured = self.levels.measured
+        power = 10.0 ** (0.1 * measured)
+        strongest = measured.reshape(FEATURE_ORDERS, -1).max(axis=0)
         found: BoolArray = (
-            (power > LEAST_SIGNAL * self.levels.noise)
+            (measured > np.tile(strongest - WEAKEST_DB, FEATURE_ORDERS))
+            & (power > LEAST_SIGNAL * self.levels.noise)
             & (10.0 ** (0.1 * nominal) > LEAST_SIGNAL * self.levels.noise)
             & (np.abs(self.mean - nominal) < MOST_SHIFT_DB)
             & (self.deviations.std(axis=0) < MOST_SCATTER_DB)

@@ -147,8 +147,7 @@ def fast_length(target: float) -> int:
     """Length near ``target`` (within 0.1 %) whose Fourier transform is cheap: small prime factors only.
 
     A window of, say, 14 963 samples (a prime) takes fifteen times as long as one of 14 960. A whole number without
-    large factors is taken as it is, because in a window that is off by 0.1 % a weak order is lost beside one 40 dB
-    stronger.
+    large factors is taken as it is.
     """
     return _fast_length(float(target))
 
