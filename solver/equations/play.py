@@ -22,6 +22,7 @@ from jointplay.solver.equations.contact import (
     impact_hysteresis,
     linear_force,
 )
+from jointplay.solver.equations.film import Film, most_damping
 from jointplay.solver.equations.forces import Scene
 from jointplay.solver.equations.friction import sliding_sign
 from jointplay.solver.equations.geometry import Complex, I
@@ -172,6 +173,17 @@ def _pin_in_socket(
     scene.push(vector, on_pin)
     scene.twist(joint.pin, -force.rubbing * numbers["pin_radius"])
     scene.twist(socket, force.rubbing * arm_socket)
+    if joint.film is not None:
+        film = Film(
+            numbers["viscosity"], numbers["pin_radius"], joint.film.length, numbers["clearance"],
+            joint.film.roughness, most_damping(scene.machine, joint),
+        )  # fmt: skip
+        pushed, shear = film.force(e, eccentricity, e_rate, (pin_omega, socket_omega))
+        half = e.cross(pushed) / 2
+        scene.push(vector, pushed)
+        scene.twist(joint.pin, shear - half)
+        scene.twist(socket, -shear - half)
+        on_pin += pushed
     return WornJoint(e.column, on_pin.column, (force,))
 
 
