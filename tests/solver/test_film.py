@@ -206,7 +206,7 @@ def test_what_a_film_costs() -> None:
     dry, oil = (
         account(machine, Fault({"B": 2e-4})).operations for machine in (shipped_machine("slider-crank"), oiled())
     )
-    assert (dry, oil) == (414, 543)
+    assert (dry, oil) == (414, 544)
     assert account(oiled(), Fault({})).operations == 308
 
 
@@ -243,3 +243,15 @@ def test_a_long_bearing_is_remarked() -> None:
         assert len(found) == lines
         history = simulate(parse_machine(tree), {"B": 1e-4}, Settings(duration=0.01))
         assert ("diameters long" in history.message) == bool(lines)
+
+
+def test_a_start_at_rest() -> None:
+    """It is looked for with the pin in the middle, where a film without clearance would have no numbers."""
+    joints = journal().model_dump(mode="json", exclude_none=True)["joints"]
+    mount = {"kind": "mount", "link": "bed", "at": [0, 0], "stiffness": [1e6, 1e6], "damping": [1e3, 1e3]}
+    bed = {"mass": 5, "inertia": 0.1, "cg": [0, 0], "locked": ["theta"]}
+    links = {"bed": bed, "journal": {"mass": 2, "inertia": 1e-3, "cg": [0, 0]}}
+    more = {"gravity": 9.81, "links": links, "joints": joints, "supports": [mount], "initial": {"pose": "equilibrium"}}
+    history = run(journal(**more), {"B": CLEARANCE}, 0.01)
+    assert history.links is not None
+    assert history.links.displacement[0, :, 1] == pytest.approx(-7 * 9.81 / 1e6, rel=1e-9)
