@@ -1,10 +1,10 @@
 """The fast slider-crank with a loose gudgeon pin of P. Ravn and of P. Flores and co-workers, its pin in oil.
 
 Crank 50 mm, rod 120 mm, 5000 rpm, radial clearance 0.5 mm, pin of 10 mm radius, as in
-``test_clearance_slider_crank.py``; bearing of 20 mm, 400 mPa s. They find that the pin runs on an orbit well inside its
-socket, and that the joint's force is nearly the ideal one's, where dry contact gives peaks many times as high. Their
-curves were not at hand. What is compared is an independent solution: the two coordinates that are left, an implicit
-method for stiff equations (Radau IIA), and the film's pressure summed over the circumference at 200 Gauss points.
+``test_clearance_slider_crank.py``; bearing of 20 mm, 400 mPa s. Published curves were not at hand: what is known of
+them is that oil keeps the pin off its socket, and the joint's force near the ideal one's. What is compared is an
+independent solution: the two coordinates that are left, an implicit method for stiff equations (Radau IIA), and the
+film's pressure summed over the circumference at 200 Gauss points.
 """
 
 from __future__ import annotations

@@ -207,7 +207,9 @@ def test_what_a_film_costs() -> None:
         account(machine, Fault({"B": 2e-4})).operations for machine in (shipped_machine("slider-crank"), oiled())
     )
     assert (dry, oil) == (414, 544)
-    assert account(oiled(), Fault({})).operations == 308
+    closed = account(oiled(), Fault({}))
+    assert closed.operations == 308
+    assert [part.what for part in closed.left_out if "film" in part.what] == ["film of B"]
 
 
 @pytest.mark.parametrize(
