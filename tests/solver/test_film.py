@@ -257,3 +257,15 @@ def test_a_start_at_rest() -> None:
     history = run(journal(**more), {"B": CLEARANCE}, 0.01)
     assert history.links is not None
     assert history.links.displacement[0, :, 1] == pytest.approx(-7 * 9.81 / 1e6, rel=1e-9)
+
+
+def test_a_case_gives_another_oil() -> None:
+    settings, fault = Settings(duration=0.02), Fault({"B": 1e-4})
+    expected = simulate(oiled(1.0), Case(fault), settings).velocity
+    for path in ("film.viscosity", "joints.B.film.viscosity"):
+        found = simulate(oiled(0.1), Case(fault, {path: 1.0}), settings).velocity
+        assert np.array_equal(found, expected)
+        with pytest.raises(MachineError, match=r"film\.viscosity: 0: must be greater than 0"):
+            simulate(oiled(), Case(fault, {path: 0}), settings)
+        with pytest.raises(MachineError, match=r"no contact law of this machine has|of this joint has no viscosity"):
+            simulate(shipped_machine("slider-crank"), Case(fault, {path: 1.0}), settings)
