@@ -24,7 +24,9 @@ DRIVE_SPEED = "drive.speed"
 LOAD = "load"
 """Short path of the process load of a machine's output link, N or N m."""
 
-_USUAL = re.compile(r"drive\.speed|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.(contact\..*|pin_radius)")
+_USUAL = re.compile(
+    r"drive\.speed|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.(contact\..*|pin_radius|film\.viscosity)"
+)
 """Numbers that every machine's equations hold."""
 
 _RIPPLE = re.compile(r"ripple\.([1-9][0-9]{0,2})\.(sin|cos)")

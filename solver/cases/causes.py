@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.rates import ContactRates, extent_of
-from jointplay.solver.cases.steps import StepRule
+from jointplay.solver.cases.steps import FILM, StepRule
 from jointplay.solver.equations.numbers import contact_path
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.joints import TurningJoint
@@ -77,6 +77,7 @@ def contact_causes(
         for name, rate, step, what in (
             ("stiffness", found.frequency, rule.contact, f"swings at {found.frequency / (2 * math.pi):.3g} Hz on {on}"),
             (damping, found.decay, rule.decay, f"damps {on} at {found.decay:.3g} 1/s"),
+            ("viscosity", found.film, FILM, f"holds {on} at {found.film:.3g} 1/s"),
         ):
             path = contact_path(joint, name)
             if rate and masses[light] < _LIGHT * max(masses.values()):

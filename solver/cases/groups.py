@@ -18,16 +18,17 @@ from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import LEAST_RESTITUTION
 from jointplay.solver.machines.machine import Machine
 
-_CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius")]
+_OF_PINS = ("pin_radius", "film.viscosity")
+_CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius", "viscosity")]
 #: Shorthand for all joints with clearance.
-SHORTHANDS = (*_CONTACT, "pin_radius")
+SHORTHANDS = (*_CONTACT, *_OF_PINS)
 #: Numbers of a joint that count while it has no clearance.
 _CLOSED = {
     "turning": ("viscous", "journal_friction"),
     "sliding": ("viscous", "friction", "friction_velocity", "presliding"),
 }
 #: Last part of paths whose numbers must be greater than 0, and of those that must not be negative.
-_POSITIVE = ("mass", "inertia", "friction_velocity", "presliding")
+_POSITIVE = ("mass", "inertia", "friction_velocity", "presliding", "viscosity")
 _NOT_NEGATIVE = (
     "damping",
     "friction",
@@ -86,7 +87,7 @@ def full_paths(machine: Machine, case: Case) -> dict[str, float]:
         elif first == "joints" and joint in machine.wearing_joints:
             found = machine.joints[joint]
             closed, name = _CLOSED[found.kind], number.rpartition(".")[2]
-            known = [*(short for short in SHORTHANDS if short != "pin_radius" or found.kind == "turning"), *closed]
+            known = [*(short for short in SHORTHANDS if short not in _OF_PINS or found.kind == "turning"), *closed]
             if number not in known:
                 raise MachineError(machine.name, path, given, f"no such number{nearest(number, known)}")
             if number not in closed and name not in contact_numbers(found):

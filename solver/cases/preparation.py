@@ -24,6 +24,7 @@ from jointplay.solver.cases.start import find_repeat, start_pose, start_velocity
 from jointplay.solver.cases.steps import (
     BETWEEN_IMPACTS,
     STEP_RULES,
+    USUAL_FILM,
     Accuracy,
     largest_step,
     response,
@@ -37,7 +38,7 @@ from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
-from jointplay.solver.machines.remarks import restitution_remarks
+from jointplay.solver.machines.remarks import film_remarks, restitution_remarks
 
 #: Most memory for one kind of record (displacement, say) of one case.
 MOST_BYTES = 2e9
@@ -201,7 +202,7 @@ def prepare(
     transient, *remarks = transient_time(motions.suspension, speed)
     free = sum(index is not None for index in model.frame_indices)
     sprung = len(motions.suspension) == free > 0 and not any(remarks)
-    remarks += restitution_remarks(machine, joints, complete)
+    remarks += restitution_remarks(machine, joints, complete) + film_remarks(machine, joints)
     closed = ", ".join(joint for joint in machine.clearances if joint not in joints)
     remarks += [f"without the clearance that the file gives {closed}"] if closed else []
     tight = ", ".join(joint for joint, each in mobility.items() if each < _RIGID)
@@ -213,7 +214,7 @@ def prepare(
     remarks += dict.fromkeys(change_point_remarks(machine, joints, complete) + travel)
     rule = STEP_RULES[settings.accuracy]
     rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.fixed_step else 0.0
-    contacts = contact_rates(machine, mobility, complete, fastest)
+    contacts = contact_rates(machine, mobility, complete, fastest, 0.0 if settings.fixed_step else USUAL_FILM)
     longest = settings.step or largest_step(rule, contacts.values(), motions.eigenvalues, fastest, rubbing)
     smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, fastest)
     recorded = model.size if settings.links else 3

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
+from jointplay.solver.equations.film import Film, most_damping
 from jointplay.solver.equations.friction import RETARDATION
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import contact_path, evaluate
@@ -29,10 +31,11 @@ _LEAST_IMPACT = 1.0
 
 @dataclass(frozen=True)
 class ContactRates:
-    """Frequency, rad/s, and damping rate, 1/s, of one contact."""
+    """Frequency, rad/s, and damping rates, 1/s, of one contact and of the oil around its pin."""
 
     frequency: float
     decay: float
+    film: float = 0.0
 
 
 @lru_cache(maxsize=64)
@@ -43,7 +46,11 @@ def extent_of(machine: Machine) -> float:
 
 
 def contact_rates(
-    machine: Machine, mobility: Mapping[str, float], values: Mapping[str, float], speed: float
+    machine: Machine,
+    mobility: Mapping[str, float],
+    values: Mapping[str, float],
+    speed: float,
+    thinnest: float = 0.0,
 ) -> dict[str, ContactRates]:
     """Estimates for every clearance joint.
 
@@ -56,6 +63,8 @@ def contact_rates(
         Contact numbers by path; what is missing is 0.
     speed : float
         Fastest prescribed motion, rad/s.
+    thinnest : float
+        Thickness of a film that is to be followed, in parts of the clearance: thinner ones are faster.
 
     Notes
     -----
@@ -65,7 +74,11 @@ def contact_rates(
     the machine's extent times the square of the drive's speed, and v no less than 1 m/s.
     """
     acceleration = abs(values.get("gravity", machine.gravity)) + extent_of(machine) * speed * speed
-    return {joint: _rates(machine, joint, w, values, acceleration) for joint, w in mobility.items()}
+    rates = {joint: _rates(machine, joint, w, values, acceleration) for joint, w in mobility.items()}
+    return {
+        joint: replace(rates[joint], film=_film_rate(machine, joint, w, values, thinnest))
+        for joint, w in mobility.items()
+    }
 
 
 def deepest_point(stiffness: float, exponent: float, speed: float) -> float:
@@ -94,6 +107,17 @@ def _rates(machine: Machine, joint: str, w: float, values: Mapping[str, float], 
     else:
         decay = number("hysteresis") * force
     return ContactRates(math.sqrt(n * stiffness * depth ** (n - 1)), decay + drag)
+
+
+def _film_rate(machine: Machine, name: str, w: float, values: Mapping[str, float], thinnest: float) -> float:
+    """That of the thinnest film to be followed, which is the fastest, 1/s."""
+    joint = machine.joints[name]
+    if isinstance(joint, SlidingJoint) or joint.film is None:
+        return 0.0
+    radius, clearance, viscosity = (values[contact_path(name, key)] for key in ("pin_radius", "clearance", "viscosity"))
+    film = Film(viscosity, radius, joint.film.length, clearance, joint.film.roughness, most_damping(machine, joint))
+    thinnest = max(thinnest, float(film.thinnest / clearance))
+    return w * min(film.most, float(film.damping(ca.SX(thinnest * (2 - thinnest)))))
 
 
 _NUMBERS = ("clearance", "stiffness", "friction", "friction_velocity", "presliding")

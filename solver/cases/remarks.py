@@ -20,7 +20,7 @@ from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive
-from jointplay.solver.machines.remarks import drawing_remarks, restitution_remarks
+from jointplay.solver.machines.remarks import drawing_remarks, film_remarks, restitution_remarks
 
 #: Orders that every crank shakes its frame with, by masses that go round and to and fro; those of the shipped
 #: slider-crank above are a fiftieth of them.
@@ -53,6 +53,7 @@ def find_remarks(machine: Machine) -> list[str]:
         *_suspension_remarks(felt),
         *_wedging_remarks(felt),
         *restitution_remarks(machine, machine.wearing_joints),
+        *film_remarks(machine, machine.turning_joints),
     ]
 
 

@@ -56,6 +56,11 @@ STEP_RULES: dict[Accuracy, StepRule] = {
 #: stability it lets noise of the size of its tolerance grow.
 BETWEEN_IMPACTS = StepRule(math.inf, math.inf, 0.5, math.inf, 120)
 
+#: Largest product of step and the rate of a film of oil: stable. Nothing that is slower feels how it settles.
+FILM = 1.2
+#: Thickness of a film in parts of the clearance that runs under error control are estimated by; they find their steps.
+USUAL_FILM = 0.1
+
 #: The start-up transient of the suspension is dropped until it has decayed to this part of itself (-40 dB).
 RESIDUE = 0.01
 #: Revolutions dropped at least: the impacts take a few to settle.
@@ -149,6 +154,7 @@ def largest_step(
     for rates in contacts:
         limits.append(rule.contact / rates.frequency if rates.frequency else math.inf)
         limits.append(rule.decay / rates.decay if rates.decay else math.inf)
+        limits.append(FILM / rates.film if rates.film else math.inf)
     fastest = float(np.abs(eigenvalues).max(initial=0.0))
     limits.append(rule.smooth / fastest if fastest else math.inf)
     limits.append(rule.rubbing / rubbing if rubbing else math.inf)

@@ -3,9 +3,10 @@
 All data of a kernel live in one flat work array addressed with constant offsets. Work that depends on lane parameters
 alone is hoisted into a function of its own that runs once.
 
-A call into the C library would stop the lanes, so sine, cosine, tanh, exp and log are written out: arithmetic and
-selects. ``tests/solver/test_elementary.py`` measures their accuracy: sine and cosine 1.2e-16 absolute for arguments up
-to 1e6 rad, tanh 2e-15 relative, exp 5e-16 and log 3e-16 relative (log of numbers near 1: 3e-16 absolute).
+A call into the C library would stop the lanes, so sine, cosine, tanh, arctan, exp and log are written out: arithmetic
+and selects. ``tests/solver/test_elementary.py`` measures their accuracy: sine and cosine 1.2e-16 absolute for arguments
+up to 1e6 rad, tanh 2e-15 relative, arctan 3e-16, exp 5e-16 and log 3e-16 relative (log of numbers near 1: 3e-16
+absolute).
 """
 
 from __future__ import annotations
@@ -33,6 +34,11 @@ _TANH_LIMIT = 20.0
 _EXP_LIMIT = 700.0
 #: log m = 2 s (1 + s^2/3 + s^4/5 ...) with s = (m - 1)/(m + 1), |s| <= 0.172; the first term left out is 1e-17.
 _LOG = [2 / (2 * k + 1) for k in range(1, 11)]
+#: arctan r = r + r^3 P(r^2) / Q(r^2) for |r| <= 0.66 (S. L. Moshier, Cephes); powers from the lowest up.
+_ARCTAN = (
+    (-64.85021904942025, -122.88666844901361, -75.00855792314705, -16.157537187333652, -0.8750608600031904),
+    (194.5506571482614, 485.3903996359137, 432.88106049129027, 165.02700983169885, 24.858464901423063, 1.0),
+)
 
 
 def _polynomial(block: Block, x: str, coefficients: Sequence[float]) -> str:
@@ -110,6 +116,22 @@ def hyperbolic_tangent(block: Block, x: str) -> str:
     return block.select(block.compare("olt", x, block.constant(0.0)), block.neg(value), value)
 
 
+def arctangent(block: Block, x: str) -> str:
+    """arctan of a row, by that of (x - 1)/(x + 1) or -1/x where it is nearer to nothing."""
+    size, one = block.call("fabs", x), block.constant(1.0)
+    far = block.compare("ogt", size, block.constant(1 + math.sqrt(2)))
+    middle = block.compare("ogt", size, block.constant(0.66))
+    above = block.select(far, block.constant(-1.0), block.select(middle, block.sub(size, one), size))
+    below = block.select(far, size, block.select(middle, block.add(size, one), one))
+    start = block.select(middle, block.constant(math.pi / 4), block.constant(0.0))
+    start = block.select(far, block.constant(math.pi / 2), start)
+    r = block.div(above, below)
+    z = block.mul(r, r)
+    p, q = (_polynomial(block, z, coefficients) for coefficients in _ARCTAN)
+    value = block.add(start, block.fma(block.mul(r, z), block.div(p, q), r))
+    return block.select(block.compare("olt", x, block.constant(0.0)), block.neg(value), value)
+
+
 _ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul"}
 _COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "one"}
 _LOGIC = {ca.OP_AND: "and", ca.OP_OR: "or"}
@@ -119,6 +141,7 @@ _UNARY: dict[int, Callable[[Block, str], str]] = {
     ca.OP_SQ: lambda block, a: block.mul(a, a),
     ca.OP_TWICE: lambda block, a: block.add(a, a),
     ca.OP_TANH: hyperbolic_tangent,
+    ca.OP_ATAN: arctangent,
     ca.OP_EXP: exponential,
     ca.OP_LOG: logarithm,
 }

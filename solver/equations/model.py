@@ -269,6 +269,11 @@ class Model(ModelFunctions):
         return self.size - len(self.kinematics.closures) + self.repeats.shared
 
     @property
+    def lubricated(self) -> bool:
+        """Whether there is a film of oil in one of the clearance joints."""
+        return any(getattr(self.machine.joints[name], "film", None) for name in self.clearance_joints)
+
+    @property
     def frame_indices(self) -> tuple[int | None, int | None, int | None]:
         """Where x, y, theta of the frame are among the coordinates; ``None`` for a motion it does not have."""
         return self.kinematics.indices_of(self.machine.frame)

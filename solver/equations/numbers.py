@@ -19,17 +19,21 @@ Number = ca.SX | float
 #: machine file has as 0 and no case changes: friction, say, then costs nothing.
 CONTACT_NUMBERS = (
     "clearance", "stiffness", "damping", "restitution", "hysteresis", "friction", "viscous", "friction_velocity",
-    "presliding", "pin_radius",
+    "presliding", "pin_radius", "viscosity",
 )  # fmt: skip
+
+#: Where numbers stand that are not of the ``contact``.
+_PLACES = {"clearance": "", "pin_radius": "", "viscosity": "film."}
 
 
 def contact_numbers(joint: Joint) -> dict[str, float]:
-    """Contact numbers that a joint has, by name: those of its laws, and of a pin its radius; clearance is 0."""
-    values = {name: getattr(joint.contact, name, 0.0) or 0.0 for name in CONTACT_NUMBERS if joint.contact.has(name)}
+    """Contact numbers that a joint has, by name: those of its laws, of a pin its radius and its oil; clearance is 0."""
+    names = (name for name in CONTACT_NUMBERS if name not in ("pin_radius", "viscosity") and joint.contact.has(name))
+    values = {name: getattr(joint.contact, name, 0.0) or 0.0 for name in names}
     if isinstance(joint, SlidingJoint):
-        del values["pin_radius"]
         return values
-    return values | {"pin_radius": joint.pin_radius}
+    oil = {} if joint.film is None else {"viscosity": joint.film.viscosity}
+    return values | {"pin_radius": joint.pin_radius} | oil
 
 
 def contact_paths(machine: Machine, joint: str) -> list[str]:
@@ -40,8 +44,7 @@ def contact_paths(machine: Machine, joint: str) -> list[str]:
 
 def contact_path(joint: str, number: str) -> str:
     """Path of a number of a clearance joint: ``joints.A.contact.stiffness``, ``joints.A.clearance``."""
-    middle = "" if number in ("clearance", "pin_radius") else "contact."
-    return f"joints.{joint}.{middle}{number}"
+    return f"joints.{joint}.{_PLACES.get(number, 'contact.')}{number}"
 
 
 class Numbers:

@@ -22,6 +22,7 @@ from jointplay.solver.equations.contact import (
     impact_hysteresis,
     linear_force,
 )
+from jointplay.solver.equations.film import Film, most_damping
 from jointplay.solver.equations.forces import Scene
 from jointplay.solver.equations.friction import sliding_sign
 from jointplay.solver.equations.geometry import Complex, I
@@ -30,6 +31,8 @@ from jointplay.solver.machines.friction import FRICTION_NUMBERS
 from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.restitution import HYSTERESIS
 
+#: Clearance (m) of a film in place of none, which a start with concentric pins is looked for with.
+LEAST_FILM = 1e-9
 #: Squared eccentricity (m2) below which the contact normal has no meaning; there is no force there anyway (e <= c).
 TINY = 1e-60
 
@@ -172,6 +175,17 @@ def _pin_in_socket(
     scene.push(vector, on_pin)
     scene.twist(joint.pin, -force.rubbing * numbers["pin_radius"])
     scene.twist(socket, force.rubbing * arm_socket)
+    if joint.film is not None:
+        film = Film(
+            numbers["viscosity"], numbers["pin_radius"], joint.film.length, ca.fmax(numbers["clearance"], LEAST_FILM),
+            joint.film.roughness, most_damping(scene.machine, joint),
+        )  # fmt: skip
+        pushed, shear = film.force(e, eccentricity, e_rate, (pin_omega, socket_omega))
+        half = e.cross(pushed) / 2
+        scene.push(vector, pushed)
+        scene.twist(joint.pin, shear - half)
+        scene.twist(socket, -shear - half)
+        on_pin += pushed
     return WornJoint(e.column, on_pin.column, (force,))
 
 

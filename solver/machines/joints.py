@@ -23,6 +23,7 @@ from jointplay.solver.machines.fields import (
     RuleError,
     no_default,
 )
+from jointplay.solver.machines.film import Film
 from jointplay.solver.machines.fits import LIMIT_FACTOR, ClassFit, Fit, FitMarker, FitSaid, in_um, new_fit
 from jointplay.solver.machines.friction import FRICTION_CHOICES, FRICTION_NUMBERS, DryFriction
 from jointplay.solver.machines.parts import Damping, Part
@@ -148,7 +149,7 @@ class WearingJoint(Part):
 
 
 #: What files could not say once; machines that say nothing of it keep the content key they had then.
-_SINCE: dict[str, Any] = dict.fromkeys(("fit", "limit", "clearance", "length"))
+_SINCE: dict[str, Any] = dict.fromkeys(("fit", "limit", "clearance", "length", "film"))
 _SINCE |= dict.fromkeys(("journal_friction", "height"), 0.0)
 
 
@@ -157,8 +158,8 @@ class TurningJoint(WearingJoint):
 
     ``at`` [m]; ``pin_radius`` [m], 0 neglects the moment of friction; ``viscous`` [N m s/rad] and ``journal_friction``
     (coefficient: torque over reaction and pin radius, with the friction law of ``contact``) resist relative rotation
-    while the joint has no clearance; ``contact`` counts once it has. The size of a class of ``fit`` is the pin's
-    diameter.
+    while the joint has no clearance; ``contact`` and the oil of ``film`` count once it has. The size of a class of
+    ``fit`` is the pin's diameter.
     """
 
     kind: Literal["turning"] = "turning"
@@ -166,6 +167,7 @@ class TurningJoint(WearingJoint):
     pin_radius: Annotated[float, QuantityField(units.LENGTH, at_least=0)] = 0.0
     viscous: Annotated[float, QuantityField(units.ROTARY_DAMPING, at_least=0)] = 0.0
     journal_friction: Annotated[float, QuantityField(units.RATIO, at_least=0)] = 0.0
+    film: Film | None = None
 
     @model_serializer(mode="wrap")
     def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import Point
+from jointplay.solver.machines.film import SHORT
 from jointplay.solver.machines.fits import in_um
 from jointplay.solver.machines.joints import Contact, TurningJoint
 from jointplay.solver.machines.restitution import remark
@@ -75,6 +76,17 @@ def _length_remarks(machine: MachineContent, name: str) -> Iterator[str]:
     if length <= play:
         what = f"{in_um(length)} long, no more than the radial play of its joints as new, {in_um(play)}"
         yield f"links.{name}: joints {' and '.join(joints)}: {what}; it moves nothing"
+
+
+def film_remarks(machine: MachineContent, joints: Iterable[str]) -> list[str]:
+    """One line for each of these joints whose film is longer than that of a short bearing."""
+    lines = []
+    for name in joints:
+        joint = machine.joints[name]
+        if isinstance(joint, TurningJoint) and joint.film and joint.film.length > SHORT * 2 * joint.pin_radius:
+            what = f"{joint.film.length / (2 * joint.pin_radius):.3g} diameters long; it counts as short, which is good"
+            lines.append(f"joint {name}: film: {what} to {SHORT:g}: a long one carries less than this says")
+    return lines
 
 
 def restitution_remarks(

@@ -164,6 +164,8 @@ def _joints(machine: MachineContent) -> Iterator[Breach]:
             yield Breach(
                 f"{path}.journal_friction", joint.journal_friction, "needs a pin_radius, the arm of its torque"
             )
+        if isinstance(joint, TurningJoint) and joint.film is not None and not joint.pin_radius:
+            yield Breach(f"{path}.pin_radius", None, "is missing: film is the oil around a journal of this radius")
         if isinstance(joint, SlidingJoint):
             yield from (Breach(*breach) for breach in friction_breaches(path, joint))
             said = [key for key in ("clearance", "height", "contact", "fit", "limit") if key in joint.model_fields_set]

@@ -66,11 +66,12 @@ INERTIA = Dimension("a moment of inertia", (2, 1, 0), "kg m2", "600 kg mm2")
 STIFFNESS = Dimension("a stiffness", (0, 1, -2), "N/m", "4 N/mm")
 DAMPING = Dimension("a damping coefficient", (0, 1, -1), "N s/m", "300 N s/m")
 HYSTERESIS = Dimension("a hysteresis factor", (-1, 0, 1), "s/m", "0.3 s/m")
+VISCOSITY = Dimension("a dynamic viscosity", (-1, 1, -1), "Pa s", "0.1 Pa s")
 ROTARY_DAMPING = Dimension("a rotary damping coefficient", (2, 1, -1), "N m s/rad", "0.01 N m s/rad", (0, -1))
 
 DIMENSIONS: tuple[Dimension, ...] = (
     LENGTH, MASS, TIME, ANGLE, FREQUENCY, SPEED, ANGULAR_SPEED, ACCELERATION, FORCE, TORQUE, INERTIA, STIFFNESS,
-    DAMPING, ROTARY_DAMPING, HYSTERESIS, RATIO,
+    DAMPING, ROTARY_DAMPING, HYSTERESIS, VISCOSITY, RATIO,
 )  # fmt: skip
 """Every dimension a machine file knows, in the order in which a unit is named after them."""
 
@@ -111,6 +112,7 @@ _PREFIXED = {
     "N": _unit("1", 1, 1, -2),
     "J": _unit("1", 2, 1, -2),
     "Hz": _unit("1", 0, 0, -1),
+    "Pa": _unit("1", -1, 1, -2),
 }
 _PLAIN = {
     "1": _ONE,
@@ -134,6 +136,7 @@ _PLAIN = {
     "°": _unit("1/180", 0, 0, 0, 1, pi=1),
     "rev": _unit("2", 0, 0, 0, 1, pi=1),
     "rpm": _unit("1/30", 0, 0, -1, 1, pi=1),
+    "cP": _unit("1e-3", -1, 1, -1),
 }
 _GRAVITY = {"g": "1", "g0": "1", "mg": "1e-3", "ug": "1e-6", "µg": "1e-6", "μg": "1e-6"}
 _UNITS = {

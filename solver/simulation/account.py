@@ -199,6 +199,8 @@ def _terms_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
             continue
         if name in machine.wearing_joints:
             yield LeftOut(f"contact of {name}", "no clearance in this fault state")
+        if isinstance(joint, TurningJoint) and joint.film:
+            yield LeftOut(f"film of {name}", "no clearance in this fault state")
         if guide and not rubbing:
             yield LeftOut(f"{rubs} {name}", "friction is 0")
         if not joint.viscous:

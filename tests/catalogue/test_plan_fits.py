@@ -102,3 +102,22 @@ def test_wear_ends_where_a_pin_would_leave_its_socket() -> None:
     coarse = entries_of(plan_of(fits={"low": "5 mm", "high": "7 mm"}, draws=draws(single=64)), QUICK_RETURN)
     drawn = [sizes_of(entry)["O"] for entry in coarse if entry.worn == ("O",)]
     assert 8.75e-3 <= min(drawn) < max(drawn) <= 17.5e-3
+
+
+def test_oil_is_drawn_and_holds_what_is_not_worn() -> None:
+    """Each joint its own viscosity, 0.3 to 3 of the file's; a machine without oil draws what it drew before."""
+    tree: dict[str, Any] = QUICK_RETURN.model_dump(mode="json")
+    for joint in ("A", "F"):
+        tree["joints"][joint]["film"] = {"viscosity": 0.1, "length": "15 mm"}
+    oiled, asked = parse_machine(tree), {"hypotheses": ["healthy", "singles"], "draws": draws(healthy=64, single=64)}
+    plan, found = plan_of(**asked), {"A": [], "F": []}
+    for entry in entries_of(plan, oiled):
+        sizes = sizes_of(entry)
+        for joint in ("A", "F"):
+            path = f"joints.{joint}.film.viscosity"
+            assert (path in entry.parameters) == (joint in sizes) == (joint in entry.worn)
+            found[joint] += [entry.parameters[path]] if joint in sizes else []
+    for values in found.values():
+        assert len(values) == 64
+        assert 0.03 <= min(values) < 0.032 < 0.28 < max(values) <= 0.3
+    assert not any("film" in path for entry in entries_of(plan, QUICK_RETURN) for path in entry.parameters)

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from oracle.closures import blocked_motions
+from oracle.oil import OilState
 from oracle.state import Array, ContactState, CornerState, Held, Slide, State, across, cross, sliding_sign
 from oracle.tables import periodic_row, prescribed, table, time_row
 
@@ -252,13 +253,19 @@ class _System:
             self.c[column + 1] += cross(corner.point - slide.point, corner.force)
 
     def clearance(self, name: str) -> None:
-        """Rows that say the force on the pin is what the state makes it; it acts at one common point."""
+        """Rows that say the force on the pin is what the state makes it: at one common point; oil's at the centres."""
         contact = ContactState.of(self.state, name, self.clearances[name], self.began.get(name, 0.0))
         for k, unit in enumerate(np.eye(2)):
             column = self.columns[name] + k
             self.pair(contact.pin, contact.socket, contact.point, unit, column)
             self.a[column, column] = 1.0
             self.c[column] = contact.force[k]
+        oil = OilState.of(self.state, name, self.clearances[name])
+        if oil is None:
+            return
+        self.c[self.columns[name] : self.columns[name] + 2] += oil.force
+        for link, centre, sign, torque in zip((oil.pin, oil.socket), oil.centres, (1, -1), oil.torques, strict=True):
+            self.c[3 * link + 2] += sign * cross(centre - contact.point, oil.force) + torque
 
     def drive(self) -> None:
         drive = self.machine.drive

@@ -209,6 +209,15 @@ def _loosen(joints: dict[str, dict[str, Any]], seed: int) -> dict[str, float]:
     return worn
 
 
+def _oil(joints: dict[str, dict[str, Any]], seed: int) -> None:
+    """Give some pins a film. Drawn apart: all else is as without them."""
+    draft = _Draft(np.random.default_rng([seed, 3]))
+    for joint in joints.values():
+        if joint.get("pin_radius") and draft.rng.random() < 0.3:
+            viscosity, length = draft.between(1e-4, 10.0), draft.between(5e-3, 0.1)
+            joint["film"] = {"viscosity": viscosity, "length": length, "roughness": draft.between(1e-7, 1e-5)}
+
+
 def sketch(seed: int) -> Sketch:
     """A machine of 3 to 12 links with anything that a machine file can say."""
     draft = _Draft(np.random.default_rng(seed))
@@ -225,6 +234,7 @@ def sketch(seed: int) -> Sketch:
     names = list(draft.links)
     draft.rng.shuffle(names)  # the frame may stand anywhere in the file
     guides = _loosen(draft.joints, seed)
+    _oil(draft.joints, seed)
     tree = {
         "name": "drawn",
         "frame": "L0",

@@ -95,6 +95,8 @@ def features(sketch: Sketch, state: State) -> set[str]:
                 seen.add(f"corner law {law.contact.law}")
             continue
         contact = ContactState.of(state, name, clearance)
+        if law.film is not None:
+            seen.add("oil apart" if contact.penetration <= 0 else "oil fading")
         if contact.normal_force == 0:
             seen.add("pin in flight" if contact.penetration <= 0 else "pin leaves without pull")
         else:
@@ -137,7 +139,7 @@ EXPECTED = {
     "corner leaves without pull": 5, "flat block": 15, "block with a height": 15, "corner friction": 15,
     "corner viscous": 15, "corner law linear": 10, "corner law hertz": 2, "corner law hunt-crossley": 2,
     "corner law flores": 2, "corner law gonthier": 2, "corner law lankarani-nikravesh": 2,
-    "translation of a worn guide": 2, "force of a worn guide": 2,
+    "translation of a worn guide": 2, "force of a worn guide": 2, "oil apart": 5, "oil fading": 5,
 }  # fmt: skip
 
 

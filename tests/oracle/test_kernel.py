@@ -72,6 +72,14 @@ def dry_journals(machine: Machine, **friction: float) -> Machine:
     return loaded(machine.name, joints=joints)
 
 
+def oiled() -> Machine:
+    """Fast and slow films, among them one that is held, with the pin on either link."""
+    joints: Any = shipped_machine("four-bar").model_dump(mode="json")["joints"]
+    for name, viscosity in (("A", 1e-3), ("B", 0.05), ("D", 10.0)):
+        joints[name] |= {"pin_radius": 0.01, "film": {"viscosity": viscosity, "length": 0.02, "roughness": 5e-5}}
+    return loaded("four-bar", joints=joints)
+
+
 CUTTING = [[0.0, 0.0, 0.0, 0.0], [1.2, -800.0, 20.0, 3.0], [3.1, 0.0, 0.0, 0.0]]
 SCENES = {
     "quick-return, two worn joints, ripple, cutting force": (
@@ -137,6 +145,7 @@ SCENES = {
         ("G2",),
         (),
     ),
+    "four-bar, oil": (oiled(), ("A", "B", "D"), ()),
     "four-bar, every joint worn": (shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints), ()),
 }
 

@@ -99,6 +99,8 @@ def _body(said: Mapping[str, Any]) -> Body:
 
 
 def _pin(said: Mapping[str, Any]) -> Pin:
+    if "film" in said:
+        raise ValueError("joints are dry here")
     first, second = said["links"]
     pin = said.get("pin", first)
     return Pin(pin, second if pin == first else first, point(said["at"]), number(said.get("pin_radius", 0.0)))

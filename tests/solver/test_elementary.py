@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointplay.solver.compiler import native
-from jointplay.solver.compiler.emit import exponential, hyperbolic_tangent, logarithm, sine_cosine
+from jointplay.solver.compiler.emit import arctangent, exponential, hyperbolic_tangent, logarithm, sine_cosine
 from jointplay.solver.compiler.ir import DECLARATIONS, LANES, Block
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, ...]]
@@ -18,22 +18,23 @@ Evaluate = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 
 @pytest.fixture(scope="module")
 def evaluate() -> Evaluate:
-    """Sine, cosine, tanh, exp and log of any number of arguments, through the compiled code."""
+    """Sine, cosine, tanh, exp, log and arctan of any number of arguments, through the compiled code."""
     block = Block()
     x = block.load(0)
     sine, cosine = sine_cosine(block, x)
-    for i, value in enumerate((sine, cosine, *(f(block, x) for f in (hyperbolic_tangent, exponential, logarithm)))):
+    others = (f(block, x) for f in (hyperbolic_tangent, exponential, logarithm, arctangent))
+    for i, value in enumerate((sine, cosine, *others)):
         block.store(i + 1, value)
     address = native.load("\n".join([DECLARATIONS, block.function("elementary")]))("elementary")
     function = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address)
 
     def run(values: np.ndarray) -> tuple[np.ndarray, ...]:
         rows = values.reshape(-1, LANES)
-        out = np.zeros((len(rows), 6, LANES))
+        out = np.zeros((len(rows), 7, LANES))
         out[:, 0] = rows
         for row in out:
             function(row.ctypes.data)
-        return tuple(out[:, i].ravel() for i in range(1, 6))
+        return tuple(out[:, i].ravel() for i in range(1, 7))
 
     return run
 
@@ -79,9 +80,17 @@ def test_logarithm(evaluate: Evaluate) -> None:
     assert (evaluate(np.ones(LANES))[4] == 0).all()
 
 
+def test_arctangent(evaluate: Evaluate) -> None:
+    rng = np.random.default_rng(5)
+    x = np.concatenate([10.0 ** rng.uniform(-30, 30, 8000), rng.uniform(0.4, 3, 8000), [0.66, 1, 1 + math.sqrt(2)] * 8])
+    for sign in (1, -1):
+        assert np.abs(evaluate(sign * x)[5] / np.arctan(sign * x) - 1).max() < 3.5e-16
+
+
 def test_exact_at_zero(evaluate: Evaluate) -> None:
-    sine, cosine, tangent, exponential_of_zero, _ = evaluate(np.zeros(LANES))
+    sine, cosine, tangent, exponential_of_zero, _, arctangent_of_zero = evaluate(np.zeros(LANES))
     assert (exponential_of_zero == 1).all()
     assert (sine == 0).all()
     assert (cosine == 1).all()
     assert (tangent == 0).all()
+    assert (arctangent_of_zero == 0).all()

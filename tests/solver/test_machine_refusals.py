@@ -51,7 +51,7 @@ TORQUE = {"kind": "torque", "joint": "O"}
         ("joints.A.contact", {"Stiffness": 1}, 'joints.A.contact.Stiffness: 1: unknown key; did you mean "stiffness"?'),
         ("sensor", [], 'sensor: []: unknown key; did you mean "sensors"?'),
         ("joints.A.direction", [1, 0], "joints.A.direction: [1, 0]: unknown key; "
-         "known: kind, links, at, contact, fit, limit, clearance, pin, pin_radius, viscous, journal_friction"),
+         "known: kind, links, at, contact, fit, limit, clearance, pin, pin_radius, viscous, journal_friction, film"),
         ("drive.rippel", [], 'drive.rippel: []: unknown key; did you mean "ripple"?'),
         ("joints.A.kind", "turnin", 'joints.A.kind: turnin: is not a known kind; did you mean "turning"?'),
         ("joints.A.kind", MISSING, "joints.A.kind: is missing"),
