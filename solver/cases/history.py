@@ -19,8 +19,9 @@ from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.modes import shapes_at
 from jointplay.solver.spectra.by_angle import resample_by_angle
-from jointplay.solver.spectra.sensor import sensor_signals
+from jointplay.solver.spectra.sensor import sensor_signals, sensor_transform
 from jointplay.solver.spectra.spectrum import Quantity, Scaling, Spectrum, convert, rescale
 from jointplay.solver.spectra.welch import welch
 
@@ -160,6 +161,24 @@ class Settings:
         return self.integrator in ("gill", "full")
 
 
+@dataclass(frozen=True, eq=False)
+class Bending:
+    """Motion of the frame's modes: coordinates and their rates, (n, m) each, as those of :class:`History`.
+
+    A point of the frame is displaced by these numbers times its place in the shapes.
+    """
+
+    displacement: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    band_limited_acceleration: FloatArray
+
+    def __getitem__(self, rows: slice) -> Bending:
+        """Of some samples."""
+        parts = (self.displacement, self.velocity, self.acceleration, self.band_limited_acceleration)
+        return Bending(*(part[rows] for part in parts))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class History:
     """Motion of the frame in one case.
@@ -195,6 +214,8 @@ class History:
         Where the run stands, to go on from; a little later than the last sample, by what the filter needs beyond it.
     turning : Turning or None
         How the driver turned, of a machine whose drive is a torque or a force.
+    modes : Bending or None
+        Of a frame with modes.
     """
 
     case: Case
@@ -213,6 +234,7 @@ class History:
     links: LinkMotion | None = None
     end: Start | None = None
     turning: Turning | None = None
+    modes: Bending | None = None
 
     def __repr__(self) -> str:
         told = f"{self.t[-1]:.4g} s at {self.sample_rate:g} Hz" if len(self.t) else "no samples"
@@ -296,26 +318,53 @@ class History:
             revolutions_per_window=WINDOW_REVOLUTIONS, transient=self.transient, point=point,
         )  # fmt: skip
 
-    def at_sensors(self, machine: Machine, acceleration: FloatArray | None = None) -> FloatArray:
+    def at_sensors(self, machine: Machine, rows: slice = slice(None), *, instantaneous: bool = False) -> FloatArray:
         """Return what the sensors of a machine feel (n, s) [m/s2], in the order of its file.
 
         Parameters
         ----------
         machine : Machine
             The one that was simulated, with its motion.
-        acceleration : (n, 3) array, optional
-            Of the frame at t; the band-limited one unless given.
+        rows : slice
+            Samples that are wanted.
+        instantaneous : bool
+            Of the acceleration at t, not of the band-limited one.
         """
         if not machine.sensors:
-            return np.empty((len(self.t), 0))
+            return np.empty((len(self.t[rows]), 0))
+        quantity = "acceleration" if instantaneous else "band_limited_acceleration"
+        points = [sensor.at for sensor in machine.sensors]
+        bending = None
+        if self.modes is not None:
+            parts = (getattr(self.modes, name)[rows] for name in ("displacement", "velocity", quantity))
+            bending = (shapes_at(machine.modes, points), *parts)
         return sensor_signals(
-            self.displacement,
-            self.velocity,
-            self.band_limited_acceleration if acceleration is None else acceleration,
-            [sensor.at for sensor in machine.sensors],
+            self.displacement[rows],
+            self.velocity[rows],
+            getattr(self, quantity)[rows],
+            points,
             [sensor.direction for sensor in machine.sensors],
             machine.links[machine.frame].cg,
+            bending,
         )
+
+    def as_rigid(self, machine: Machine) -> FloatArray:
+        """Return the band-limited acceleration (n, 3) of the rigid frame that a machine's sensors would take it for.
+
+        That of the frame itself, and of its modes the least squares of what they add at the sensors, each along its
+        direction: exact for three sensors and for fewer, and for more as far as least squares are what is compared.
+        """
+        found = self.band_limited_acceleration
+        if self.modes is None or not machine.sensors:
+            return found
+        points, directions = ([getattr(s, name) for s in machine.sensors] for name in ("at", "direction"))
+        frame = machine.links[machine.frame]
+        free = [column for column, motion in enumerate(MOTIONS) if motion not in frame.locked]
+        transform = sensor_transform(points, directions, frame.cg)[:, free]
+        along = np.einsum("smk,sk->sm", shapes_at(machine.modes, points), np.asarray(directions))
+        taken = np.zeros((3, len(machine.modes)))
+        taken[free] = np.linalg.pinv(transform) @ along
+        return np.asarray(found + self.modes.band_limited_acceleration @ taken.T)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the motion of the frame as a table over time, m and rad, ``acceleration_theta`` ...; needs pandas."""

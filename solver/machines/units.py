@@ -66,11 +66,12 @@ INERTIA = Dimension("a moment of inertia", (2, 1, 0), "kg m2", "600 kg mm2")
 STIFFNESS = Dimension("a stiffness", (0, 1, -2), "N/m", "4 N/mm")
 DAMPING = Dimension("a damping coefficient", (0, 1, -1), "N s/m", "300 N s/m")
 HYSTERESIS = Dimension("a hysteresis factor", (-1, 0, 1), "s/m", "0.3 s/m")
+SLOPE = Dimension("a rotation by displacement", (-1, 0, 0), "1/m", "2 rad/m", (0, 1))
 ROTARY_DAMPING = Dimension("a rotary damping coefficient", (2, 1, -1), "N m s/rad", "0.01 N m s/rad", (0, -1))
 
 DIMENSIONS: tuple[Dimension, ...] = (
     LENGTH, MASS, TIME, ANGLE, FREQUENCY, SPEED, ANGULAR_SPEED, ACCELERATION, FORCE, TORQUE, INERTIA, STIFFNESS,
-    DAMPING, ROTARY_DAMPING, HYSTERESIS, RATIO,
+    DAMPING, ROTARY_DAMPING, HYSTERESIS, SLOPE, RATIO,
 )  # fmt: skip
 """Every dimension a machine file knows, in the order in which a unit is named after them."""
 
