@@ -85,7 +85,7 @@ def sensor_signals(
     x, y = arm[:, 0], arm[:, 1]
     if bending is not None:
         shapes, *moved = bending
-        (ux, uy), (vx, vy), (bx, by) = ((part @ shapes[:, :, k].T for k in (0, 1)) for part in moved)
+        (ux, uy), (vx, vy), (bx, by) = ([part @ shapes[:, :, k].T for k in (0, 1)] for part in moved)
         x, y, along, across = x + ux, y + uy, along + bx - 2 * rate * vy, across + by + 2 * rate * vx
     ax = along - motion[:, 2:3] * y - rate**2 * x
     ay = across + motion[:, 2:3] * x - rate**2 * y
