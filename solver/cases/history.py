@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.bending import Bending, taken_for_rigid
 from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import STEP_RULES, Accuracy
 from jointplay.solver.cases.turning import Turning
@@ -21,7 +22,7 @@ from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.modes import shapes_at
 from jointplay.solver.spectra.by_angle import resample_by_angle
-from jointplay.solver.spectra.sensor import sensor_signals, sensor_transform
+from jointplay.solver.spectra.sensor import sensor_signals
 from jointplay.solver.spectra.spectrum import Quantity, Scaling, Spectrum, convert, rescale
 from jointplay.solver.spectra.welch import welch
 
@@ -159,24 +160,6 @@ class Settings:
     def fixed_step(self) -> bool:
         """Whether the method in use has one."""
         return self.integrator in ("gill", "full")
-
-
-@dataclass(frozen=True, eq=False)
-class Bending:
-    """Motion of the frame's modes: coordinates and their rates, (n, m) each, as those of :class:`History`.
-
-    A point of the frame is displaced by these numbers times its place in the shapes.
-    """
-
-    displacement: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    band_limited_acceleration: FloatArray
-
-    def __getitem__(self, rows: slice) -> Bending:
-        """Of some samples."""
-        parts = (self.displacement, self.velocity, self.acceleration, self.band_limited_acceleration)
-        return Bending(*(part[rows] for part in parts))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -336,8 +319,7 @@ class History:
         points = [sensor.at for sensor in machine.sensors]
         bending = None
         if self.modes is not None:
-            parts = (getattr(self.modes, name)[rows] for name in ("displacement", "velocity", quantity))
-            bending = (shapes_at(machine.modes, points), *parts)
+            bending = (shapes_at(machine.modes, points), *self.modes.motion(rows, instantaneous=instantaneous))
         return sensor_signals(
             self.displacement[rows],
             self.velocity[rows],
@@ -354,17 +336,10 @@ class History:
         That of the frame itself, and of its modes the least squares of what they add at the sensors, each along its
         direction: exact for three sensors and for fewer, and for more as far as least squares are what is compared.
         """
-        found = self.band_limited_acceleration
         if self.modes is None or not machine.sensors:
-            return found
-        points, directions = ([getattr(s, name) for s in machine.sensors] for name in ("at", "direction"))
-        frame = machine.links[machine.frame]
-        free = [column for column, motion in enumerate(MOTIONS) if motion not in frame.locked]
-        transform = sensor_transform(points, directions, frame.cg)[:, free]
-        along = np.einsum("smk,sk->sm", shapes_at(machine.modes, points), np.asarray(directions))
-        taken = np.zeros((3, len(machine.modes)))
-        taken[free] = np.linalg.pinv(transform) @ along
-        return np.asarray(found + self.modes.band_limited_acceleration @ taken.T)
+            return self.band_limited_acceleration
+        taken = self.modes.band_limited_acceleration @ taken_for_rigid(machine).T
+        return np.asarray(self.band_limited_acceleration + taken)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the motion of the frame as a table over time, m and rad, ``acceleration_theta`` ...; needs pandas."""
