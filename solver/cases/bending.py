@@ -14,10 +14,10 @@ from jointplay.solver.spectra.sensor import sensor_transform
 
 @dataclass(frozen=True, eq=False)
 class Bending:
-    """Motion of the frame's modes: coordinates and their rates, (n, m) each, as those of
-    :class:`~jointplay.solver.cases.history.History`.
+    """Motion of the frame's modes, (n, m) each.
 
-    A point of the frame is displaced by these numbers times its place in the shapes.
+    Coordinates, rates and accelerations at the samples of a :class:`~jointplay.solver.cases.history.History`. A point
+    of the frame is displaced by these coordinates times its displacements in the shapes.
     """
 
     displacement: FloatArray

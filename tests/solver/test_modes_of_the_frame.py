@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError, MachineError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
+from jointplay.solver.machines.yamlfile import read_tree
 from jointplay.solver.simulation.account import account
 from jointplay.solver.simulation.ensemble import Ensemble, simulate_ensemble
 from jointplay.solver.simulation.simulate import simulate
@@ -299,6 +302,16 @@ def test_modes_that_are_refused(change: dict[str, Any], line: str) -> None:
         parse_machine(machine.model_dump() | {"modes": [bending_mode(machine) | change]}, "m.yaml")
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_example_of_the_page_is_a_mode() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "machine-file.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```yaml\n(modes:\n.*?)```", page, re.DOTALL)
+    machine = shipped_machine("slider-crank")
+    tree = machine.model_dump() | {"supports": (), "sensors": ()} | read_tree(example, "page")
+    (mode,) = parse_machine(tree).modes
+    assert (mode.frequency, mode.damping, mode.mass) == (182.0, 0.015, 4.0)
+    assert mode.rotation_at((0.2, 0.05)) == 12.8
 
 
 def test_at_most_five() -> None:
