@@ -97,7 +97,7 @@ def record(
         "frame_velocity": "m/s,m/s,rad/s",
         "frame_acceleration": "m/s2,m/s2,rad/s2",
     }
-    instantaneous = history.at_sensors(machine, history.acceleration)
+    instantaneous = history.at_sensors(machine, instantaneous=True)
     for column, sensor in enumerate(machine.sensors):
         arrays[f"sensor_{sensor.name}"] = instantaneous[:, column]
         units[f"sensor_{sensor.name}"] = "m/s2"

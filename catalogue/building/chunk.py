@@ -159,10 +159,11 @@ def _simulate(chunk: Chunk, guarded: Sequence[int]) -> list[CaseOutcome]:
         repeating=True,
     )
     cases = [Case(entry.fault, entry.parameters) for entry in entries]
-    return [_outcome(history, recipe) for history in simulate_batch(machine, cases, settings, accuracies=accuracies)]
+    histories = simulate_batch(machine, cases, settings, accuracies=accuracies)
+    return [_outcome(machine, history, recipe) for history in histories]
 
 
-def _outcome(history: History, recipe: Recipe) -> CaseOutcome:
+def _outcome(machine: Machine, history: History, recipe: Recipe) -> CaseOutcome:
     message = " ".join(history.message.split())
 
     def failed(status: str, message: str) -> CaseOutcome:
@@ -170,7 +171,7 @@ def _outcome(history: History, recipe: Recipe) -> CaseOutcome:
 
     if history.status is not Status.OK:
         return failed(history.status.value, message)
-    signal = history.band_limited_acceleration
+    signal = history.as_rigid(machine)
     if not np.isfinite(signal).all():
         return failed("not_finite", "the acceleration holds a number that is not finite")
     bands = band_matrix(

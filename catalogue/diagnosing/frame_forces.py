@@ -149,7 +149,7 @@ def pose_speed(machine: Machine, speed: float) -> float:
 def _poses(machine: Machine, speed: float) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
     """Moving links, with place (n, k, 2), angle (n, k) and turns (k,) as :class:`Revolution` has them."""
     frame = machine.links[machine.frame].model_copy(update={"fixed": True})
-    held = machine.model_copy(update={"links": {**machine.links, machine.frame: frame}})
+    held = machine.model_copy(update={"links": {**machine.links, machine.frame: frame}, "modes": ()})
     rate = SAMPLES * abs(speed) / (2.0 * math.pi)
     settings = Settings(sample_rate=rate, revolutions=1.0 + 2.0 / SAMPLES, links=True)
     history = next(iter(simulate_batch(held, [Case(parameters={DRIVE_SPEED: speed})], settings)))

@@ -154,7 +154,7 @@ class HealthyMachine:
                     f"healthy {self._catalogue.machine.name} at {self._speed * 30 / math.pi:.4g} rpm cannot be"
                     f" simulated: {history.status.value} {history.message}"
                 )
-            signal = history.band_limited_acceleration[history.t >= history.transient]
+            signal = history.as_rigid(self._catalogue.machine)[history.t >= history.transient]
             powers.append(band_matrix(signal, history.sample_rate, history.drive_speed, recipe.scheme).power)
         self.simulations += len(cases)
         return np.array(powers)

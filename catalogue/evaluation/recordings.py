@@ -28,7 +28,6 @@ from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch
-from jointplay.solver.spectra.sensor import sensor_signals
 
 TOGETHER = 16
 """Cases simulated at a time: two vectors of lanes, so that histories do not fill the memory."""
@@ -150,15 +149,8 @@ def _settings(protocol: EvaluationProtocol) -> Settings:
 def _ideal(machine: Machine, history: History, seconds: float) -> FloatArray | None:
     if history.status is not Status.OK:
         return None
-    rows = np.flatnonzero(history.t >= history.transient)[: round(seconds * history.sample_rate)]
-    return sensor_signals(
-        history.displacement[rows],
-        history.velocity[rows],
-        history.band_limited_acceleration[rows],
-        [sensor.at for sensor in machine.sensors],
-        [sensor.direction for sensor in machine.sensors],
-        machine.links[machine.frame].cg,
-    )
+    first = int(np.searchsorted(history.t, history.transient))
+    return history.at_sensors(machine, slice(first, first + round(seconds * history.sample_rate)))
 
 
 def recorded(protocol: EvaluationProtocol, truth: Truth, ideal: FloatArray) -> Recording:

@@ -235,6 +235,8 @@ DAMPING_SCATTER = 0.4
 #: Standard deviations of the logarithm of what every file says a little wrong: mass and inertia of a frame with all
 #: that is bolted to it, and each mount: nineteen of twenty pieces of the same rubber lie within 10 % of stiffness.
 TOLERANCE = {"mass": 0.025, "inertia": 0.03, "stiffness": 0.05, "damping": 0.15}
+#: The same of the frame's modes, whose frequencies tests find to a per cent or two, and whose damping by a fifth.
+MODE_TOLERANCE = {"frequency": 0.015, "damping": 0.2}
 
 #: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
 HYSTERESIS_RANGE = (0.3, 30.0)
@@ -294,13 +296,13 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     if asked:
         low, high = max(0.05, min(asked) - 0.25), min(1.0, max(asked) + 0.25)
         found["contact.restitution"] = Distribution(uniform=(low, high))
-    return found | {
-        path: Distribution(lognormal=TOLERANCE[path.rpartition(".")[2]]) for path in _frame_and_mounts(machine)
-    }
+    scatter = {path: TOLERANCE[path.rpartition(".")[2]] for path in _frame_and_mounts(machine)}
+    scatter |= {path: MODE_TOLERANCE[path.rpartition(".")[2]] for path in _modes(machine)}
+    return found | {path: Distribution(lognormal=scatter[path]) for path in scatter}
 
 
 def default_wide(machine: Machine) -> dict[str, Distribution]:
-    """What else is not known of a machine whose data cannot be trusted: frame, supports, load, ripple of the drive.
+    """What else is not known of a machine whose data cannot be trusted: frame with modes, supports, load, ripple.
 
     Supports have one common factor each for x and y, and each mount a smaller one of its own: a single loose mount
     stays outside of all draws.
@@ -320,6 +322,9 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
     found = {path: factors.get(path) or own[path.rpartition(".")[2]] for path in _frame_and_mounts(machine)}
     if any(path[9:10].isdigit() for path in found):
         found |= {f"supports.{name}.{axis}": factors[f"supports.{name}"] for name in own for axis in "xy"}
+    for path, damping in _modes(machine).items():
+        wide = Distribution(factor_loguniform=(0.5, min(2.0, 1.0 / damping))) if damping else None
+        found[path] = wide or Distribution(factor_uniform=(0.9, 1.1))
     load = output_load(machine)
     if load is not None:
         scale = _weight_and_inertia(machine) * (load.arm or 1.0)
@@ -347,6 +352,16 @@ def _frame_and_mounts(machine: Machine) -> list[str]:
         if any(isinstance(support, single) for _, support in own):
             paths.append(f"supports.{name}")
     return paths
+
+
+def _modes(machine: Machine) -> dict[str, float]:
+    """Paths of frequencies and damping ratios of the frame's modes; these ratios, and 0 for frequencies."""
+    found: dict[str, float] = {}
+    for i, mode in enumerate(machine.modes):
+        found[f"modes.{i}.frequency"] = 0.0
+        if mode.damping:
+            found[f"modes.{i}.damping"] = mode.damping
+    return found
 
 
 def _either(bounds: tuple[float, float], scale: float) -> Distribution:

@@ -104,6 +104,10 @@ def support_causes(
             for path, value in _numbers(support, name, f"supports.{i}.{name}"):
                 now = values.get(path, value)
                 rates.append((math.sqrt(now / mass) if name == "stiffness" else now / mass, path, now))
+    for i, mode in enumerate(machine.modes):
+        path = f"modes.{i}.frequency"
+        now = values.get(path, mode.frequency)
+        rates.append((2 * math.pi * now, path, now))
     for joint, found in machine.joints.items():
         inertia = min(_inertia(machine, link, values) for link in found.links)
         mass = min(_mass(machine, link, values) for link in found.links)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.bending import Bending, taken_for_rigid
 from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import STEP_RULES, Accuracy
 from jointplay.solver.cases.turning import Turning
@@ -19,6 +20,7 @@ from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.modes import shapes_at
 from jointplay.solver.spectra.by_angle import resample_by_angle
 from jointplay.solver.spectra.sensor import sensor_signals
 from jointplay.solver.spectra.spectrum import Quantity, Scaling, Spectrum, convert, rescale
@@ -204,6 +206,8 @@ class History:
     period : int
         Revolutions after which the motion repeats, where the run was ended for that: it then is one such period. 0
         where it does not, or where nobody looked.
+    modes : Bending or None
+        Of a frame with modes.
     """
 
     case: Case
@@ -223,6 +227,7 @@ class History:
     end: Start | None = None
     turning: Turning | None = None
     period: int = 0
+    modes: Bending | None = None
 
     def __repr__(self) -> str:
         told = f"{self.t[-1]:.4g} s at {self.sample_rate:g} Hz" if len(self.t) else "no samples"
@@ -306,26 +311,45 @@ class History:
             revolutions_per_window=WINDOW_REVOLUTIONS, transient=self.transient, point=point,
         )  # fmt: skip
 
-    def at_sensors(self, machine: Machine, acceleration: FloatArray | None = None) -> FloatArray:
+    def at_sensors(self, machine: Machine, rows: slice = slice(None), *, instantaneous: bool = False) -> FloatArray:
         """Return what the sensors of a machine feel (n, s) [m/s2], in the order of its file.
 
         Parameters
         ----------
         machine : Machine
             The one that was simulated, with its motion.
-        acceleration : (n, 3) array, optional
-            Of the frame at t; the band-limited one unless given.
+        rows : slice
+            Samples that are wanted.
+        instantaneous : bool
+            Of the acceleration at t, not of the band-limited one.
         """
         if not machine.sensors:
-            return np.empty((len(self.t), 0))
+            return np.empty((len(self.t[rows]), 0))
+        quantity = "acceleration" if instantaneous else "band_limited_acceleration"
+        points = [sensor.at for sensor in machine.sensors]
+        bending = None
+        if self.modes is not None:
+            bending = (shapes_at(machine.modes, points), *self.modes.motion(rows, instantaneous=instantaneous))
         return sensor_signals(
-            self.displacement,
-            self.velocity,
-            self.band_limited_acceleration if acceleration is None else acceleration,
-            [sensor.at for sensor in machine.sensors],
+            self.displacement[rows],
+            self.velocity[rows],
+            getattr(self, quantity)[rows],
+            points,
             [sensor.direction for sensor in machine.sensors],
             machine.links[machine.frame].cg,
+            bending,
         )
+
+    def as_rigid(self, machine: Machine) -> FloatArray:
+        """Return the band-limited acceleration (n, 3) of the rigid frame that a machine's sensors would take it for.
+
+        That of the frame itself, and of its modes the least squares of what they add at the sensors, each along its
+        direction: exact for three sensors and for fewer, and for more as far as least squares are what is compared.
+        """
+        if self.modes is None or not machine.sensors:
+            return self.band_limited_acceleration
+        taken = self.modes.band_limited_acceleration @ taken_for_rigid(machine).T
+        return np.asarray(self.band_limited_acceleration + taken)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the motion of the frame as a table over time, m and rad, ``acceleration_theta`` ...; needs pandas."""

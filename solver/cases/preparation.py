@@ -200,7 +200,7 @@ def prepare(
     motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
     speed, fastest = drive_rates(machine, complete)
     transient, *remarks = transient_time(motions.suspension, speed)
-    free = sum(index is not None for index in model.frame_indices)
+    free = len(model.frame_coordinates)
     sprung = len(motions.suspension) == free > 0 and not any(remarks)
     remarks += restitution_remarks(machine, joints, complete) + film_remarks(machine, joints)
     closed = ", ".join(joint for joint in machine.clearances if joint not in joints)

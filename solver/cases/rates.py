@@ -211,9 +211,10 @@ def _ideal_reactions(model: Model, t: float, z: FloatArray, p: Sequence[float]) 
 
 
 def error_scales(machine: Machine, model: Model) -> list[float]:
-    """Sizes of the coordinates: the machine's extent, a radian."""
+    """Sizes of the coordinates: the machine's extent, a radian, what displaces a mode's largest point by the extent."""
     extent = extent_of(machine)
-    return [1.0 if name.startswith("theta(") else extent for name in model.kinematics.names]
+    sizes = {f"mode({i})": extent / mode.largest for i, mode in enumerate(machine.modes)}
+    return [1.0 if name.startswith("theta(") else sizes.get(name, extent) for name in model.kinematics.names]
 
 
 def pace_of(machine: Machine, values: Mapping[str, float]) -> float:

@@ -168,6 +168,7 @@ def find_repeat(model: Model, p: Sequence[float]) -> AssemblyError | None:
     """
     closures = model.kinematics.closures
     rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1][: len(closures)]
+    rows = np.delete(rows, model.kinematics.modes, axis=1)
     kept = independent_rows(rows)
     if len(kept) == len(rows) - model.repeats.shared:
         return None
@@ -281,11 +282,10 @@ def start_velocity(model: Model, p: Sequence[float], z: FloatArray) -> FloatArra
             if value is not None:
                 rows.append(link_jacobian[first + k])
                 right.append(value - link_drift[first + k, 0])
-    if model.machine.frame not in given:
-        for index in model.frame_indices:
-            if index is not None:
-                rows.append(np.eye(model.size)[index])
-                right.append(0.0)
+    still = model.frame_coordinates if model.machine.frame not in given else model.kinematics.modes
+    for index in still:
+        rows.append(np.eye(model.size)[index])
+        right.append(0.0)
     field = "initial" if given else "drive"
     return least_velocity(model, 0.0, p, z, np.array(rows).reshape(len(rows), model.size), np.array(right), field)
 
@@ -365,14 +365,14 @@ def start_with_frame(
     pose : (n,) array
         Coordinates near the wanted ones.
     displacement, velocity : (k,) arrays
-        Of the coordinates that the frame has (m, m, rad), in the order x, y, theta.
+        Of :attr:`~jointplay.solver.equations.model.Model.frame_coordinates` (m, m, rad, m by the scale of a shape).
 
     Raises
     ------
     AssemblyError
         The machine does not close there.
     """
-    held = [index for index in model.frame_indices if index is not None]
+    held = model.frame_coordinates
     z = pose.copy()
     z[held] = displacement
     z, gap, name = close(model, t, z, p, model.inner_indices)

@@ -164,12 +164,12 @@ def largest_step(
 
 @dataclass(frozen=True, eq=False)
 class Suspension:
-    """The whole machine, rigid as drawn, on its supports; arrays (k, k) over the free motions of the frame.
+    """The whole machine on its supports, its links where they were drawn; arrays (k, k) over the motions of the frame.
 
     Attributes
     ----------
     motions : tuple of str
-        Which of x, y, theta are free.
+        Which of x, y, theta are free, then the frame's modes.
     mass : array
         kg, kg m, kg m2.
     gradients : pair of arrays
@@ -209,9 +209,17 @@ def suspension_of(model: Model, p: Sequence[float]) -> Suspension:
     free = [k for k, i in enumerate(model.frame_indices) if i is not None]
     rigid = rigid[:, free]
     zero = np.zeros(model.size)
+    modes = model.kinematics.modes
+    if modes:
+        # Links follow the points of the frame that carry them, as the closures have it.
+        bent, inner = np.eye(model.size)[:, modes], model.inner_indices
+        rows = evaluate(model.constraint, 0.0, zero, zero, p)[1]
+        bent[inner] = -np.linalg.lstsq(rows[:, inner], rows[:, modes], rcond=1e-9)[0]
+        rigid = np.hstack([rigid, bent])
     mass = rigid.T @ evaluate(model.mass_matrix, 0.0, zero, zero, p)[0] @ rigid
     stiffness, damping = (rigid.T @ part @ rigid for part in evaluate(model.force_gradient, 0.0, zero, zero, p))
-    return Suspension(tuple(("x", "y", "theta")[k] for k in free), mass, (stiffness, damping))
+    motions = (*(("x", "y", "theta")[k] for k in free), *(names[i] for i in modes))
+    return Suspension(motions, mass, (stiffness, damping))
 
 
 def suspension_modes(suspension: Suspension) -> list[complex]:

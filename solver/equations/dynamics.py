@@ -6,6 +6,7 @@ the Schur complement on the reactions, S = G M^-1 G', both by sparse LDL.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -183,16 +184,18 @@ def inertia(scene: Scene) -> ca.SX:
         # Only a fixed link may leave them out: the frame has no coordinates then, another link is held by closures.
         mass = 1.0 if link.mass is None else number(f"links.{name}.mass", link.mass)
         moment = 1.0 if link.inertia is None else number(f"links.{name}.inertia", link.inertia)
-        if pose.angle_index is not None:
-            mass_matrix[pose.angle_index, pose.angle_index] += moment
+        for i, share in pose.angle_partials.items():
+            for j, also in pose.angle_partials.items():
+                mass_matrix[i, j] += share * also * moment
             # A unit vector's bias is -omega^2 + i times the angle's prescribed acceleration.
-            scene.total[pose.angle_index] -= moment * terms.terms[pose.turn].bias.im
+            scene.total[i] -= share * moment * terms.terms[pose.turn].bias.im
         moving = {key: a for key, a in pose.centre.terms.items() if key != GROUND}
         for p, a in moving.items():
             for q, b in moving.items():
                 weight = a.conjugate() * b
                 entry = Complex(mass * weight.real, mass * weight.imag)
                 coupling[p, q] = coupling[p, q] + entry if (p, q) in coupling else entry
+    _modes(scene, mass_matrix)
     turned = _Turned(terms)
     for (p, q), inertial in coupling.items():
         first, second = terms.terms[p], terms.terms[q]
@@ -209,6 +212,21 @@ def inertia(scene: Scene) -> ca.SX:
                 if p != q:
                     mass_matrix[j, i] += product
     return ca.sparsify(mass_matrix)
+
+
+def _modes(scene: Scene, mass_matrix: ca.SX) -> None:
+    """Modal masses, springs and dampers of the frame's modes: m q'' + 2 z m w q' + m w^2 q.
+
+    The modes of a free body are orthogonal to its rigid motions, whose inertia stays as it is. What their small
+    displacements u change in it, by 2 u / r and less, r the radius of gyration, is left out.
+    """
+    kin, number = scene.kinematics, scene.number
+    for i, mode in enumerate(scene.machine.modes):
+        index, path = kin.names.index(f"mode({i})"), f"modes.{i}"
+        mass, ratio = number(f"{path}.mass", mode.mass), number(f"{path}.damping", mode.damping)
+        w = 2 * math.pi * number(f"{path}.frequency", mode.frequency)
+        mass_matrix[index, index] += mass
+        scene.total[index] -= mass * w * (w * kin.z[index] + 2 * ratio * kin.v[index])
 
 
 class _Turned:

@@ -13,7 +13,7 @@ import casadi as ca
 
 from jointplay.solver.equations.drive import Harmonics, interpolate, interpolate_periodic, known_effort
 from jointplay.solver.equations.friction import Bristles
-from jointplay.solver.equations.geometry import Complex, Kinematics, Vector, constant
+from jointplay.solver.equations.geometry import Complex, Kinematics, Pose, Vector, constant
 from jointplay.solver.equations.numbers import Number, Numbers
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
@@ -62,19 +62,18 @@ class Scene:
         for index, partial in self.kinematics.terms.partials(vector).items():
             self.total[index] += partial.dot(force)
 
-    def twist(self, link: str, torque: ca.SX) -> None:
+    def twist(self, pose: Pose, torque: ca.SX) -> None:
         """A torque on a link."""
-        index = self.kinematics.poses[link].angle_index
-        if index is not None:
-            self.total[index] += torque
+        for index, share in pose.angle_partials.items():
+            self.total[index] += share * torque
 
     def anchor(self, to_link: str | None, at: tuple[float, float]) -> Vector:
         """A point of the ground, or of the link that carries it."""
-        return constant(at) if to_link is None else self.kinematics.poses[to_link].point(at)
+        return constant(at) if to_link is None else self.kinematics.poses.at(to_link, at).point(at)
 
     def angle(self, joint: TurningJoint) -> tuple[ca.SX, ca.SX]:
         """Angle of links[0] relative to links[1] since drawn, and its rate."""
-        first, second = (self.kinematics.poses[link] for link in joint.links)
+        first, second = (self.kinematics.poses.at(link, joint.at) for link in joint.links)
         return first.theta - second.theta, first.omega - second.omega
 
 
@@ -84,12 +83,12 @@ def supports(scene: Scene) -> None:
     grounded: dict[str, list[tuple[str, Mount]]] = {}
     for i, support in enumerate(scene.machine.supports):
         path = f"supports.{i}"
-        point = scene.kinematics.poses[support.link].point(support.at)
+        point = scene.kinematics.poses.at(support.link, support.at).point(support.at)
         if isinstance(support, Mount):
-            if support.to_link is None:
+            if support.to_link is None and not (scene.machine.modes and support.link == scene.machine.frame):
                 grounded.setdefault(support.link, []).append((path, support))
             else:
-                _mount_between(scene, path, support)
+                _mount_alone(scene, path, support)
             continue
         vector = point - scene.anchor(support.to_link, support.anchor)
         line = terms.value(vector)
@@ -108,10 +107,10 @@ def supports(scene: Scene) -> None:
         _mounts_to_ground(scene, link, mounts)
 
 
-def _mount_between(scene: Scene, path: str, mount: Mount) -> None:
-    """A mount between two links."""
+def _mount_alone(scene: Scene, path: str, mount: Mount) -> None:
+    """A mount between two links, or of a frame whose modes displace each of its mounts otherwise."""
     terms, number = scene.kinematics.terms, scene.number
-    vector = scene.kinematics.poses[mount.link].point(mount.at) - scene.anchor(mount.to_link, mount.at)
+    vector = scene.kinematics.poses.at(mount.link, mount.at).point(mount.at) - scene.anchor(mount.to_link, mount.at)
     offset, rate = (part.column for part in (terms.value(vector, ground=True), terms.rate(vector, ground=True)))
     force = [
         -number(f"{path}.stiffness.{k}", mount.stiffness[k]) * offset[k]
@@ -158,7 +157,7 @@ def _mounts_to_ground(scene: Scene, link: str, mounts: list[tuple[str, Mount]]) 
     moment -= sum(m * q for m, q in zip(twist, squares, strict=True))
     moment -= pose.omega * sum(m * q for m, q in zip(drag, squares, strict=True))
     scene.push(centre, terms.to_frame(Complex(*force)))
-    scene.twist(link, ca.SX(moment))
+    scene.twist(pose, ca.SX(moment))
 
 
 def _linear(arm: tuple[Number, Number], k: int, turn: tuple[Number, Number]) -> Number:
@@ -218,8 +217,9 @@ def loads(scene: Scene) -> None:
                 sine, _ = waves.wave(load.order, load.phase)
                 values = [value * sine for value in values]
         force = scene.kinematics.terms.to_frame(Complex(values[0], values[1]))
-        scene.push(scene.kinematics.poses[load.link].point(load.at), force)
-        scene.twist(load.link, values[2])
+        pose = scene.kinematics.poses.at(load.link, load.at)
+        scene.push(pose.point(load.at), force)
+        scene.twist(pose, values[2])
 
 
 def _drive_angle(scene: Scene) -> ca.SX:

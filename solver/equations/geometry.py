@@ -198,8 +198,8 @@ class Pose:
         Term that is the unit vector turning with the link.
     theta, omega : casadi.SX
         Angle since the drawn pose (rad) and its rate (rad/s).
-    angle_index : int or None
-        Coordinate that the angle follows; ``None`` for a link that cannot turn.
+    angle_partials : dict of int to float
+        How the angle follows coordinates; empty for a link that cannot turn.
     cg : tuple of float
         Where the centre of gravity was drawn, m.
     """
@@ -208,7 +208,7 @@ class Pose:
     turn: str
     theta: ca.SX
     omega: ca.SX
-    angle_index: int | None
+    angle_partials: dict[int, float]
     cg: tuple[float, float]
 
     def rotate(self, vector: tuple[float, float]) -> Vector:
@@ -222,6 +222,24 @@ class Pose:
     def point(self, point: tuple[float, float]) -> Vector:
         """A point of the link, given where it was drawn."""
         return self.centre + self.arm(point)
+
+
+class Poses(dict[str, Pose]):
+    """Pose of every link, by its name.
+
+    Attributes
+    ----------
+    bent : dict of (str, point) to Pose
+        Of a frame with modes: that of the surroundings of each point that carries something, by where it was drawn.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bent: dict[tuple[str, tuple[float, float]], Pose] = {}
+
+    def at(self, link: str, drawn: tuple[float, float]) -> Pose:
+        """What a joint, a support, a load feels of a link at a point: the link, or the frame as it is bent there."""
+        return self.bent.get((link, drawn)) or self[link]
 
 
 @dataclass(frozen=True)
@@ -245,7 +263,7 @@ class Kinematics:
     terms : Terms
     axes : casadi.SX
         (n, n) rotation T of accelerations: z'' = T a, where a has the origins' accelerations in the axes of the frame.
-    poses : dict of str to Pose
+    poses : Poses
     closures : tuple of Closure
     eliminated : tuple of str
         Joints solved by the choice of coordinates: they need no equation.
@@ -256,7 +274,7 @@ class Kinematics:
     v: ca.SX
     terms: Terms
     axes: ca.SX
-    poses: dict[str, Pose]
+    poses: Poses
     closures: tuple[Closure, ...]
     eliminated: tuple[str, ...]
 
@@ -266,6 +284,11 @@ class Kinematics:
         x, y, theta = (self.names.index(name) if name in self.names else None for name in wanted)
         return x, y, theta
 
+    @property
+    def modes(self) -> list[int]:
+        """Where the modes of the frame are among the coordinates."""
+        return [i for i, name in enumerate(self.names) if name.startswith("mode(")]
+
     def slide(self, joint: SlidingJoint) -> tuple[ca.SX, ca.SX]:
         """Sliding (along) and normal distance (across the line fixed in links[1]) of links[0] since drawn, m."""
         return slide(joint, self.poses, self.terms)
@@ -274,13 +297,13 @@ class Kinematics:
         """How far links[0] of a joint has turned (rad) or slid (m) on links[1] since drawn."""
         if isinstance(joint, SlidingJoint):
             return self.slide(joint)[0]
-        first, second = (self.poses[link].theta for link in joint.links)
+        first, second = (self.poses.at(link, joint.at).theta for link in joint.links)
         return first - second
 
 
-def slide(joint: SlidingJoint, poses: dict[str, Pose], terms: Terms) -> tuple[ca.SX, ca.SX]:
+def slide(joint: SlidingJoint, poses: Poses, terms: Terms) -> tuple[ca.SX, ca.SX]:
     """As :meth:`Kinematics.slide`."""
-    slider, guide = (poses[name] for name in joint.links)
+    slider, guide = (poses.at(name, joint.at) for name in joint.links)
     gap = terms.value(slider.point(joint.at) - guide.point(joint.at))
     along = terms.value(guide.rotate(joint.direction))
     return along.dot(gap), along.cross(gap)

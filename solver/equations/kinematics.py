@@ -24,6 +24,7 @@ from jointplay.solver.equations.geometry import (
     I,
     Kinematics,
     Pose,
+    Poses,
     Term,
     Terms,
     Vector,
@@ -41,12 +42,16 @@ MAX_DEPTH = 6
 
 @dataclass(frozen=True)
 class _Angle:
-    """Angle shared by a set of links: base coordinate plus k times the drive."""
+    """Angle shared by a set of links: base coordinate plus k times the drive plus parts of the frame's modes."""
 
     turn: str
     theta: ca.SX
     omega: ca.SX
-    index: int | None
+    partials: dict[int, float]
+
+
+#: How an angle differs from that of a set's first link: times the drive, and by each mode of the frame, 1/m.
+_Turned = tuple[int, tuple[float, ...]]
 
 
 class Tree:
@@ -72,9 +77,11 @@ class Tree:
         self.v: list[ca.SX] = []
         self.terms = Terms()
         self.origin_pairs: list[tuple[int, int]] = []
-        self.poses: dict[str, Pose] = {}
+        self.poses = Poses()
         self.eliminated: list[str] = []
         self.angles: dict[str, _Angle] = {}
+        self.bent_angles: dict[tuple[float, float], _Angle] = {}
+        self.modes = [self.coordinate(f"mode({i})") for i in range(len(machine.modes))]
 
     def coordinate(self, name: str) -> int:
         """Add a coordinate; returns its index."""
@@ -105,26 +112,42 @@ class Tree:
                 ties.append((name, first, second, 1))
         if self.expanded:
             ties.clear()
-        turns: dict[str, int] = {}
+        turns: dict[str, _Turned] = {}
         for root in (self.machine.frame, *self.machine.links):
             if root in turns:
                 continue
-            turns[root] = 0
+            turns[root] = 0, (0.0,) * len(self.modes)
             members = [root]
             for here in members:  # grows while it is walked
                 for name, first, second, k in ties:
                     if here not in (first, second):
                         continue
                     far, step = (first, k) if here == second else (second, -k)
+                    times, bend = turns[here]
+                    if here == self.machine.frame:
+                        bend = self.bend(self.machine.joints[name].at)
+                    elif far == self.machine.frame:
+                        there = self.bend(self.machine.joints[name].at)
+                        bend = tuple(own - other for own, other in zip(bend, there, strict=True))
                     if far not in turns:
-                        turns[far] = turns[here] + step
+                        turns[far] = times + step, bend
                         members.append(far)
-                    elif turns[far] != turns[here] + step:
+                    elif turns[far] != (times + step, bend):
                         rule = f"the angle between {first!r} and {second!r} is fixed by sliding joints already"
+                        if turns[far][0] == times + step:
+                            rule = "modes turn the frame otherwise here than at its other joints of the same links"
                         raise AssemblyError(self.machine.name, f"joints.{name}", None, rule)
             self.share_angle(root, {link: turns[link] for link in members})
 
-    def share_angle(self, root: str, members: dict[str, int]) -> None:
+    def bend(self, at: tuple[float, float]) -> tuple[float, ...]:
+        """Rotation of the frame at a point by each of its modes, 1/m."""
+        return tuple(mode.rotation_at(at) for mode in self.machine.modes)
+
+    def angle(self, link: str, at: tuple[float, float]) -> _Angle:
+        """Angle of a link at a point of it."""
+        return self.bent_angles[at] if self.modes and link == self.machine.frame else self.angles[link]
+
+    def share_angle(self, root: str, members: dict[str, _Turned]) -> None:
         """Give links the angle of `root` plus a multiple of the drive, and their unit vectors."""
         frame = root == self.machine.frame
         index = None if frame and not self.frame_moves("theta") else self.coordinate(f"theta({root})")
@@ -134,25 +157,39 @@ class Tree:
             self.terms.frame_rotation = Complex(ca.cos(base), ca.sin(base))
             self.terms.rotation[GROUND] = self.terms.frame_rotation.conjugate
             self.terms.terms[GROUND] = Term(GROUND, ONE, ZERO, GROUND, {}, ZERO)
-        for link, k in members.items():
-            turn = FRAME if frame and not k else f"turn({root},{k})"
-            driven = [ca.SX(0.0)] * 3
-            if k and self.motion is not None:
-                driven = [k * part for part in (self.motion.value, self.motion.rate, self.motion.acceleration)]
-            omega = rate + driven[1]
-            self.angles[link] = _Angle(turn, base + driven[0], omega, index)
-            if turn not in self.terms.terms:
-                relative = driven[0] if frame else base + driven[0] - self.frame_theta
-                self.terms.rotation[turn] = ONE if turn == FRAME else Complex(ca.cos(relative), ca.sin(relative))
-                partials = {} if index is None else {index: I}
-                bias = Complex(-omega * omega, driven[2])
-                self.terms.terms[turn] = Term(turn, ONE, Complex(0.0, omega), turn, partials, bias)
+        for link, turned in members.items():
+            self.angles[link] = self.turned(root, index, base, rate, turned)
+        if frame and self.modes:
+            for _, at in self.machine.frame_points:
+                self.bent_angles[at] = self.turned(root, index, base, rate, (0, self.bend(at)))
+
+    def turned(self, root: str, index: int | None, base: ca.SX, rate: ca.SX, by: _Turned) -> _Angle:
+        """The angle `base`, of coordinate `index`, plus a multiple of the drive and parts of modes; its unit vector."""
+        frame = root == self.machine.frame
+        k, bend = by
+        shares = {i: share for i, share in zip(self.modes, bend, strict=True) if share}
+        turn = FRAME if frame and not k and not shares else f"turn({root},{k}{''.join(f',{x!r}' for x in bend)})"
+        driven = [ca.SX(0.0)] * 3
+        if k and self.motion is not None:
+            driven = [k * part for part in (self.motion.value, self.motion.rate, self.motion.acceleration)]
+        for i, share in shares.items():
+            driven = [driven[0] + share * self.z[i], driven[1] + share * self.v[i], driven[2]]
+        omega = rate + driven[1]
+        partials = {} if index is None else {index: 1.0}
+        partials |= shares
+        if turn not in self.terms.terms:
+            relative = driven[0] if frame else base + driven[0] - self.frame_theta
+            self.terms.rotation[turn] = ONE if turn == FRAME else Complex(ca.cos(relative), ca.sin(relative))
+            moving = {i: I if share == 1.0 else Complex(0.0, share) for i, share in partials.items()}
+            bias = Complex(-omega * omega, driven[2])
+            self.terms.terms[turn] = Term(turn, ONE, Complex(0.0, omega), turn, moving, bias)
+        return _Angle(turn, base + driven[0], omega, partials)
 
     def place(self, link: str, centre: Vector) -> None:
         """Place a link by its centre of gravity."""
         angle = self.angles[link]
         cg = self.machine.links[link].cg
-        self.poses[link] = Pose(centre, angle.turn, angle.theta, angle.omega, angle.index, cg)
+        self.poses[link] = Pose(centre, angle.turn, angle.theta, angle.omega, angle.partials, cg)
 
     def place_at(self, link: str, drawn: tuple[float, float], now: Vector) -> None:
         """Place a link so that its point `drawn` is at `now`."""
@@ -177,6 +214,23 @@ class Tree:
         key = f"origin({link})"
         self.terms.terms[key] = Term(GROUND, Complex(*place), Complex(*rate), moving, partials, bias)
         self.place(link, constant(self.machine.links[link].cg) + Vector({key: 1.0}))
+        if frame and self.modes:
+            self.bend_frame()
+
+    def bend_frame(self) -> None:
+        """Poses of the surroundings of the frame's points: displaced and turned by its modes.
+
+        A mode is a displacement in the axes of the frame, as the travel of a slide is: r = R (a + sum phi_i q_i) (A. A.
+        Shabana, Dynamics of Multibody Systems, chapter 5).
+        """
+        frame = self.machine.frame
+        for i, index in enumerate(self.modes):
+            self.terms.terms[f"mode({i})"] = self.moving_along(self.angles[frame], index)
+        for _, at in self.machine.frame_points:
+            shape = {f"mode({i})": complex(*mode.displacement_at(at)) for i, mode in enumerate(self.machine.modes)}
+            angle = self.bent_angles[at]
+            there = self.poses[frame].point(at) + Vector(shape)
+            self.poses.bent[frame, at] = Pose(there, angle.turn, angle.theta, angle.omega, angle.partials, at)
 
     def grow(self, root: str) -> None:
         """Place every link that ideal joints reach from `root`, turning joints before sliding ones."""
@@ -190,7 +244,7 @@ class Tree:
                 far = joint.links[1] if here == joint.links[0] else joint.links[0]
                 if far in self.poses or depth[here] >= MAX_DEPTH:
                     continue
-                self.place_at(far, joint.at, self.poses[here].point(joint.at))
+                self.place_at(far, joint.at, self.poses.at(here, joint.at).point(joint.at))
                 self.eliminated.append(name)
                 depth[far] = depth[here] + 1
                 queue.append(far)
@@ -208,7 +262,7 @@ class Tree:
                 continue
             self.add_slide(name, joint)
             along = complex(*joint.direction) * (1 if far[0] == joint.links[0] else -1)
-            point = self.poses[near[0]].point(joint.at)
+            point = self.poses.at(near[0], joint.at).point(joint.at)
             self.place_at(far[0], joint.at, point + Vector({f"slide({name})": along}))
             self.eliminated.append(name)
             depth[far[0]] = depth[near[0]] + 1
@@ -217,19 +271,23 @@ class Tree:
 
     def add_slide(self, name: str, joint: SlidingJoint) -> None:
         """The term of a sliding distance, free or prescribed, in the axes of the guide."""
-        motion, angle = self.drives(name, rotation=False), self.angles[joint.links[1]]
+        motion, angle = self.drives(name, rotation=False), self.angle(joint.links[1], joint.at)
+        along = motion if motion is not None else self.coordinate(f"slide({name})")
+        self.terms.terms[f"slide({name})"] = self.moving_along(angle, along)
+
+    def moving_along(self, angle: _Angle, along: PrescribedMotion | int) -> Term:
+        """The term of a distance, prescribed or a coordinate, in axes that turn."""
         turning = self.terms.terms[angle.turn]
-        if motion is not None:
-            s, rate, drift, partials = motion.value, motion.rate, motion.acceleration, {}
+        partials: dict[int, Complex] = {}
+        if isinstance(along, int):
+            s, rate, drift = self.z[along], self.v[along], ca.SX(0.0)
+            partials[along] = ONE
         else:
-            index = self.coordinate(f"slide({name})")
-            s, rate, drift, partials = self.z[index], self.v[index], ca.SX(0.0), {index: ONE}
-        if angle.index is not None:
-            partials[angle.index] = Complex(0.0, s)
+            s, rate, drift = along.value, along.rate, along.acceleration
+        for index, share in angle.partials.items():
+            partials[index] = Complex(0.0, share * s)
         bias = Complex(drift + s * turning.bias.re, 2 * rate * angle.omega + s * turning.bias.im)
-        self.terms.terms[f"slide({name})"] = Term(
-            angle.turn, Complex(s, 0.0), Complex(rate, s * angle.omega), angle.turn, partials, bias
-        )
+        return Term(angle.turn, Complex(s, 0.0), Complex(rate, s * angle.omega), angle.turn, partials, bias)
 
     def axes(self) -> ca.SX:
         """Rotation of accelerations, see :class:`~jointplay.solver.equations.geometry.Kinematics`."""
@@ -249,7 +307,7 @@ def _closures(tree: Tree) -> Iterator[Closure]:
         if isinstance(joint, TurningJoint):
             if name in tree.open:
                 continue
-            first, second = (tree.poses[link].point(joint.at) for link in joint.links)
+            first, second = (tree.poses.at(link, joint.at).point(joint.at) for link in joint.links)
             gap = tree.terms.value(first - second).column
             yield Closure(f"{name}.x", gap[0])
             yield Closure(f"{name}.y", gap[1])
@@ -274,7 +332,7 @@ def _closures(tree: Tree) -> Iterator[Closure]:
 def _angle_closures(tree: Tree) -> Iterator[Closure]:
     """Closure equations of the angles that links share, and of the drive, where they were not built in."""
     for name, joint in tree.machine.joints.items():
-        first, second = (tree.angles[link].theta for link in joint.links)
+        first, second = (tree.angle(link, joint.at).theta for link in joint.links)
         driven = tree.drives(name, rotation=True)
         if isinstance(joint, SlidingJoint):
             if name not in tree.open:

@@ -17,6 +17,8 @@ from jointplay.solver.equations.model import Model, build_model
 from jointplay.solver.equations.numbers import contact_paths
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 
+MOTIONS = ("x", "y", "theta")
+
 
 @dataclass(frozen=True, eq=False)
 class LinkMotion:
@@ -52,19 +54,22 @@ def expand(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) 
 
 
 def _link_state(reduced: Model) -> tuple[ca.SX, ca.SX]:
-    """Displacements from the drawn pose and velocities of all links, (3N, 1)."""
+    """Displacements from the drawn pose and velocities of all links, then of the frame's modes, (3N + m, 1)."""
     kin, names = reduced.kinematics, reduced.machine.links
     pose = ca.vertcat(*(
         ca.vertcat(kin.terms.value(kin.poses[k].centre, ground=True).column, kin.poses[k].theta) for k in names
     ))  # fmt: skip
-    drawn = ca.vertcat(*(ca.DM([*link.cg, 0.0]) for link in names.values()))
+    pose = ca.vertcat(pose, kin.z[kin.modes]) if kin.modes else pose
+    drawn = ca.vertcat(*(ca.DM([*link.cg, 0.0]) for link in names.values()), ca.DM.zeros(len(kin.modes)))
     return pose - drawn, ca.jtimes(pose, reduced.z, reduced.v) + ca.jacobian(pose, reduced.t)
 
 
 def _places(full: Model) -> list[int]:
-    """Where the coordinates of the expanded model are among x, y, theta of all links."""
+    """Where the coordinates of the expanded model are among x, y, theta of all links and modes of the frame."""
     names = list(full.machine.links)
-    return [3 * names.index(name[name.index("(") + 1 : -1]) + "xyt".index(name[0]) for name in full.kinematics.names]
+    places = {f"{motion}({name})": 3 * i + k for i, name in enumerate(names) for k, motion in enumerate(MOTIONS)}
+    places |= {full.kinematics.names[i]: 3 * len(names) + k for k, i in enumerate(full.kinematics.modes)}
+    return [places[name] for name in full.kinematics.names]
 
 
 def expanded_state(reduced: Model, full: Model) -> ca.Function:
@@ -114,7 +119,8 @@ def _evaluation(reduced: Model, full: Model) -> ca.Function:
     reactions = full.function_of_memory("reactions", ca.vertcat(*forces) if forces else ca.SX(0, 1))(
         *arguments, reduced.memory
     )
-    return reduced.function_of_memory("links", displacement, velocity, acceleration, reactions)
+    of_links = (part[: 3 * len(full.machine.links)] for part in (displacement, velocity, acceleration))
+    return reduced.function_of_memory("links", *of_links, reactions)
 
 
 def _pair(vector: ca.SX, row: int) -> Complex:

@@ -279,9 +279,14 @@ class Model(ModelFunctions):
         return self.kinematics.indices_of(self.machine.frame)
 
     @property
+    def frame_coordinates(self) -> list[int]:
+        """Where all motions are that the frame has: of x, y, theta, then its modes."""
+        return [*(i for i in self.frame_indices if i is not None), *self.kinematics.modes]
+
+    @property
     def inner_indices(self) -> list[int]:
         """Where the other coordinates are."""
-        return [i for i in range(self.size) if i not in self.frame_indices]
+        return [i for i in range(self.size) if i not in self.frame_coordinates]
 
     def vector(self, values: dict[str, float]) -> list[float]:
         """Lane parameters in kernel order: `values` where given, the machine file's numbers elsewhere."""
@@ -292,11 +297,11 @@ def _border(machine: Machine, kin: Kinematics) -> list[int]:
     """Coordinates of the frame, where closures keep their rank without them.
 
     They do where the whole machine can move as one body: what the frame's motion opens, the other links' can open, too.
-    A link that is tied to the ground takes that away.
+    A link that is tied to the ground takes that away. What modes open is as little as those of a rigid frame need.
     """
     if any(link.fixed or link.locked for name, link in machine.links.items() if name != machine.frame):
         return []
-    return [i for i in kin.indices_of(machine.frame) if i is not None]
+    return [*(i for i in kin.indices_of(machine.frame) if i is not None), *kin.modes]
 
 
 def build_model(

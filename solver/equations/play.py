@@ -157,10 +157,9 @@ def _pin_in_socket(
 
     Both forces act on the pin's surface, at pin centre + r_pin n; their arm about the socket centre is (e + r_pin) n.
     """
-    poses, terms = scene.kinematics.poses, scene.kinematics.terms
-    socket = joint.links[1] if joint.pin == joint.links[0] else joint.links[0]
-    pin_omega, socket_omega = poses[joint.pin].omega, poses[socket].omega
-    vector = poses[joint.pin].point(joint.at) - poses[socket].point(joint.at)
+    terms, links = scene.kinematics.terms, joint.links if joint.pin == joint.links[0] else joint.links[::-1]
+    pin, socket = (scene.kinematics.poses.at(link, joint.at) for link in links)
+    vector = pin.point(joint.at) - socket.point(joint.at)
     e, e_rate = terms.value(vector), terms.rate(vector)
     eccentricity = ca.sqrt(ca.fmax(e.dot(e), TINY))
     normal = Complex(e.re / eccentricity, e.im / eccentricity)
@@ -168,22 +167,22 @@ def _pin_in_socket(
     approach = normal.dot(e_rate)
     arm_socket = eccentricity + numbers["pin_radius"]
     # Velocity of the pin's body relative to the socket's at the common contact point, along the tangent (-n_y, n_x).
-    slip = normal.cross(e_rate) + pin_omega * numbers["pin_radius"] - socket_omega * arm_socket
+    slip = normal.cross(e_rate) + pin.omega * numbers["pin_radius"] - socket.omega * arm_socket
     force = next(surfaces).force(penetration, approach, slip)
     on_pin = normal * Complex(-force.pushing, -force.rubbing)
     # The force moves the centres apart; off the centres, at the common contact point, it also turns both links.
     scene.push(vector, on_pin)
-    scene.twist(joint.pin, -force.rubbing * numbers["pin_radius"])
+    scene.twist(pin, -force.rubbing * numbers["pin_radius"])
     scene.twist(socket, force.rubbing * arm_socket)
     if joint.film is not None:
         film = Film(
             numbers["viscosity"], numbers["pin_radius"], joint.film.length, ca.fmax(numbers["clearance"], LEAST_FILM),
             joint.film.roughness, most_damping(scene.machine, joint),
         )  # fmt: skip
-        pushed, shear = film.force(e, eccentricity, e_rate, (pin_omega, socket_omega))
+        pushed, shear = film.force(e, eccentricity, e_rate, (pin.omega, socket.omega))
         half = e.cross(pushed) / 2
         scene.push(vector, pushed)
-        scene.twist(joint.pin, shear - half)
+        scene.twist(pin, shear - half)
         scene.twist(socket, -shear - half)
         on_pin += pushed
     return WornJoint(e.column, on_pin.column, (force,))
@@ -198,7 +197,7 @@ def _block_between_walls(
     forces act at the corner.
     """
     terms = scene.kinematics.terms
-    block, guide = (scene.kinematics.poses[link] for link in joint.links)
+    block, guide = (scene.kinematics.poses.at(link, joint.at) for link in joint.links)
     vector = block.point(joint.at) - guide.point(joint.at)
     along = terms.value(guide.rotate(joint.direction))
     back = along.conjugate
@@ -219,6 +218,6 @@ def _block_between_walls(
             total, moment = total + on_block, moment + arm.cross(on_block)
             contacts.append(force)
     scene.push(vector, along * total)
-    scene.twist(joint.links[0], moment)
-    scene.twist(joint.links[1], -(moment + gap.cross(total)))
+    scene.twist(block, moment)
+    scene.twist(guide, -(moment + gap.cross(total)))
     return WornJoint(ca.vertcat(*ends), ca.vertcat(total.im, moment), tuple(contacts))

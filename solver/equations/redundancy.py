@@ -129,7 +129,8 @@ def without_repeats(
     everything = tuple(closure.name for closure in kin.closures)
     if not everything:
         return kin, Repeats(())
-    closing = ca.jacobian(ca.vertcat(*(c.phi for c in kin.closures)), kin.z)
+    rigid = [i for i in range(kin.z.numel()) if i not in kin.modes]
+    closing = ca.jacobian(ca.vertcat(*(c.phi for c in kin.closures)), kin.z)[:, rigid]
     drawn = ca.Function("drawn", [kin.z, t, number.vector], [ca.densify(closing)])
     values = [number.nominal.get(path, 0.0) for path in number.paths]
     if len(independent_rows(evaluate(drawn, np.zeros(kin.z.numel()), 0.0, values)[0])) == len(kin.closures):
@@ -151,6 +152,10 @@ def without_repeats(
     kept = [place for place, name in enumerate(names) if name not in repeats]
     shared = {names[kept[i]] for i in _idle([rows[kept] for rows in positions])}
     _check_friction(machine, rubbing, repeats, shared)
+    if shared and machine.modes:
+        among = ", ".join(sorted(map(_owner, shared)))
+        rule = f"how {among} share the load of a rigid frame is open; a frame that bends is not modelled with them"
+        raise AssemblyError(machine.name, "modes", len(machine.modes), rule)
     return replace(kin, closures=tuple(c for c in kin.closures if c.name not in repeats)), Repeats(
         everything,
         tuple(Repeat(c, repeats[c.name]) for c in kin.closures if c.name in repeats),
@@ -210,10 +215,14 @@ def _positions(machine: Machine, kin: Kinematics) -> list[FloatArray]:
     """
     points = [joint.at for joint in machine.joints.values()]
     extent = max((math.dist(p, q) for p in points for q in points), default=0.0) or 1.0
-    scale = np.array([1.0 if name.startswith("theta(") else extent for name in kin.names])
-    inner = np.array([i not in kin.indices_of(machine.frame) for i in range(len(scale))])
+    # The frame stays rigid: what its modes open a little is no place to go to.
+    rigid = [i for i in range(len(kin.names)) if i not in kin.modes]
+    scale = np.array([1.0 if kin.names[i].startswith("theta(") else extent for i in rigid])
+    inner = np.array([i not in kin.indices_of(machine.frame) for i in rigid])
     phi = ca.vertcat(*(c.phi for c in kin.closures))
-    function = ca.Function("closures", [kin.z], [ca.densify(phi), ca.densify(ca.jacobian(phi, kin.z))])
+    phi = ca.substitute(phi, kin.z[kin.modes], ca.SX.zeros(len(kin.modes))) if kin.modes else phi
+    z = kin.z[rigid]
+    function = ca.Function("closures", [z], [ca.densify(phi), ca.densify(ca.jacobian(phi, z))])
 
     def at(place: FloatArray) -> tuple[FloatArray, FloatArray]:
         value, rows = evaluate(function, scale * place)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import Name, QuantityField, Title, no_default
 from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
-from jointplay.solver.machines.parts import Drive, Initial, Link, Load, Part, Sensor, Support
+from jointplay.solver.machines.modes import FrameMode
+from jointplay.solver.machines.parts import Drive, Initial, Link, Load, Mount, Part, Sensor, Support
 
 
 class MachineContent(Part):
@@ -27,6 +28,12 @@ class MachineContent(Part):
     supports: tuple[Support, ...] = ()
     loads: tuple[Load, ...] = ()
     sensors: tuple[Sensor, ...] = ()
+    modes: tuple[FrameMode, ...] = ()
+
+    @model_serializer(mode="wrap")
+    def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Files could not say it once; machines that say nothing of it keep the content key they had then.
+        return {key: value for key, value in write(self).items() if key != "modes" or value}
 
     @property
     def turning_joints(self) -> tuple[str, ...]:
@@ -49,3 +56,21 @@ class MachineContent(Part):
         """Half the play (m) of the joints to which the file gives one: the fault where no other is asked for."""
         found = {name: joint.clearance for name, joint in self.joints.items()}
         return {name: clearance for name, clearance in found.items() if clearance is not None}
+
+    @property
+    def frame_points(self) -> Iterator[tuple[str, tuple[float, float]]]:
+        """Points of the frame that carry something: what that is, by its path, and where it was drawn."""
+        frame = self.frame
+        for name, joint in self.joints.items():
+            if frame in joint.links:
+                yield f"joints.{name}", joint.at
+        for i, support in enumerate(self.supports):
+            if support.link == frame:
+                yield f"supports.{i}", support.at
+            elif support.to_link == frame:
+                yield f"supports.{i}", support.at if isinstance(support, Mount) else support.anchor
+        for i, load in enumerate(self.loads):
+            if load.link == frame:
+                yield f"loads.{i}", load.at
+        for i, sensor in enumerate(self.sensors):
+            yield f"sensors.{i}", sensor.at

@@ -10,6 +10,7 @@ from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import RuleError, nearest
 from jointplay.solver.machines.friction import FRICTION_NUMBERS, DryFriction
 from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact, SlidingJoint, TurningJoint
+from jointplay.solver.machines.modes import MOST_MODES
 from jointplay.solver.machines.parts import ForceDrive, RotationDrive, TorqueDrive
 from jointplay.solver.machines.refusals import show_value
 
@@ -126,7 +127,7 @@ def check(machine: MachineContent, source: str) -> None:
     MachineError
         For the first rule that is broken, in the order in which a user would repair them.
     """
-    for rules in (_links, _joints, _contacts, _drive, _initial, _supports, _loads, _sensors, _connections):
+    for rules in (_links, _joints, _contacts, _drive, _initial, _supports, _loads, _sensors, _modes, _connections):
         for breach in rules(machine):
             raise MachineError(source, breach.path, show_value(breach.value), breach.rule)
 
@@ -244,6 +245,20 @@ def _sensors(machine: MachineContent) -> Iterator[Breach]:
         if sensor.name in seen:
             yield Breach(f"sensors.{index}.name", sensor.name, "must be the only sensor of this name")
         seen.add(sensor.name)
+
+
+def _modes(machine: MachineContent) -> Iterator[Breach]:
+    if len(machine.modes) > MOST_MODES:
+        yield Breach("modes", len(machine.modes), f"must be at most {MOST_MODES} modes of the frame")
+    for index, mode in enumerate(machine.modes):
+        path = f"modes.{index}.shape"
+        for place, point in enumerate(mode.shape):
+            if mode.find(point.at) is not point:
+                yield Breach(f"{path}.{place}.at", list(point.at), "must be the only point of the shape there")
+        # Nothing is guessed between points: a shape that turns its sign between them would be anything.
+        for what, at in machine.frame_points:
+            if mode.find(at) is None:
+                yield Breach(path, None, f"needs the point {show_value(list(at))}: there is {what} of {machine.frame}")
 
 
 def _connections(machine: MachineContent) -> Iterator[Breach]:

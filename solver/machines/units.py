@@ -67,11 +67,12 @@ STIFFNESS = Dimension("a stiffness", (0, 1, -2), "N/m", "4 N/mm")
 DAMPING = Dimension("a damping coefficient", (0, 1, -1), "N s/m", "300 N s/m")
 HYSTERESIS = Dimension("a hysteresis factor", (-1, 0, 1), "s/m", "0.3 s/m")
 VISCOSITY = Dimension("a dynamic viscosity", (-1, 1, -1), "Pa s", "0.1 Pa s")
+SLOPE = Dimension("a rotation by displacement", (-1, 0, 0), "1/m", "2 rad/m", (0, 1))
 ROTARY_DAMPING = Dimension("a rotary damping coefficient", (2, 1, -1), "N m s/rad", "0.01 N m s/rad", (0, -1))
 
 DIMENSIONS: tuple[Dimension, ...] = (
     LENGTH, MASS, TIME, ANGLE, FREQUENCY, SPEED, ANGULAR_SPEED, ACCELERATION, FORCE, TORQUE, INERTIA, STIFFNESS,
-    DAMPING, ROTARY_DAMPING, HYSTERESIS, VISCOSITY, RATIO,
+    DAMPING, ROTARY_DAMPING, HYSTERESIS, VISCOSITY, SLOPE, RATIO,
 )  # fmt: skip
 """Every dimension a machine file knows, in the order in which a unit is named after them."""
 

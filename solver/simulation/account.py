@@ -59,8 +59,8 @@ class Account:
     operations : int
         Vector operations of one right-hand side.
     added : tuple of str
-        Closures that the paper's system does not have: of links locked to the ground, of a drive that moves a closed
-        loop by its sliding joint.
+        What the paper's system does not have: closures of links locked to the ground, and of a drive that moves a
+        closed loop by its sliding joint; modes of the frame.
     left_out : tuple of LeftOut
     open_reactions : tuple of str
         Joints that hold together more than there is to hold: how they share the load is open.
@@ -104,7 +104,10 @@ def account(machine: Machine, fault: Fault) -> Account:
     return Account(
         links, joints, 3 * links + 2 * joints, model.degrees_of_freedom + driven, model.degrees_of_freedom,
         model.kinematics.names, closures, model.clearance_joints, kernel_code(model).operations,
-        tuple(name for name in closures if name.split(".")[1] in ("locked", "drive")),
+        (
+            *(name for name in closures if name.split(".")[1] in ("locked", "drive")),
+            *(model.kinematics.names[i] for i in model.kinematics.modes),
+        ),
         (*_out_of_reach(reach), *_unknowns_left_out(machine, model), *repeated, *_terms_left_out(machine, model)),
         unsettled,
     )  # fmt: skip

@@ -218,6 +218,7 @@ def healthy_revolution(machine: Machine, case: Case, settings: Settings) -> Hist
     return replace(
         found, t=found.t[last], displacement=found.displacement[last], velocity=found.velocity[last],
         acceleration=found.acceleration[last], band_limited_acceleration=found.band_limited_acceleration[last],
+        modes=found.modes and found.modes[last],
     )  # fmt: skip
 
 
@@ -240,8 +241,8 @@ def starts_at(
     settings : Settings
     phases : (m,) sequence of int
         Where in the revolution, in parts of :data:`PHASES`; the start's time is that part of the first revolution.
-    displacement, velocity : (m, 3) arrays
-        Of the frame (m, m, rad).
+    displacement, velocity : (m, 3 or more) arrays
+        Of the frame (m, m, rad), then of its modes.
 
     Raises
     ------
@@ -253,7 +254,8 @@ def starts_at(
         raise error
     model, prepared = group.model, group.ready[0]
     poses = walk(model, prepared.vector, prepared.speed, PHASES)
-    held = [column for column, index in enumerate(model.frame_indices) if index is not None]
+    indices = (*model.frame_indices, *model.kinematics.modes)
+    held = [column for column, index in enumerate(indices) if index is not None]
     return [
         start_with_frame(model, prepared.vector, *poses[phase], displacement[i, held], velocity[i, held])
         for i, phase in enumerate(phases)

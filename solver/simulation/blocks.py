@@ -20,7 +20,6 @@ from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
 from jointplay.solver.spectra.sampling import PASS
 from jointplay.solver.spectra.segments import revolution_segments
-from jointplay.solver.spectra.sensor import sensor_signals
 from jointplay.solver.spectra.spectrum import frame_units
 
 MOTIONS = ("x", "y", "theta")
@@ -39,6 +38,7 @@ HISTORY_BYTES, DENSITY_BYTES = 1.5e9, 0.5e9
 _TOGETHER = 16
 #: Numbers that a run keeps for each sample of its history: time, four motions of the frame, records of three more of
 #: which velocities are at twice the rate; or, where only spectra are wanted, one motion and the record of velocities.
+#: Of each mode of the frame a third of that.
 _WITH_MOTION, _WITHOUT_MOTION = 25, 10
 
 
@@ -73,7 +73,7 @@ def check_memory(machine: Machine, starts: int, sample_rate: float, speed: float
 
 def _bytes_a_sample(machine: Machine) -> int:
     # Sensors see where the frame stands; its centre of gravity needs accelerations only.
-    return 8 * (_WITH_MOTION if machine.sensors else _WITHOUT_MOTION)
+    return 8 * (_WITH_MOTION if machine.sensors else _WITHOUT_MOTION) * (3 + len(machine.modes)) // 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +201,4 @@ class Members:
 
     def _signal(self, history: History, here: slice) -> FloatArray:
         """Alias-free accelerations of the frame and at the sensors, (n, c)."""
-        machine = self._machine
-        frame = history.band_limited_acceleration[here]
-        if not machine.sensors:
-            return frame
-        seen = sensor_signals(
-            history.displacement[here], history.velocity[here], frame, [sensor.at for sensor in machine.sensors],
-            [sensor.direction for sensor in machine.sensors], machine.links[machine.frame].cg,
-        )  # fmt: skip
-        return np.hstack([frame, seen])
+        return np.hstack([history.band_limited_acceleration[here], history.at_sensors(self._machine, here)])

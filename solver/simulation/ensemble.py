@@ -281,20 +281,23 @@ def _starts(
     """Where the members start, the drive angles (rad) there, and why it is not the healthy machine's steady state."""
     generator = np.random.default_rng(ensemble.seed)
     count = ensemble.starts
-    displacement, velocity = np.zeros((count, 3)), np.zeros((count, 3))
+    displacement, velocity = (np.zeros((count, 3 + len(machine.modes))) for _ in range(2))
     phases = [0] * count
     if ensemble.kind == "phase":
         first = int(generator.integers(PHASES))
         phases = [(first + i * PHASES // count) % PHASES for i in range(count)]
     else:
         extent = extent_of(machine)
-        displacement += generator.normal(size=(count, 3)) * PERTURBATION * np.array([extent, extent, 1.0])
+        displacement[:, :3] += generator.normal(size=(count, 3)) * PERTURBATION * np.array([extent, extent, 1.0])
     remark = ""
     if ensemble.healthy_start:
         healthy = healthy_revolution(machine, case, settings)
         if healthy.status is Status.OK:
-            displacement += healthy.displacement[phases]
-            velocity += healthy.velocity[phases]
+            displacement[:, :3] += healthy.displacement[phases]
+            velocity[:, :3] += healthy.velocity[phases]
+            if healthy.modes is not None:
+                displacement[:, 3:] += healthy.modes.displacement[phases]
+                velocity[:, 3:] += healthy.modes.velocity[phases]
         else:
             remark = f"started as drawn: the healthy machine has no steady state ({healthy.status}: {healthy.message})"
     angles = [2 * math.pi * phase / PHASES for phase in phases]

@@ -67,7 +67,7 @@ def full_runs(
         z, v = (part.ravel() for part in evaluate(state, [case.begin], case.z, case.v, case.vector))
         return replace(case, z=z, v=v)
 
-    places = [i for i in full.frame_indices if i is not None]
+    places = full.frame_coordinates
     kernel = _full_kernel(machine, model.clearance_joints, varying)
     yield from even_runs(full, kernel, [expanded(case) for case in prepared], places, settings)
 

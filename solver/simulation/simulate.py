@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.bending import Bending
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.positions import mobility_of
@@ -70,7 +71,7 @@ def settle(
     healthy = [_healthy(cases[case.index]) for case in worn]
     shortest = replace(settings, revolutions=1e-6, motion=True, links=False, settled=False, repeating=False)
     for group in groups(machine, healthy, shortest, [case.accuracy for case in worn]):
-        frame = [index for index in group.model.frame_indices if index is not None]
+        frame = group.model.frame_coordinates
         for index, error in group.failed:
             given[worn[index].index] = _as_drawn(worn[index], str(error))
         if not group.ready or group.model.degrees_of_freedom != len(frame):
@@ -260,7 +261,7 @@ def simulate_batch(
             ready = [watch(case) if _has_period(machine, cases[case.index], case) else case for case in ready]
         if not ready:
             continue
-        recorded = [i for i in model.frame_indices if i is not None]
+        recorded = model.frame_coordinates
         if settings.links:
             recorded = list(range(model.size))
         elif driver is not None:
@@ -313,19 +314,20 @@ def _history(
     wanted = round(run.case.duration * rate) + 1
     head, count = sampling.head(OVERSAMPLING), min(wanted, -(-run.samples // OVERSAMPLING))
     first = 0 if settings.transient else min(count, _first_after(run.case.transient, rate))
-    rows = {column: recorded.index(i) for column, i in enumerate(model.frame_indices) if i is not None}
+    indices = (*model.frame_indices, *model.kinematics.modes)
+    rows = {column: recorded.index(i) for column, i in enumerate(indices) if i is not None}
 
     def frame(motion: FloatArray | None) -> FloatArray:
         if motion is None:
-            return np.zeros((0, 3))
-        columns = np.zeros((3, count - first))
+            return np.zeros((0, len(indices)))
+        columns = np.zeros((len(indices), count - first))
         for column, row in rows.items():
             columns[column] = motion[row, first:count]
         return columns.T
 
     if run.period:
         first, count = 0, run.v.shape[1] // OVERSAMPLING
-    smooth = np.zeros((3, count - first))
+    smooth = np.zeros((len(indices), count - first))
     if run.period:
         smooth[list(rows)] = periodic_acceleration(run.v[list(rows.values())], rate)
     elif count > first and rows:
@@ -342,19 +344,21 @@ def _history(
     moved = (frame(run.z), frame(rates), frame(run.a))
     turning, remarks = None, [run.message]
     if driver is not None:
-        turning = turning_in(run, driver, recorded, slice(first, count), t, *moved[:2])
+        turning = turning_in(run, driver, recorded, slice(first, count), t, *(part[:, :3] for part in moved[:2]))
         remarks.append(turning.say(run.case.before))
     remarks.append(run.case.remark if run.status is Status.OK else "")
     message = "; ".join(remark for remark in remarks if remark)
     links = None
     if settings.links and run.z is not None and rates is not None and run.memory is not None:
-        z, v = run.z[:, first:count].T, rates[:, first:count].T
-        links = link_motion(model, run.case.vector, t, z, v, run.memory[:, first:count].T)
+        state = run.z[:, first:count].T, rates[:, first:count].T
+        links = link_motion(model, run.case.vector, t, *state, run.memory[:, first:count].T)
     if not (settings.motion or settings.links):
         moved = (frame(None),) * 3
+    z, v, a, band_limited = (motion[:, :3] for motion in (*moved, smooth.T))
+    modes = Bending(*(motion[:, 3:] for motion in (*moved, smooth.T))) if len(indices) > 3 else None
     speed = run.case.speed if turning is None else turning.speed * turning.is_steady
     return History(
-        case, run.status, message, t, *moved, smooth.T, rate,
-        run.case.before + (run.begin if run.period else run.case.transient),
-        speed, run.step, run.case.spent + run.seconds, links, _end(run), turning, run.period,
+        case, run.status, message, t, z, v, a, band_limited, rate,
+        run.case.before + (run.begin if run.period else run.case.transient), speed, run.step,
+        run.case.spent + run.seconds, links, _end(run), turning, run.period, modes,
     )  # fmt: skip

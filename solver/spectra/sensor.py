@@ -1,7 +1,8 @@
-"""What sensors on a rigid frame see, and the frame's motion back from what they saw.
+"""What sensors on a frame see, and the motion of a rigid one back from what they saw.
 
 The point P at ``r`` from the centre of gravity accelerates with ``a + alpha x r - w^2 r``; both ``r`` and the sensor's
-direction turn with the frame. Gravity is not in the signal.
+direction turn with the frame. Where modes displace it by ``u`` in axes of the frame, ``r`` is ``r + u``, and ``u'' + 2
+w x u'`` is added. Gravity is not in the signal.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ def sensor_signals(
     points: npt.ArrayLike,
     directions: npt.ArrayLike,
     centre: npt.ArrayLike,
+    bending: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Acceleration along each sensor's direction, without the approximation of small rotations.
 
@@ -62,6 +64,9 @@ def sensor_signals(
         As drawn; both turn with the frame.
     centre : (2,) array
         Centre of gravity as drawn [m].
+    bending : tuple of arrays, optional
+        Shapes (s, m, 2) of the frame's modes at the points, their coordinates (n, m), rates and accelerations. By how
+        much they turn a sensor, some 1e-5 rad, is left out.
 
     Returns
     -------
@@ -77,8 +82,13 @@ def sensor_signals(
     cosine, sine = np.cos(angle), np.sin(angle)
     along = motion[:, :1] * cosine + motion[:, 1:2] * sine
     across = motion[:, 1:2] * cosine - motion[:, :1] * sine
-    ax = along - motion[:, 2:3] * arm[:, 1] - rate**2 * arm[:, 0]
-    ay = across + motion[:, 2:3] * arm[:, 0] - rate**2 * arm[:, 1]
+    x, y = arm[:, 0], arm[:, 1]
+    if bending is not None:
+        shapes, *moved = bending
+        (ux, uy), (vx, vy), (bx, by) = ([part @ shapes[:, :, k].T for k in (0, 1)] for part in moved)
+        x, y, along, across = x + ux, y + uy, along + bx - 2 * rate * vy, across + by + 2 * rate * vx
+    ax = along - motion[:, 2:3] * y - rate**2 * x
+    ay = across + motion[:, 2:3] * x - rate**2 * y
     return np.asarray(ax * unit[:, 0] + ay * unit[:, 1], dtype=np.float64)
 
 

@@ -13,9 +13,12 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
 
 
-def lacking(machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array) -> float:
+def lacking(
+    machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array,
+    bent: Array | None = None,
+) -> float:  # fmt: skip
     """Most that positions (m, rad) and velocities (m/s, rad/s) lack to fulfil every ideal joint, lock and drive."""
-    state = State(machine, positions, velocities)
+    state = State(machine, positions, velocities, bent=bent)
     gaps: list[float] = [0.0]
     for name, joint in machine.joints.items():
         i, j = (state.index(link) for link in joint.links)
@@ -24,7 +27,7 @@ def lacking(machine: Machine, clearances: Mapping[str, float], t: float, positio
         if isinstance(joint, SlidingJoint):
             slide = state.slide(joint)
             gaps += [float(slide.normal @ slide.gap), slide.normal_rate]
-            gaps += [positions[i, 2] - positions[j, 2], velocities[i, 2] - velocities[j, 2]]
+            gaps += [of(i, joint.at) - of(j, joint.at) for of in (state.angle, state.omega)]
         else:
             gaps += list(state.point(i, joint.at) - state.point(j, joint.at))
             gaps += list(state.velocity(i, joint.at) - state.velocity(j, joint.at))

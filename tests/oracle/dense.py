@@ -5,7 +5,8 @@ every joint (turning pair: the force on its first link; sliding pair: the normal
 pair with clearance: the force on its pin, or the normal force and the couple of a block's corners, which are functions
 of the state). A prescribed drive adds its effort as one more unknown, and its motion as one more row. Nothing here
 comes from the solver's equations; the numbers of a machine file and the positions and velocities of all links are the
-only input.
+only input. Every mode of the frame adds its acceleration and the equation m q'' + 2 z m w q' + m w^2 q = Q, where Q is
+the work of all forces on the frame for a unit of q.
 
 Links are numbered in the order of the file. A state is two arrays (N, 3): x, y of the centre of gravity in global
 coordinates (m) and the angle since the drawing (rad), and their rates.
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from oracle.closures import blocked_motions
 from oracle.oil import OilState
-from oracle.state import Array, ContactState, CornerState, Held, Slide, State, across, cross, sliding_sign
+from oracle.state import Array, ContactState, CornerState, Held, Point, Slide, State, across, cross, sliding_sign
 from oracle.tables import periodic_row, prescribed, table, time_row
 
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
@@ -43,7 +44,8 @@ class JammedError(Exception):
 
 @dataclass(frozen=True)
 class Solution:
-    """Accelerations (N, 3), reactions by joint, the drive's effort (0 unless prescribed), and [A] itself.
+    """Accelerations (N, 3), reactions by joint, accelerations of the frame's modes (m,), the drive's effort (0 unless
+    prescribed), and [A] itself.
 
     A reaction is (Fx, Fy) on links[0] of a turning joint, on the pin where it has clearance, and (normal force, couple)
     on links[0] of a sliding joint, with clearance of all forces of its corners. What rounding of a solution is to be
@@ -53,8 +55,10 @@ class Solution:
 
     accelerations: Array
     reactions: dict[str, Array]
+    modes: Array
     effort: float
     scale: tuple[float, float]
+    mode_scale: float
     effort_scale: tuple[float, float]
     matrix: Array
 
@@ -67,7 +71,8 @@ class Solution:
 
 def solve(
     machine: Machine, clearances: Mapping[str, float], t: float, positions: Array, velocities: Array,
-    began: Mapping[str, float] | None = None, held: Held | None = None, *, redundant: bool = False,
+    began: Mapping[str, float] | None = None, held: Held | None = None, bent: Array | None = None, *,
+    redundant: bool = False,
 ) -> Solution:  # fmt: skip
     """Write the equations at one state and solve them; contacts began with these velocities, or begin now; surfaces
     with bristles are as `held` has them, or have not been bent.
@@ -81,7 +86,7 @@ def solve(
     numpy.linalg.LinAlgError
         A machine whose reactions are not determined.
     """
-    system = _System(State(machine, positions, velocities, held), clearances, t, began or {})
+    system = _System(State(machine, positions, velocities, held, bent), clearances, t, began or {})
     found: list[tuple[Solution, Array]] = []
     for signs in itertools.product((1.0, -1.0), repeat=len(system.rubbing)):
         solution = system.solve(signs, redundant)
@@ -104,7 +109,9 @@ class _System:
         self.state, self.machine, self.clearances, self.t, self.began = state, state.machine, clearances, t, began
         n, j = len(self.machine.links), len(self.machine.joints)
         known_motion = isinstance(self.machine.drive, RotationDrive | TranslationDrive)
-        size = 3 * n + 2 * j + known_motion
+        self.effort = 3 * n + 2 * j
+        size = self.effort + known_motion + len(self.machine.modes)
+        self.modes = slice(self.effort + known_motion, size)
         self.a, self.c = np.zeros((size, size)), np.zeros(size)
         self.columns = {name: 3 * n + 2 * k for k, name in enumerate(self.machine.joints)}
         self.rubbing: dict[str, Array] = {}  # friction of a sliding pair for a normal force of +1, as forces on links
@@ -136,31 +143,46 @@ class _System:
                 for k, inertia in enumerate((link.mass, link.mass, link.inertia)):
                     self.a[3 * i + k, 3 * i + k] = inertia
                 self.c[3 * i + 1] -= link.mass * self.machine.gravity
+        for k, mode in enumerate(self.machine.modes, start=self.modes.start):
+            q, rate = self.state.bent[k - self.modes.start]
+            w = 2 * math.pi * mode.frequency
+            self.a[k, k] = mode.mass
+            self.c[k] -= mode.mass * (w * w * q + 2 * mode.damping * w * rate)
 
-    def force(self, i: int, point: Array, force: Array, column: int | None = None) -> None:
-        """A force on link i at a point in space: a known one, or that of a unit of the unknown in `column`."""
-        rows = slice(3 * i, 3 * i + 3)
+    def put(self, share: Array, column: int | None) -> None:
+        """Forces on everything: known ones, or those of a unit of the unknown in `column`."""
         if column is None:
-            self.c[rows] += self.wrench(i, point, force)
+            self.c += share
         else:
-            self.a[rows, column] -= self.wrench(i, point, force)
+            self.a[:, column] -= share
 
-    def wrench(self, i: int, point: Array, force: Array) -> Array:
-        """(Fx, Fy, moment about the centre of gravity of link i) of a force at a point."""
-        return np.array([*force, cross(point - self.state.positions[i, :2], force)])
+    def force(self, i: int, point: Array, force: Array, at: Point, column: int | None = None) -> None:
+        """A force on link i at a point in space, near where `at` was drawn."""
+        self.put(self.share(i, point, force, at), column)
 
-    def pair(self, i: int, j: int, point: Array, force: Array, column: int | None = None) -> None:
+    def share(self, i: int, point: Array, force: Array, at: Point) -> Array:
+        """Fx, Fy, moment about the centre of gravity of link i, and work for a unit of each mode, of a force."""
+        found = np.zeros(len(self.c))
+        found[3 * i : 3 * i + 3] = *force, cross(point - self.state.positions[i, :2], force)
+        moved, turned = self.state.shapes(i, at)
+        found[self.modes] = moved @ force + turned * cross(point - self.state.point(i, at), force)
+        return found
+
+    def pair(self, i: int, j: int, point: Array, force: Array, at: Point, column: int | None = None) -> None:
         """A force on link i and its opposite on link j at the same point."""
-        self.force(i, point, force, column)
-        self.force(j, point, -force, column)
+        self.force(i, point, force, at, column)
+        self.force(j, point, -force, at, column)
 
-    def couple(self, i: int, j: int, torque: float, column: int | None = None) -> None:
+    def torque(self, i: int, torque: float, at: Point) -> Array:
+        """A torque on link i, there where `at` was drawn."""
+        found = np.zeros(len(self.c))
+        found[3 * i + 2] = torque
+        found[self.modes] = torque * self.state.shapes(i, at)[1]
+        return found
+
+    def couple(self, i: int, j: int, torque: float, at: Point, column: int | None = None) -> None:
         """A torque on link i and its opposite on link j."""
-        for link, value in ((i, torque), (j, -torque)):
-            if column is None:
-                self.c[3 * link + 2] += value
-            else:
-                self.a[3 * link + 2, column] -= value
+        self.put(self.torque(i, torque, at) + self.torque(j, -torque, at), column)
 
     def supports(self) -> None:
         state = self.state
@@ -179,9 +201,9 @@ class _System:
                 force = -support.stiffness * (math.hypot(*gap) - float(support.free_length or 0.0)) * along
             elif isinstance(support, Damper):
                 force = -support.damping * (along @ relative) * along
-            self.force(i, point, force)
+            self.force(i, point, force, support.at)
             if j is not None:
-                self.force(j, base, -force)
+                self.force(j, base, -force, anchor)
 
     def loads(self) -> None:
         for load in self.machine.loads:
@@ -193,15 +215,26 @@ class _System:
                 row = periodic_row(load.over_angle, self.state.drive_motion()[0])
             elif load.order is not None:
                 row = row * math.sin(load.order * self.state.drive_motion()[0] + load.phase)
-            self.force(i, self.state.point(i, load.at), row[:2])
-            self.c[3 * i + 2] += row[2]
+            self.force(i, self.state.point(i, load.at), row[:2], load.at)
+            self.c += self.torque(i, row[2], load.at)
 
-    def acceleration_row(self, row: int, direction: Array, i: int, point: Array, sign: float) -> None:
-        """Add sign * direction . (acceleration of the point of link i): r'' + theta'' k x a - w^2 a, a the arm."""
-        arm = point - self.state.positions[i, :2]
+    def acceleration_row(self, row: int, direction: Array, i: int, at: Point, sign: float) -> None:
+        """Add sign * direction . (acceleration of the point of link i that was drawn at `at`).
+
+        r'' + theta'' k x a - w^2 a, a the arm, and by the modes u'' + 2 w k x u', u seen from the frame.
+        """
+        arm, w = self.state.point(i, at) - self.state.positions[i, :2], self.state.velocities[i, 2]
+        moved = self.state.shapes(i, at)[0]
         self.a[row, 3 * i : 3 * i + 2] += sign * direction
         self.a[row, 3 * i + 2] += sign * (direction @ across(arm))
-        self.c[row] += sign * self.state.velocities[i, 2] ** 2 * (direction @ arm)
+        self.a[row, self.modes] += sign * (moved @ direction)
+        self.c[row] += sign * w**2 * (direction @ arm)
+        self.c[row] -= sign * 2 * w * (direction @ across(self.state.bent[:, 1] @ moved))
+
+    def angle_row(self, row: int, i: int, at: Point, factor: float) -> None:
+        """Add factor times the angular acceleration of link i, there where `at` was drawn."""
+        self.a[row, 3 * i + 2] += factor
+        self.a[row, self.modes] += factor * self.state.shapes(i, at)[1]
 
     def turning(self, joint: TurningJoint, column: int) -> None:
         """The force (Fx, Fy) on links[0]; both points have the same acceleration. Viscous resistance CT."""
@@ -209,14 +242,15 @@ class _System:
         for k, unit in enumerate(np.eye(2)):
             for link, sign in ((i, 1.0), (j, -1.0)):
                 point = self.state.point(link, joint.at)
-                self.force(link, point, sign * unit, column + k)
-                self.acceleration_row(column + k, unit, link, point, sign)
-        self.couple(i, j, joint.viscous * (self.state.velocities[j, 2] - self.state.velocities[i, 2]))
+                self.force(link, point, sign * unit, joint.at, column + k)
+                self.acceleration_row(column + k, unit, link, joint.at, sign)
+        relative = self.state.omega(j, joint.at) - self.state.omega(i, joint.at)
+        self.couple(i, j, joint.viscous * relative, joint.at)
 
-    def gap_row(self, row: int, slide: Slide, direction: Array) -> None:
+    def gap_row(self, row: int, slide: Slide, direction: Array, at: Point) -> None:
         """direction . d'' of a sliding pair: the slider's point against the guide's point drawn there."""
-        self.acceleration_row(row, direction, slide.slider, slide.point, 1.0)
-        self.acceleration_row(row, direction, slide.guide, slide.point - slide.gap, -1.0)
+        self.acceleration_row(row, direction, slide.slider, at, 1.0)
+        self.acceleration_row(row, direction, slide.guide, at, -1.0)
 
     def sliding(self, joint: SlidingJoint, column: int) -> None:
         """Normal force and couple on links[0]; n . d and the relative angle stay.
@@ -226,29 +260,28 @@ class _System:
         """
         slide = self.state.slide(joint)
         i, j, w = slide.slider, slide.guide, slide.omega
-        self.pair(i, j, slide.point, slide.normal, column)
-        self.couple(i, j, 1.0, column + 1)
-        self.gap_row(column, slide, slide.normal)
-        self.a[column, 3 * j + 2] -= slide.along @ slide.gap
+        self.pair(i, j, slide.point, slide.normal, joint.at, column)
+        self.couple(i, j, 1.0, joint.at, column + 1)
+        self.gap_row(column, slide, slide.normal, joint.at)
+        self.angle_row(column, j, joint.at, -(slide.along @ slide.gap))
         self.c[column] += 2 * w * (slide.along @ slide.gap_rate) + w * w * (slide.normal @ slide.gap)
-        self.a[column + 1, [3 * i + 2, 3 * j + 2]] = 1.0, -1.0
-        self.pair(i, j, slide.point, -joint.viscous * slide.rate * slide.along)
+        self.angle_row(column + 1, i, joint.at, 1.0)
+        self.angle_row(column + 1, j, joint.at, -1.0)
+        self.pair(i, j, slide.point, -joint.viscous * slide.rate * slide.along, joint.at)
 
     def friction(self, name: str, joint: SlidingJoint) -> Array:
-        """Ft = -mu |Fn| y along the line, y for the sign of v, for Fn = 1: (3N) forces on the links."""
+        """Ft = -mu |Fn| y along the line, y for the sign of v, for Fn = 1, as forces on everything."""
         slide = self.state.slide(joint)
         force = -joint.friction * sliding_sign(joint, slide.rate, self.state.held.get(name)) * slide.along
-        share = np.zeros((len(self.machine.links), 3))
-        share[slide.slider] += self.wrench(slide.slider, slide.point, force)
-        share[slide.guide] += self.wrench(slide.guide, slide.point, -force)
-        return share.ravel()
+        pair = ((slide.slider, force), (slide.guide, -force))
+        return np.sum([self.share(link, slide.point, each, joint.at) for link, each in pair], axis=0)
 
     def corners(self, name: str, joint: SlidingJoint) -> None:
         """Known forces of the corners, each at its own; rows that say what they come to at the joint's point."""
         slide, column = self.state.slide(joint), self.columns[name]
         self.a[column, column] = self.a[column + 1, column + 1] = 1.0
         for corner in CornerState.all(self.state, name, self.clearances[name], self.began):
-            self.pair(corner.block, corner.guide, corner.point, corner.force)
+            self.pair(corner.block, corner.guide, corner.point, corner.force, joint.at)
             self.c[column] += slide.normal @ corner.force
             self.c[column + 1] += cross(corner.point - slide.point, corner.force)
 
@@ -257,7 +290,7 @@ class _System:
         contact = ContactState.of(self.state, name, self.clearances[name], self.began.get(name, 0.0))
         for k, unit in enumerate(np.eye(2)):
             column = self.columns[name] + k
-            self.pair(contact.pin, contact.socket, contact.point, unit, column)
+            self.pair(contact.pin, contact.socket, contact.point, unit, self.machine.joints[name].at, column)
             self.a[column, column] = 1.0
             self.c[column] = contact.force[k]
         oil = OilState.of(self.state, name, self.clearances[name])
@@ -265,7 +298,8 @@ class _System:
             return
         self.c[self.columns[name] : self.columns[name] + 2] += oil.force
         for link, centre, sign, torque in zip((oil.pin, oil.socket), oil.centres, (1, -1), oil.torques, strict=True):
-            self.c[3 * link + 2] += sign * cross(centre - contact.point, oil.force) + torque
+            whole = sign * cross(centre - contact.point, oil.force) + torque
+            self.c += self.torque(link, whole, self.machine.joints[name].at)
 
     def drive(self) -> None:
         drive = self.machine.drive
@@ -281,25 +315,26 @@ class _System:
         i, j = (self.state.index(link) for link in joint.links)
         if isinstance(joint, SlidingJoint):
             slide = self.state.slide(joint)
-            self.pair(i, j, slide.point, effort * slide.along)
+            self.pair(i, j, slide.point, effort * slide.along, joint.at)
         else:
-            self.couple(i, j, effort)
+            self.couple(i, j, effort, joint.at)
 
     def known_motion(self, drive: RotationDrive | TranslationDrive) -> None:
         """The last row and column. (u . d)'' = u . d'' + 2 w n . d' + theta'' n . d - w^2 u . d is prescribed."""
-        joint, column = self.machine.joints[drive.joint], len(self.c) - 1
+        joint, column = self.machine.joints[drive.joint], self.effort
         i, j = (self.state.index(link) for link in joint.links)
         self.c[column] = prescribed(drive, self.t)[2]
         if isinstance(joint, SlidingJoint):
             slide = self.state.slide(joint)
-            self.pair(i, j, slide.point, slide.along, column)
-            self.gap_row(column, slide, slide.along)
-            self.a[column, 3 * j + 2] += slide.normal @ slide.gap
+            self.pair(i, j, slide.point, slide.along, joint.at, column)
+            self.gap_row(column, slide, slide.along, joint.at)
+            self.angle_row(column, j, joint.at, slide.normal @ slide.gap)
             self.c[column] -= 2 * slide.omega * (slide.normal @ slide.gap_rate)
             self.c[column] += slide.omega**2 * (slide.along @ slide.gap)
         else:
-            self.couple(i, j, 1.0, column)
-            self.a[column, [3 * i + 2, 3 * j + 2]] = 1.0, -1.0
+            self.couple(i, j, 1.0, joint.at, column)
+            self.angle_row(column, i, joint.at, 1.0)
+            self.angle_row(column, j, joint.at, -1.0)
 
     def solve(self, signs: Sequence[float], redundant: bool = False) -> Solution:
         """With the torques of journals, mu r |F| y, found by repeating until they stay."""
@@ -310,7 +345,7 @@ class _System:
                 joint = self.machine.joints[name]
                 assert isinstance(joint, TurningJoint)
                 i, j = (self.state.index(link) for link in joint.links)
-                rate = float(self.state.velocities[i, 2] - self.state.velocities[j, 2])
+                rate = self.state.omega(i, joint.at) - self.state.omega(j, joint.at)
                 y = sliding_sign(joint.contact, rate * joint.pin_radius, self.state.held.get(name))
                 force = math.hypot(*solution.reactions[name])
                 torques[name] = -joint.journal_friction * joint.pin_radius * force * y
@@ -325,11 +360,11 @@ class _System:
         n = len(self.machine.links)
         a, c = self.a.copy(), self.c.copy()
         for name, torque in torques.items():
-            i, j = (self.state.index(link) for link in self.machine.joints[name].links)
-            c[3 * i + 2] += torque
-            c[3 * j + 2] -= torque
+            joint = self.machine.joints[name]
+            i, j = (self.state.index(link) for link in joint.links)
+            c += self.torque(i, torque, joint.at) + self.torque(j, -torque, joint.at)
         for (name, share), sign in zip(self.rubbing.items(), signs, strict=True):
-            a[: 3 * n, self.columns[name]] -= sign * share
+            a[:, self.columns[name]] -= sign * share
         for i, k in blocked_motions(self.machine):
             row = 3 * i + k
             a[row], c[row], a[row, row] = 0.0, 0.0, 1.0
@@ -339,8 +374,11 @@ class _System:
         else:
             x = np.linalg.solve(a, c)
         reactions = {name: x[column : column + 2] for name, column in self.columns.items()}
-        effort = float(x[-1]) if len(x) > 3 * n + 2 * len(self.columns) else 0.0
-        return Solution(x[: 3 * n].reshape(n, 3), reactions, effort, *self.scales(x), a)
+        effort = float(x[self.effort]) if self.modes.start > self.effort else 0.0
+        linear, force = self.scales(x)
+        terms = np.abs(np.hstack([self.a[self.modes] * x, self.c[self.modes, None]])).max(axis=1)
+        modal = max((term / mode.mass for term, mode in zip(terms, self.machine.modes, strict=True)), default=0.0)
+        return Solution(x[: 3 * n].reshape(n, 3), reactions, x[self.modes], effort, linear, modal, force, a)
 
     def scales(self, x: Array) -> tuple[tuple[float, float], tuple[float, float]]:
         """Largest term of any link: over its inertia, and as it stands; moments count at the radius of gyration too."""

@@ -32,7 +32,7 @@ class OilState:
         pin, socket = state.index(joint.pin), state.index(next(link for link in joint.links if link != joint.pin))
         centres = state.point(pin, joint.at), state.point(socket, joint.at)
         e = centres[0] - centres[1]
-        omegas = state.velocities[pin, 2], state.velocities[socket, 2]
+        omegas = state.omega(pin, joint.at), state.omega(socket, joint.at)
         relative = state.velocity(pin, joint.at) - state.velocity(socket, joint.at)
         v = relative - sum(omegas) / 2 * across(e)
         thinnest = max(min(oil.roughness, clearance / 2), clearance / 1000)

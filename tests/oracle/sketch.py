@@ -248,6 +248,28 @@ def sketch(seed: int) -> Sketch:
     return Sketch(parse_machine(tree), {name: draft.between(1e-5, 1e-2) for name in worn} | guides, seed)
 
 
+def bent_sketch(seed: int) -> Sketch:
+    """The machine of a seed with one to three modes of its frame, in proportion far softer than any."""
+    rigid, rng = sketch(seed), np.random.default_rng([seed, 3])
+
+    def mode() -> dict[str, Any]:
+        points = dict.fromkeys(at for _, at in rigid.machine.frame_points)
+        moved, turned = rng.uniform(-0.5, 0.5, (len(points), 2)), rng.uniform(-2, 2, len(points))
+        turned[rng.random(len(points)) < 0.3] = 0.0
+        return {
+            "frequency": math.exp(rng.uniform(1, 6)),
+            "damping": rng.uniform(0, 0.3),
+            "mass": math.exp(rng.uniform(-1, 2)),
+            "shape": [
+                {"at": at, "displacement": move, "rotation": turn}
+                for at, move, turn in zip(points, moved.tolist(), turned.tolist(), strict=True)
+            ],
+        }
+
+    modes = [mode() for _ in range(int(rng.integers(1, 4)))]
+    return Sketch(parse_machine(rigid.machine.model_dump() | {"modes": modes}), rigid.clearances, seed)
+
+
 def random_state(model: Model, p: list[float], seed: int) -> tuple[float, Array, Array] | None:
     """A time, coordinates and velocities that fulfil joints and drive; pins and ends of blocks anywhere between their
     walls or pressed in.

@@ -14,6 +14,7 @@ from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 
 Array = NDArray[np.float64]
+Point: TypeAlias = tuple[float, float]
 
 
 def across(vector: Array) -> Array:
@@ -59,39 +60,68 @@ Held: TypeAlias = Mapping[str, tuple[float, float]]
 
 
 class State:
-    """Positions and velocities (N, 3) of the links of a machine, in the order of the file, and what is held."""
+    """Positions and velocities (N, 3) of the links of a machine, in the order of the file, what is held, and the
+    coordinates of the frame's modes with their rates (m, 2), all 0 unless given.
 
-    def __init__(self, machine: Machine, positions: Array, velocities: Array, held: Held | None = None) -> None:
+    A frame with modes moves near a point that carries something as a body does that is displaced and turned there.
+    """
+
+    def __init__(
+        self, machine: Machine, positions: Array, velocities: Array, held: Held | None = None, bent: Array | None = None
+    ) -> None:
         self.machine, self.positions, self.velocities, self.held = machine, positions, velocities, held or {}
         self.names = list(machine.links)
+        self.bent = np.zeros((len(machine.modes), 2)) if bent is None else bent
 
     def index(self, link: str) -> int:
         return self.names.index(link)
 
-    def turned(self, i: int, vector: tuple[float, float]) -> Array:
-        """A vector drawn on link i, as it has turned."""
-        c, s = math.cos(self.positions[i, 2]), math.sin(self.positions[i, 2])
+    def shapes(self, i: int, at: Point) -> tuple[Array, Array]:
+        """Displacements (m, 2), in space, and rotations (m,) by the modes at a point of link i; 0 but for the frame."""
+        count = len(self.machine.modes)
+        if self.names[i] != self.machine.frame or not count:
+            return np.zeros((count, 2)), np.zeros(count)
+        found = [next(point for point in mode.shape if point.at == at) for mode in self.machine.modes]
+        return np.array([self.turned(i, p.displacement) for p in found]), np.array([p.rotation for p in found])
+
+    def angle(self, i: int, at: Point) -> float:
+        """Angle of link i at a point of it."""
+        return float(self.positions[i, 2] + self.shapes(i, at)[1] @ self.bent[:, 0])
+
+    def omega(self, i: int, at: Point) -> float:
+        """Its rate."""
+        return float(self.velocities[i, 2] + self.shapes(i, at)[1] @ self.bent[:, 1])
+
+    def turned(self, i: int, vector: Point, at: Point | None = None) -> Array:
+        """A vector drawn on link i, as it has turned; near a point of it."""
+        angle = self.positions[i, 2] if at is None else self.angle(i, at)
+        c, s = math.cos(angle), math.sin(angle)
         return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
 
-    def point(self, i: int, drawn: tuple[float, float]) -> Array:
-        """Where a point of link i is that was drawn at `drawn`."""
+    def point(self, i: int, drawn: Point, at: Point | None = None) -> Array:
+        """Where a point of link i is that was drawn at `drawn`, near a point that carries something."""
+        near = at or drawn
         cg = self.machine.links[self.names[i]].cg
-        return self.positions[i, :2] + self.turned(i, (drawn[0] - cg[0], drawn[1] - cg[1]))
+        rigid = self.positions[i, :2] + self.turned(i, (near[0] - cg[0], near[1] - cg[1]))
+        bent = rigid + self.bent[:, 0] @ self.shapes(i, near)[0]
+        return bent + self.turned(i, (drawn[0] - near[0], drawn[1] - near[1]), near)
 
-    def velocity_at(self, i: int, point: Array) -> Array:
-        """Velocity of the matter of link i at a point in space."""
-        return self.velocities[i, :2] + self.velocities[i, 2] * across(point - self.positions[i, :2])
+    def velocity_at(self, i: int, point: Array, at: Point) -> Array:
+        """Velocity of the matter of link i at a point in space, near where `at` was drawn."""
+        near = self.point(i, at)
+        velocity = self.velocities[i, :2] + self.velocities[i, 2] * across(near - self.positions[i, :2])
+        return velocity + self.bent[:, 1] @ self.shapes(i, at)[0] + self.omega(i, at) * across(point - near)
 
-    def velocity(self, i: int, drawn: tuple[float, float]) -> Array:
+    def velocity(self, i: int, drawn: Point) -> Array:
         """Velocity of a point of link i that was drawn at `drawn`."""
-        return self.velocity_at(i, self.point(i, drawn))
+        return self.velocity_at(i, self.point(i, drawn), drawn)
 
     def slide(self, joint: SlidingJoint) -> Slide:
         i, j = (self.index(link) for link in joint.links)
-        along = self.turned(j, joint.direction)
+        along = self.turned(j, joint.direction, joint.at)
         gap = self.point(i, joint.at) - self.point(j, joint.at)
         rate = self.velocity(i, joint.at) - self.velocity(j, joint.at)
-        omega = float(self.velocities[j, 2])
+        omega = self.omega(j, joint.at)
         return Slide(i, j, along, across(along), self.point(i, joint.at), gap, rate, omega)
 
     def drive_motion(self) -> tuple[float, float]:
@@ -102,8 +132,8 @@ class State:
             slide = self.slide(joint)
             return float(slide.along @ slide.gap), slide.rate
         i, j = (self.index(link) for link in joint.links)
-        angle, rate = self.positions[i, 2] - self.positions[j, 2], self.velocities[i, 2] - self.velocities[j, 2]
-        return float(angle), float(rate)
+        angles, rates = ([of(link, joint.at) for link in (i, j)] for of in (self.angle, self.omega))
+        return angles[0] - angles[1], rates[0] - rates[1]
 
     def energy(self, clearances: dict[str, float]) -> float:
         """Kinetic energy, weight, springs, and the springs of contacts that touch, J."""
@@ -126,6 +156,8 @@ class State:
                 total += 0.5 * float(np.array(support.stiffness) @ gap**2)
             else:
                 total += 0.5 * support.stiffness * (math.hypot(*gap) - float(support.free_length or 0.0)) ** 2
+        for mode, (q, rate) in zip(self.machine.modes, self.bent, strict=True):
+            total += 0.5 * mode.mass * float(rate**2 + (2 * math.pi * mode.frequency * q) ** 2)
         for name, clearance in clearances.items():
             law = self.machine.joints[name].contact
             n = law.exponent or 1.0
@@ -187,16 +219,16 @@ class CornerState:
         assert isinstance(joint, SlidingJoint) and joint.length is not None
         law, half = joint.contact, joint.height / 2
         i, j = (state.index(link) for link in joint.links)
-        along, line = state.turned(j, joint.direction), state.point(j, joint.at)
+        along, line = state.turned(j, joint.direction, joint.at), state.point(j, joint.at)
         normal, drawn = across(along), np.array(joint.direction)
         corners = []
         for s in (-joint.length / 2, joint.length / 2):
             for side in (-1, 1):
                 key = f"{name}.{len(corners)}"
                 x, y = np.array(joint.at) + s * drawn + side * half * across(drawn)
-                point = state.point(i, (x, y))
+                point = state.point(i, (x, y), joint.at)
                 depth = float(side * normal @ (point - line) - half - clearance)
-                relative = state.velocity_at(i, point) - state.velocity_at(j, point)
+                relative = state.velocity_at(i, point, joint.at) - state.velocity_at(j, point, joint.at)
                 push = pushing(law, depth, float(side * normal @ relative), (began or {}).get(key, 0.0))
                 slip = float(along @ relative)
                 rub = law.friction * push * sliding_sign(law, slip, state.held.get(key)) + law.viscous * slip
@@ -241,7 +273,7 @@ class ContactState:
         depth = size - clearance
         push = pushing(law, depth, rate, began)
         tangent = across(n)
-        slip = float(tangent @ (state.velocity_at(pin, point) - state.velocity_at(socket, point)))
+        slip = float(tangent @ (state.velocity_at(pin, point, joint.at) - state.velocity_at(socket, point, joint.at)))
         rubbing = -(law.friction * push * sliding_sign(law, slip, state.held.get(name)) + law.viscous * slip)
         force = -push * n + (rubbing if push > 0 else 0.0) * tangent
         return cls(pin, socket, point, force, depth, push)
