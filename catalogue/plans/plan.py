@@ -97,7 +97,7 @@ class Plan(Part):
     accuracy: Literal["draft", "standard", "reference"] = "draft"
     sample_rate: Annotated[float, QuantityField(FREQUENCY, above=0.0)] = 10_000.0
     revolutions: Annotated[float, Field(ge=3.0, le=1e5)] = 5.0
-    seconds: Annotated[float, QuantityField(TIME, at_least=0.0)] = 2.5
+    seconds: Annotated[float, QuantityField(TIME, at_least=0.0)] = 1.0
     bands: Bands = Bands()
 
     @model_validator(mode="after")

@@ -342,8 +342,8 @@ def test_chosen_sets_are_lists_of_joints() -> None:
 
 
 def test_recipe_covers_the_asked_time_and_revolutions() -> None:
-    assert plan_of().recipe(QUICK_RETURN).revolutions == 5  # 2.5 s at 2 Hz
-    assert plan_of().recipe(shipped_machine("slider-crank")).revolutions == 25  # 2.5 s at 10 Hz
+    assert plan_of().recipe(QUICK_RETURN).revolutions == 5  # at least, 2.5 s at 2 Hz
+    assert plan_of().recipe(shipped_machine("slider-crank")).revolutions == 10  # 1 s at 10 Hz
     assert plan_of(seconds=0).recipe(QUICK_RETURN).revolutions == 5
 
 
