@@ -241,6 +241,9 @@ MODE_TOLERANCE = {"frequency": 0.015, "damping": 0.2}
 #: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
 HYSTERESIS_RANGE = (0.3, 30.0)
 
+#: Presliding [m] of surfaces that stick: from what stands for Coulomb's law to the micrometre that real ones give way.
+PRESLIDING_RANGE = (3e-9, 1e-6)
+
 #: Viscosity of oil, as a factor on what the file says: some 25 K warmer or colder, of which 14 K or so halve it.
 VISCOSITY_RANGE = (0.3, 3.0)
 
@@ -288,6 +291,8 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
         found["pin_radius"] = Distribution(factor_uniform=(0.9, 1.1))
     if any(getattr(joint, "film", None) for joint in machine.joints.values()):
         found["film.viscosity"] = Distribution(factor_loguniform=VISCOSITY_RANGE)
+    if any(machine.joints[joint].contact.friction_law == "bristle" for joint in machine.wearing_joints):
+        found["contact.presliding"] = Distribution(loguniform=PRESLIDING_RANGE)
     if "linear" in known:
         found["contact.damping"] = Distribution(lognormal=DAMPING_SCATTER)
     if "hertz" in known:

@@ -6,7 +6,10 @@ from typing import Any
 
 import pytest
 
+from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
+from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.parameters import MachineNumbers, Scatter
+from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.plans.plan_parts import Distribution, default_laws, default_uncertain, default_wide
 from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
@@ -89,6 +92,22 @@ def test_numbers_of_contacts_follow_the_laws() -> None:
     contact = Variant("linear").machine(flores).joints["A"].contact  # type: ignore[union-attr]
     assert (contact.law, contact.stiffness) == ("linear", pytest.approx(1e9 * 40e-6**0.5))
     assert contact.damping > 0
+
+
+def test_where_surfaces_stick_by_how_much_they_give_way_is_drawn() -> None:
+    joints = SLIDER_CRANK.model_dump(mode="json")["joints"]
+    for joint in joints.values():
+        if joint["kind"] == "turning":
+            joint["contact"] = {"stiffness": 1e7, "damping": 300.0, "friction": 0.05, "friction_law": "bristle"}
+    sticking = changed(joints=joints)
+    plan = parse_plan({"draws": {"healthy": 8, "single": 8}, "fits": {"silent": 0}, "guard": 0, "seconds": 0})
+    entries = [entry for entry in entries_of(plan, sticking) if entry.worn == ("B",)]
+    drawn = [entry.parameters[f"joints.{joint}.contact.presliding"] for entry in entries for joint in "ABO"]
+    assert 3e-9 <= min(drawn) < 3e-8 and 1e-7 < max(drawn) <= 1e-6
+    assert {entry.variant.law for entry in entries} == {"own", "hertz"}
+    assert all("presliding" not in path for path in default_uncertain(SLIDER_CRANK, {"own": 1.0}))
+    for chunk in cut_chunks(sticking, plan.recipe(sticking), entries, 8):
+        assert {outcome.status for outcome in simulate_chunk(chunk)} == {"ok"}
 
 
 def test_machines_without_a_pin_radius_draw_none() -> None:
