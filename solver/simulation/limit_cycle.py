@@ -130,7 +130,8 @@ def reach_limit_cycle(
     while waiting:
         for up in waiting.values():
             length = max(_FIRST, up.drawn.transient, _FURTHER * up.now.begin)
-            up.now = replace(up.now, duration=min(length, max(LONGEST - up.now.begin, 1 / rate)))
+            duration = min(length, max(LONGEST - up.now.begin, 1 / rate))
+            up.now = replace(up.now, duration=duration, sample_rate=rate)
         for run in runs(machine, model, varying, [up.now for up in waiting.values()], recorded, coarse):
             up = waiting[run.case.index]
             up.add(run, driver, recorded, rate)
@@ -159,7 +160,7 @@ def _next(up: _RunUp, run: Run, driver: Driver, settings: Settings) -> Prepared 
 
 def _started(up: _RunUp, speed: float, settings: Settings) -> Prepared:
     """A case in its limit cycle, but for what the suspension does yet."""
-    case = up.now
+    case = replace(up.now, sample_rate=settings.sample_rate)
     revolution = 2 * math.pi / abs(speed)
     revolutions = max(SETTLING_REVOLUTIONS, math.ceil(up.drawn.transient / revolution - 1e-9))
     rule = STEP_RULES[case.accuracy]
