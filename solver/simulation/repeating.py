@@ -70,7 +70,7 @@ class Repetition:
         self._lines = math.floor(PASS * case.sample_rate * self._time)
         # A swing that leaves the part q of itself after a revolution will change q / (1 - q) of its last change yet.
         left = math.exp(max(mode.real for mode in case.suspension) * self._time)
-        self._agreement = AGREEMENT * min(1.0, (1.0 - left) / left)
+        self._agreement = AGREEMENT * (1.0 - left) / max(left, 1.0 - left)
 
     def look(self, velocity: FloatArray, samples: int) -> bool:
         """Whether the last ones of a case's samples repeat; `period` then says how often.

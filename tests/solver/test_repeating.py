@@ -96,6 +96,10 @@ def test_a_suspension_that_decays_slowly_is_waited_for() -> None:
     assert seen(drifting, prepared(decay=0.1)) == 0
 
 
+def test_a_suspension_of_which_nothing_is_left_after_a_revolution_is_no_hindrance() -> None:
+    assert seen(wave(turns(3)), prepared(decay=1e5)) == 1
+
+
 def test_a_fold_leaves_what_repeats_and_differentiates_exactly() -> None:
     turn = turns(4)
     velocity = np.cos(2 * np.pi * 7 * turn + 0.3)
