@@ -48,8 +48,8 @@ class CaseOutcome:
         Mean difference of the band levels from those of the same case computed more finely [dB]; for the cases that
         were computed twice.
     period : int
-        Revolutions after which the motion was seen to repeat: the spectrum then is that of one period, and exact. 0
-        where it was not: the spectrum is a mean, known as well as `spread_db` and `segments` say.
+        Revolutions after which the motion was seen to repeat: the spectrum then is that of one period. 0 where it
+        was not: the spectrum is a mean, known as well as `spread_db` and `segments` say.
     """
 
     status: str

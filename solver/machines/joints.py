@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import (
@@ -132,9 +133,9 @@ class WearingJoint(Part):
         return self
 
     @property
+    @abstractmethod
     def new_fit(self) -> Fit:
         """Play of the joint as new: that of ``fit``, or the default."""
-        raise NotImplementedError
 
     @property
     def play_as_new(self) -> tuple[float, float]:

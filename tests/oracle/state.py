@@ -135,6 +135,14 @@ class State:
         angles, rates = ([of(link, joint.at) for link in (i, j)] for of in (self.angle, self.omega))
         return angles[0] - angles[1], rates[0] - rates[1]
 
+    @property
+    def momentum(self) -> Array:
+        """Momentum along x and y, kg m/s, and its moment about the origin, kg m2/s, of all links that have a mass."""
+        masses = [(link.mass or 0.0, link.inertia or 0.0) for link in self.machine.links.values()]
+        parts = zip(masses, self.positions, self.velocities, strict=True)
+        rows = [(m * v[0], m * v[1], m * (p[0] * v[1] - p[1] * v[0]) + i * v[2]) for (m, i), p, v in parts]
+        return np.sum(rows, axis=0)
+
     def energy(self, clearances: dict[str, float]) -> float:
         """Kinetic energy, weight, springs, and the springs of contacts that touch, J."""
         total = 0.0
