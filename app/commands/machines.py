@@ -63,6 +63,11 @@ def drive_of(machine: Machine) -> str:
     if drive is None:
         return "none"
     speed = getattr(drive, "speed", None)
+    if drive.kind == "position":
+        x, y = drive.direction
+        way = {(1.0, 0.0): "x", (0.0, 1.0): "y"}.get((x, y), f"({x:g}, {y:g})")
+        how = f"at {speed:.6g} m/s" if isinstance(speed, float) and speed else "by position"
+        return f"{drive.link} along {way} {how}"
     if drive.kind == "rotation" and isinstance(speed, float):
         return f"{drive.joint} at {speed * 30 / pi:.6g} rpm"
     if drive.kind == "translation" and isinstance(speed, float):

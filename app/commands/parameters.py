@@ -68,9 +68,9 @@ def drive_speed(machine: Machine, text: str | None) -> dict[str, float]:
     if text is None:
         return {}
     drive = machine.drive
-    if drive is None or drive.kind not in ("rotation", "translation"):
+    if drive is None or drive.kind not in ("rotation", "translation", "position"):
         kind = "no drive" if drive is None else f"a {drive.kind} drive"
-        rule = f"{machine.name} has {kind}; only a rotation or translation drive has a speed"
+        rule = f"{machine.name} has {kind}; only a rotation, translation or position drive has a speed"
         raise click.BadParameter(f"{text}: {rule}", param_hint="--speed")
     if isinstance(getattr(drive, "speed", None), tuple):
         rule = f"the drive of {machine.name} runs up by a table: change that in its file"

@@ -105,6 +105,9 @@ def save_png(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
         tip = (sensor.at[0] + 0.08 * size * sensor.direction[0], sensor.at[1] + 0.08 * size * sensor.direction[1])
         axes.annotate("", tip, sensor.at, arrowprops={"arrowstyle": "->"})
         axes.annotate(sensor.name, tip, fontsize="small")
+    for drive in shapes.drives:
+        tip = (drive.at[0] + 0.1 * size * drive.direction[0], drive.at[1] + 0.1 * size * drive.direction[1])
+        axes.annotate("", tip, drive.at, arrowprops={"arrowstyle": "->", "linewidth": 1.5})
     figure.savefig(path, dpi=150)
 
 
@@ -114,3 +117,7 @@ def draw_support(axes: Axes, support: SupportMark, length: float) -> None:
     axes.plot(*zip(support.start, end, strict=True), color="0.3", linewidth=1.5, linestyle=":")
     if support.on_ground:
         axes.plot([end[0] - length / 2, end[0] + length / 2], [end[1]] * 2, color="0.3", linewidth=1.5)
+    if support.motion is not None:
+        x, y = (0.5 * length * part for part in support.motion)
+        ends = ((end[0] + x, end[1] + y), (end[0] - x, end[1] - y))
+        axes.annotate("", *ends, arrowprops={"arrowstyle": "<->", "linewidth": 1.5})

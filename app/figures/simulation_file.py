@@ -129,7 +129,7 @@ def add_links(
     arrays["link_velocity"] = motion.velocity
     arrays["link_acceleration"] = motion.acceleration
     units.update({f"link_{name}": units[f"frame_{name}"] for name in ("displacement", "velocity", "acceleration")})
-    turning_drive = machine.drive is not None and machine.drive.joint in machine.turning_joints
+    turning_drive = machine.driven_joint in machine.turning_joints
     for name, reaction in motion.reactions.items():
         arrays[name] = reaction
         moment = name.startswith("couple_") or (name == "drive_effort" and turning_drive)

@@ -56,6 +56,21 @@ def nominal_drive_speed(machine: Machine) -> float:
     raise PlanError(machine.name, "drive", shown, rule)
 
 
+def check_ground(machine: Machine) -> None:
+    """Refuse ground that does not come round with the drive at every speed that is drawn.
+
+    Raises
+    ------
+    PlanError
+        Names the first motion of an anchor that is not of a whole order.
+    """
+    for i, support in enumerate(machine.supports):
+        for k, part in enumerate(support.motion):
+            if part.order is None or part.order != round(part.order):
+                rule = "a catalogue needs ground that stands, or moves with a whole order of the drive"
+                raise PlanError(machine.name, f"supports.{i}.motion.{k}", None, rule)
+
+
 def ripple_order(path: str) -> int | None:
     """The order of a short path ``ripple.2.sin``; None for any other path."""
     match = _RIPPLE.fullmatch(path)

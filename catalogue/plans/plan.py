@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.entry import Recipe, Stratum, content_digest
-from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.plans.parameters import check_ground, nominal_drive_speed
 from jointplay.catalogue.plans.plan_parts import (
     Auto,
     Bands,
@@ -134,8 +134,10 @@ class Plan(Part):
         Raises
         ------
         PlanError
-            The machine has no drive that turns at a constant speed, so its spectra have no orders.
+            The machine has no drive that turns at a constant speed, so its spectra have no orders; or it stands on
+            ground that moves otherwise.
         """
+        check_ground(machine)
         speed = nominal_drive_speed(machine)
         revolutions = max(self.revolutions, math.ceil(self.seconds * abs(speed) / (2 * math.pi) - 1e-9))
         return Recipe(

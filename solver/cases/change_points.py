@@ -16,11 +16,12 @@ import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.rates import extent_of
+from jointplay.solver.equations.geometry import travel
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.machines.fits import in_um
 from jointplay.solver.machines.joints import TurningJoint
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import MotionDrive, PositionDrive
 
 #: A change point farther away than this part of the machine's extent is none: parts are made to some 1e-4 of their
 #: size, and positions a few degrees apart see one that is farther.
@@ -160,15 +161,23 @@ def _slant(way: FloatArray, other: FloatArray) -> float:
 
 def position_of_drive(model: Model, p: Sequence[float], t: float, z: FloatArray) -> str:
     """Where its drive is, for the user; of a drive whose motion is prescribed."""
-    drive = model.machine.drive
-    if not isinstance(drive, RotationDrive | TranslationDrive):
+    if not isinstance(model.machine.drive, MotionDrive):
         return "as drawn"
-    joint = model.machine.joints[drive.joint]
-    position = model.function("position", model.kinematics.position(joint))
-    now = float(evaluate(position, t, z, np.zeros(model.size), p)[0][0, 0])
-    if isinstance(joint, TurningJoint):
+    moved, rotates = _position(model)
+    now = float(evaluate(model.function("position", moved), t, z, np.zeros(model.size), p)[0][0, 0])
+    if rotates:
         return f"at a drive angle of {math.degrees(now):.1f} deg"
     return f"at a drive travel of {now * 1e3:.3g} mm"
+
+
+def _position(model: Model) -> tuple[ca.SX, bool]:
+    """Position of a drive that prescribes a motion since drawn, rad or m; whether it rotates."""
+    drive, kin = model.machine.drive, model.kinematics
+    assert isinstance(drive, MotionDrive)
+    if isinstance(drive, PositionDrive):
+        return travel(drive.link, drive.direction, kin.poses, kin.terms), False
+    joint = model.machine.joints[drive.joint]
+    return kin.position(joint), isinstance(joint, TurningJoint)
 
 
 def describe_change_point(model: Model, p: Sequence[float], point: ChangePoint) -> str:
@@ -178,10 +187,7 @@ def describe_change_point(model: Model, p: Sequence[float], point: ChangePoint) 
         miss = in_um(point.distance)
         return f"comes within {miss} of a change point {where}: links that are off by as much may not let it pass"
     told = f"passes a change point {where}"
-    drive = model.machine.drive
-    assert isinstance(drive, RotationDrive | TranslationDrive)
-    joint = model.machine.joints[drive.joint]
-    position = model.kinematics.position(joint)
+    position, rotates = _position(model)
     rate = model.function("drive_rate", ca.jacobian(position, model.z), ca.jacobian(position, model.t))
     at = (point.t, point.z, np.zeros(model.size), p)
     by_z, by_t = (np.vstack(pair) for pair in zip(evaluate(model.link_rates, *at), evaluate(rate, *at), strict=True))
@@ -190,7 +196,7 @@ def describe_change_point(model: Model, p: Sequence[float], point: ChangePoint) 
         return f"{told}: it goes on as it came, not on the branch on which the drive stands"
     turns = np.round(motions[2::3] / driven, 6) + 0.0  # no -0
     most = int(np.abs(turns[:, 0] - turns[:, 1]).argmax())
-    unit = "times as fast as the drive" if isinstance(joint, TurningJoint) else "rad for each metre of the drive"
+    unit = "times as fast as the drive" if rotates else "rad for each metre of the drive"
     own, other = turns[most]
     told = f"{told}: {list(model.machine.links)[most]} turns {own:.3g} {unit} if it goes on as it came, {other:.3g}"
     return f"{told} on the other branch, onto which errors of a run can bring it"

@@ -18,7 +18,7 @@ from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.machines.joints import Contact
 from jointplay.solver.machines.machine import Machine, keep_by_machine
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import RotationDrive, TravelDrive
 
 #: Numbers by path, as a key of a cache.
 _Numbers = tuple[tuple[str, float], ...]
@@ -46,7 +46,7 @@ def _turning(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]
 
 def _drive_numbers(machine: Machine, values: Mapping[str, float]) -> _Numbers:
     """Numbers of a case that poses follow: those of a slide; a rotation is walked at 1 rad/s whatever its speed."""
-    if not isinstance(machine.drive, TranslationDrive):
+    if not isinstance(machine.drive, TravelDrive):
         return ()
     return tuple(sorted((path, value) for path, value in values.items() if path.startswith("drive.")))
 
@@ -195,7 +195,8 @@ def rubbing_rate(
 
 
 def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float], duration: float) -> list[str]:
-    """Refuse a slide that is driven to where the ideal machine does not close; remarks on change points on its way.
+    """Refuse a slide, or a link in space, that is driven to where the ideal machine does not close; remarks on change
+    points on its way.
 
     Parameters
     ----------
@@ -212,7 +213,7 @@ def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str,
     AssemblyError
         Names the travel and the joint that stays open.
     """
-    if not isinstance(machine.drive, TranslationDrive):
+    if not isinstance(machine.drive, TravelDrive) or machine.driven_link == machine.frame:
         return []
     low, high = travel_range(machine, dict(_drive_numbers(machine, values)), duration)
     return list(_check_ends(machine, joints, low, high))
@@ -220,7 +221,7 @@ def check_travel(machine: Machine, joints: tuple[str, ...], values: Mapping[str,
 
 @keep_by_machine(MODELS_KEPT)
 def _check_ends(machine: Machine, joints: tuple[str, ...], low: float, high: float) -> list[str]:
-    assert isinstance(machine.drive, TranslationDrive)
+    assert isinstance(machine.drive, TravelDrive)
     drive = machine.drive.model_copy(update={"speed": 1.0, "harmonics": ()})  # time is travel then
     model = build_model(machine.model_copy(update={"drive": drive}), joints, ())
     remarks = []

@@ -33,11 +33,12 @@ from jointplay.solver.cases.steps import (
     suspension_of,
     transient_time,
 )
+from jointplay.solver.equations.anchors import fastest_anchor
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine, keep_by_machine
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import RotationDrive, TravelDrive
 from jointplay.solver.machines.remarks import film_remarks, restitution_remarks
 
 #: Most memory for one kind of record (displacement, say) of one case.
@@ -131,14 +132,15 @@ def model_of(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]
 
 @keep_by_machine(MODELS_KEPT)
 def standing_model(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) -> Model:
-    """The model with its drive standing, same coordinates."""
+    """The model with its drive and its anchors standing, same coordinates."""
     drive = machine.drive
     if isinstance(drive, RotationDrive):
         drive = drive.model_copy(update={"speed": 0.0, "ripple": ()})
-    elif isinstance(drive, TranslationDrive):
+    elif isinstance(drive, TravelDrive):
         drive = drive.model_copy(update={"speed": 0.0, "harmonics": ()})
-    kept = tuple(path for path in varying if not path.startswith("drive."))
-    return build_model(machine.model_copy(update={"drive": drive}), joints, kept)
+    kept = tuple(path for path in varying if not path.startswith("drive.") and ".motion." not in path)
+    supports = tuple(each.model_copy(update={"motion": ()}) for each in machine.supports)
+    return build_model(machine.model_copy(update={"drive": drive, "supports": supports}), joints, kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +217,7 @@ def prepare(
     rule = STEP_RULES[settings.accuracy]
     rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.fixed_step else 0.0
     contacts = contact_rates(machine, mobility, complete, fastest, 0.0 if settings.fixed_step else USUAL_FILM)
+    fastest = max(fastest, fastest_anchor(machine, speed), key=abs)
     longest = settings.step or largest_step(rule, contacts.values(), motions.eigenvalues, fastest, rubbing)
     smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, fastest)
     recorded = model.size if settings.links else 3
@@ -259,4 +262,4 @@ def _is_smooth(machine: Machine, path: str, joints: tuple[str, ...]) -> bool:
     rubbing = (f"joints.{name}.{number}" for name in machine.sliding_joints for number in ("friction", "presliding"))
     if path.startswith(tuple(rubbing)) or path.endswith(".journal_friction"):
         return False
-    return not path.startswith("drive.") and not _is_contact(path, joints)
+    return not path.startswith("drive.") and ".motion." not in path and not _is_contact(path, joints)

@@ -22,7 +22,7 @@ from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import contact_path, evaluate
 from jointplay.solver.machines.joints import Joint, SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import MotionDrive, RotationDrive, TravelDrive
 from jointplay.solver.machines.restitution import HYSTERESIS, hysteresis_factor
 
 #: Velocity (m/s) at which surfaces are taken to meet at least. The frequency follows its fifth root (n = 1.5).
@@ -221,10 +221,10 @@ def pace_of(machine: Machine, values: Mapping[str, float]) -> float:
     """Time in which the machine moves by its own size, s: by its drive, or by falling; a second at most."""
     extent = extent_of(machine)
     drive, rate = machine.drive, 0.0
-    if isinstance(drive, RotationDrive | TranslationDrive):
+    if isinstance(drive, MotionDrive):
         speeds = [speed for _, speed in drive.speed] if isinstance(drive.speed, tuple) else [drive.speed]
         fastest = abs(values.get("drive.speed", max(speeds, key=abs)))
         rate = fastest / (1.0 if isinstance(drive, RotationDrive) else extent)
-        if isinstance(drive, TranslationDrive):
+        if isinstance(drive, TravelDrive):
             rate = max(rate, *(2 * math.pi * h.frequency for h in drive.harmonics), 0.0)
     return 1.0 / max(rate, math.sqrt(abs(values.get("gravity", machine.gravity)) / extent), 1.0)

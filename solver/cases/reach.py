@@ -95,8 +95,10 @@ def reach_of(machine: Machine, whole: bool = False) -> Reach:
     pairs = [joint.links for joint in machine.joints.values()]
     pairs += [(support.link, support.to_link) for support in machine.supports if support.to_link is not None]
     wanted = {machine.frame}
-    if machine.drive is not None:
-        wanted |= set(machine.joints[machine.drive.joint].links) - standing
+    if machine.driven_joint:
+        wanted |= set(machine.joints[machine.driven_joint].links) - standing
+    if machine.driven_link:
+        wanted.add(machine.driven_link)
     ahead = list(wanted)
     while ahead:
         here = ahead.pop()

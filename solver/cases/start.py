@@ -13,13 +13,15 @@ import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.change_points import AHEAD, ChangePoint, find_change_point, position_of_drive
+from jointplay.solver.cases.driven_link import cannot_follow, still_frame
 from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.equations.redundancy import independent_rows
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fits import in_um
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import RotationDrive, TravelDrive
 
 #: Closures count as closed below this (m, rad): some thousand times rounding at the size of a machine.
 CLOSED = 1e-11
@@ -66,11 +68,16 @@ def meet(
 
 
 def drive_period(model: Model, speed: float) -> float:
-    """Time in which the drive goes through all its positions, s; 0 where it has none to go through."""
+    """Time in which the drive goes through all its positions, s; 0 where it has none to go through.
+
+    A frame that is driven takes its machine along, as it is.
+    """
     drive = model.machine.drive
+    if model.machine.driven_link == model.machine.frame:
+        return 0.0
     if isinstance(drive, RotationDrive):
         return 2 * math.pi / abs(speed) if speed else 0.0
-    if isinstance(drive, TranslationDrive) and drive.harmonics:
+    if isinstance(drive, TravelDrive) and drive.harmonics:
         return 1.0 / min(h.frequency for h in drive.harmonics if h.frequency > 0)
     return 0.0
 
@@ -123,6 +130,8 @@ def follow(
     z, rows = np.zeros(model.size), np.zeros((0, len(free)))
     previous, held, singular = 0.0, _SINGULAR * extent_of(model.machine) / _FALLING, False
     redundant = find_repeat(model, p)
+    if redundant and model.machine.driven_link:
+        raise redundant
     step = times[1] - times[0] if len(times) > 1 else 0.0
     ahead = sorted(times, reverse=True)
     while ahead:
@@ -164,10 +173,14 @@ def _hold(model: Model, rows: FloatArray) -> tuple[float, bool]:
 def find_repeat(model: Model, p: Sequence[float]) -> AssemblyError | None:
     """Refusal of the first closure that, as drawn, only repeats what those before it hold, and not at all positions.
 
-    At positions further on it would hold something else, or the drive could not leave the drawn one.
+    At positions further on it would hold something else, or the drive could not leave the drawn one. Of a link that is
+    driven in space the frame must not have to follow.
     """
     closures = model.kinematics.closures
     rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1][: len(closures)]
+    if cannot_follow(model, rows):
+        rule = "cannot be driven so from the drawn pose: a dead centre, or a direction in which it is held"
+        return AssemblyError(model.machine.name, "drive.link", model.machine.driven_link, rule)
     rows = np.delete(rows, model.kinematics.modes, axis=1)
     kept = independent_rows(rows)
     if len(kept) == len(rows) - model.repeats.shared:
@@ -179,7 +192,7 @@ def find_repeat(model: Model, p: Sequence[float]) -> AssemblyError | None:
         else "holds as drawn only what other joints hold already: leave one of them out, or draw another pose "
         "if this is a change point"
     )
-    return AssemblyError(model.machine.name, _place(name), None, rule)
+    return AssemblyError(model.machine.name, _place(model.machine, name), None, rule)
 
 
 def last_pose(
@@ -196,9 +209,11 @@ def last_pose(
     return good, z
 
 
-def _place(closure: str) -> str:
+def _place(machine: Machine, closure: str) -> str:
     """Path in the machine file of what a closure stands for."""
     owner, _, kind = closure.partition(".")
+    if kind == "drive" and machine.driven_link:
+        return "drive.link"
     return f"links.{owner}.locked" if kind.startswith("locked") else f"joints.{owner}"
 
 
@@ -206,10 +221,12 @@ def cannot_assemble(model: Model, p: Sequence[float], t: float, z: FloatArray, g
     """Refusal after the last pose `z` that closes, at time `t`; `gap` is what stays open at the next of the walk."""
     owner, _, kind = name.partition(".")
     what = f"link {owner}, locked," if kind.startswith("locked") else f"joint {owner}"
+    if kind == "drive" and model.machine.driven_link:
+        what = f"link {owner}, driven,"
     where = position_of_drive(model, p, t, z)
     far = f"{gap * 1e3:.3g} mm" if gap >= 1e-4 else in_um(gap)
     rule = f"cannot be assembled {where}: a little further {what} stays {far} open"
-    return AssemblyError(model.machine.name, _place(name), None, rule)
+    return AssemblyError(model.machine.name, _place(model.machine, name), None, rule)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,9 +299,8 @@ def start_velocity(model: Model, p: Sequence[float], z: FloatArray) -> FloatArra
             if value is not None:
                 rows.append(link_jacobian[first + k])
                 right.append(value - link_drift[first + k, 0])
-    still = model.frame_coordinates if model.machine.frame not in given else model.kinematics.modes
-    for index in still:
-        rows.append(np.eye(model.size)[index])
+    for row in still_frame(model):
+        rows.append(row)
         right.append(0.0)
     field = "initial" if given else "drive"
     return least_velocity(model, 0.0, p, z, np.array(rows).reshape(len(rows), model.size), np.array(right), field)
@@ -378,5 +394,5 @@ def start_with_frame(
     z, gap, name = close(model, t, z, p, model.inner_indices)
     if gap >= CLOSED:
         rule = f"does not close at the start by {gap * 1e3:.3g} mm"
-        raise AssemblyError(model.machine.name, f"joints.{name.partition('.')[0]}", None, rule)
+        raise AssemblyError(model.machine.name, _place(model.machine, name), None, rule)
     return Start(z, least_velocity(model, t, p, z, np.eye(model.size)[held], velocity), t)

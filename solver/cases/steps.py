@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.driven_link import beside_drive
 from jointplay.solver.cases.rates import ContactRates
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
@@ -216,10 +217,12 @@ def suspension_of(model: Model, p: Sequence[float]) -> Suspension:
         rows = evaluate(model.constraint, 0.0, zero, zero, p)[1]
         bent[inner] = -np.linalg.lstsq(rows[:, inner], rows[:, modes], rcond=1e-9)[0]
         rigid = np.hstack([rigid, bent])
+    motions = [*(("x", "y", "theta")[k] for k in free), *(names[i] for i in modes)]
+    if model.machine.driven_link:
+        rigid, motions = beside_drive(model, p, rigid, motions)
     mass = rigid.T @ evaluate(model.mass_matrix, 0.0, zero, zero, p)[0] @ rigid
     stiffness, damping = (rigid.T @ part @ rigid for part in evaluate(model.force_gradient, 0.0, zero, zero, p))
-    motions = (*(("x", "y", "theta")[k] for k in free), *(names[i] for i in modes))
-    return Suspension(motions, mass, (stiffness, damping))
+    return Suspension(tuple(motions), mass, (stiffness, damping))
 
 
 def suspension_modes(suspension: Suspension) -> list[complex]:

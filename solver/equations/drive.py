@@ -13,7 +13,7 @@ import numpy as np
 from jointplay.solver.equations.numbers import Number, Numbers
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import ForceDrive, Ripple, RotationDrive, TorqueDrive, TranslationDrive
+from jointplay.solver.machines.parts import ForceDrive, MotionDrive, Ripple, RotationDrive, TorqueDrive, TravelDrive
 
 
 class Harmonics:
@@ -119,13 +119,14 @@ _MOST_TRAVEL_SAMPLES = 1_000_000
 
 @dataclass(frozen=True)
 class PrescribedMotion:
-    """Relative motion of links[0] to links[1] of the drive joint as a function of time.
+    """Motion of a drive as a function of time: of links[0] to links[1] of its joint, or of its link in space.
 
     Attributes
     ----------
     joint : str
+        Empty for a link in space.
     rotation : bool
-        True for a rotation (rad), False for a sliding motion along the joint's direction (m).
+        True for a rotation (rad), False for a motion along the direction of the joint or the drive (m).
     value, rate, acceleration : casadi.SX
         Functions of the time symbol; zero value at t = 0 (the drawn pose).
     """
@@ -139,7 +140,7 @@ class PrescribedMotion:
 
 def prescribes_motion(machine: Machine) -> bool:
     """Whether the input motion is known and the effort unknown."""
-    return isinstance(machine.drive, RotationDrive | TranslationDrive)
+    return isinstance(machine.drive, MotionDrive)
 
 
 def drive_rates(machine: Machine, values: dict[str, float]) -> tuple[float, float]:
@@ -164,7 +165,7 @@ def drive_rates(machine: Machine, values: dict[str, float]) -> tuple[float, floa
             return 0.0, max(1.0, highest) * max(abs(speed) for _, speed in drive.speed)
         speed = values.get("drive.speed", drive.speed)
         return speed, max(1.0, highest) * abs(speed)
-    if isinstance(drive, TranslationDrive) and drive.harmonics:
+    if isinstance(drive, TravelDrive) and drive.harmonics:
         frequencies = [2 * math.pi * abs(h.frequency) for h in drive.harmonics if h.frequency]
         return (min(frequencies), max(frequencies)) if frequencies else (0.0, 0.0)
     return 0.0, 0.0
@@ -189,7 +190,7 @@ def repeating_frequency(machine: Machine, drive_speed: float) -> float:
         kind = "none" if drive is None else drive.kind
         raise SettingsError(f"{machine.name}: drive: {kind}: must turn at a constant speed for spectra in orders")
     frequency = abs(drive_speed) / (2 * math.pi)
-    if isinstance(drive, TranslationDrive):
+    if isinstance(drive, TravelDrive):
         odd = [h.frequency for h in drive.harmonics if abs(h.frequency / frequency % 1.0 - 0.5) < 0.5 - _WHOLE]
         if odd or drive.speed:
             rule = "must repeat with the lowest of its frequencies for spectra in orders"
@@ -202,16 +203,22 @@ def repeating_frequency(machine: Machine, drive_speed: float) -> float:
     for i, load in enumerate(machine.loads):
         if load.over_time is not None:
             raise SettingsError(f"{machine.name}: loads.{i}.over_time: must not change in time for spectra in orders")
+    for i, support in enumerate(machine.supports):
+        for k, part in enumerate(support.motion):
+            often = part.order if part.frequency is None else part.frequency / frequency
+            if often is None or abs(often - round(often)) > _WHOLE or not round(often):
+                rule = "must repeat with the drive's revolution for spectra in orders"
+                raise SettingsError(f"{machine.name}: supports.{i}.motion.{k}: {rule}")
     return frequency
 
 
 def prescribed_motion(machine: Machine, number: Callable[[str, float], Number], t: ca.SX) -> PrescribedMotion | None:
-    """Motion of a rotation or translation drive, ``None`` when the drive is an effort or absent.
+    """Motion of a drive that prescribes one, ``None`` when the drive is an effort or absent.
 
     Contract: f = w t + sum a [sin(k w t + p) - sin p], and for translation + sum A [sin(2 pi f t + p) - sin p].
     """
     drive = machine.drive
-    if not isinstance(drive, RotationDrive | TranslationDrive):
+    if not isinstance(drive, MotionDrive):
         return None
     if isinstance(drive.speed, tuple):
         base = linear_integral(t, drive.speed)
@@ -225,7 +232,7 @@ def prescribed_motion(machine: Machine, number: Callable[[str, float], Number], 
         phase = 2 * ca.pi * harmonic.frequency * t + harmonic.phase
         value += amplitude * (ca.sin(phase) - ca.sin(harmonic.phase))
     rate = ca.jacobian(value, t)
-    return PrescribedMotion(drive.joint, False, value, rate, ca.jacobian(rate, t))
+    return PrescribedMotion(machine.driven_joint, False, value, rate, ca.jacobian(rate, t))
 
 
 def _add_ripple(
@@ -246,19 +253,19 @@ def _add_ripple(
 
 
 def travel_range(machine: Machine, values: Mapping[str, float], duration: float) -> tuple[float, float]:
-    """Least and largest travel of a sliding drive from the drawing, m.
+    """Least and largest travel of a drive from the drawing, m.
 
     Parameters
     ----------
     machine : Machine
-        With a translation drive.
+        With a drive that prescribes a travel.
     values : mapping of str to float
         Numbers of the drive by path that differ from the file.
     duration : float
         s.
     """
     drive, t = machine.drive, ca.SX.sym("t")
-    assert isinstance(drive, TranslationDrive)
+    assert isinstance(drive, TravelDrive)
     motion = prescribed_motion(machine, lambda path, value: values.get(path, value), t)
     assert motion is not None
     fastest = max((h.frequency for h in drive.harmonics), default=0.0)

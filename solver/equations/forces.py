@@ -11,13 +11,14 @@ from typing import assert_never
 
 import casadi as ca
 
+from jointplay.solver.equations.anchors import anchor_term
 from jointplay.solver.equations.drive import Harmonics, interpolate, interpolate_periodic, known_effort
 from jointplay.solver.equations.friction import Bristles
 from jointplay.solver.equations.geometry import Complex, Kinematics, Pose, Vector, constant
 from jointplay.solver.equations.numbers import Number, Numbers
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Damper, Mount, Spring
+from jointplay.solver.machines.parts import Damper, Mount, Spring, Support
 
 #: Length (m) below which a spring has no direction; it pulls with its force along nothing.
 SHORTEST = 1e-9
@@ -67,14 +68,27 @@ class Scene:
         for index, share in pose.angle_partials.items():
             self.total[index] += share * torque
 
-    def anchor(self, to_link: str | None, at: tuple[float, float]) -> Vector:
-        """A point of the ground, or of the link that carries it."""
-        return constant(at) if to_link is None else self.kinematics.poses.at(to_link, at).point(at)
+    def anchor(self, path: str, support: Support) -> Vector:
+        """Where a support ends: a point of the ground, as it moves, or of the link that carries it."""
+        at = support.at if isinstance(support, Mount) else support.anchor
+        if support.to_link is not None:
+            return self.kinematics.poses.at(support.to_link, at).point(at)
+        if not support.motion:
+            return constant(at)
+        term = anchor_term(f"{path}.motion", support.motion, self.number, self.t, self.drive_angle)
+        self.kinematics.terms.terms[path] = term
+        return constant(at) + Vector({path: 1.0})
 
     def angle(self, joint: TurningJoint) -> tuple[ca.SX, ca.SX]:
         """Angle of links[0] relative to links[1] since drawn, and its rate."""
         first, second = (self.kinematics.poses.at(link, joint.at) for link in joint.links)
         return first.theta - second.theta, first.omega - second.omega
+
+    def drive_angle(self) -> tuple[ca.SX, ca.SX]:
+        """Angle of a drive that turns since drawn, and its rate: the machine file refuses what asks without one."""
+        joint = self.machine.joints[self.machine.driven_joint]
+        assert isinstance(joint, TurningJoint)
+        return self.angle(joint)
 
 
 def supports(scene: Scene) -> None:
@@ -85,12 +99,13 @@ def supports(scene: Scene) -> None:
         path = f"supports.{i}"
         point = scene.kinematics.poses.at(support.link, support.at).point(support.at)
         if isinstance(support, Mount):
-            if support.to_link is None and not (scene.machine.modes and support.link == scene.machine.frame):
+            bent = scene.machine.modes and support.link == scene.machine.frame
+            if support.to_link is None and not support.motion and not bent:
                 grounded.setdefault(support.link, []).append((path, support))
             else:
                 _mount_alone(scene, path, support)
             continue
-        vector = point - scene.anchor(support.to_link, support.anchor)
+        vector = point - scene.anchor(path, support)
         line = terms.value(vector)
         length = ca.sqrt(ca.fmax(line.dot(line), SHORTEST**2))
         if isinstance(support, Spring):
@@ -108,9 +123,9 @@ def supports(scene: Scene) -> None:
 
 
 def _mount_alone(scene: Scene, path: str, mount: Mount) -> None:
-    """A mount between two links, or of a frame whose modes displace each of its mounts otherwise."""
+    """A mount between two links, on a floor that moves, or of a frame whose modes displace each mount otherwise."""
     terms, number = scene.kinematics.terms, scene.number
-    vector = scene.kinematics.poses.at(mount.link, mount.at).point(mount.at) - scene.anchor(mount.to_link, mount.at)
+    vector = scene.kinematics.poses.at(mount.link, mount.at).point(mount.at) - scene.anchor(path, mount)
     offset, rate = (part.column for part in (terms.value(vector, ground=True), terms.rate(vector, ground=True)))
     force = [
         -number(f"{path}.stiffness.{k}", mount.stiffness[k]) * offset[k]
@@ -206,14 +221,14 @@ def loads(scene: Scene) -> None:
             values = [interpolate(scene.t, [(row[0], row[k]) for row in load.over_time]) for k in (1, 2, 3)]
         elif load.over_angle is not None:
             values = [
-                interpolate_periodic(_drive_angle(scene), [(row[0], row[k]) for row in load.over_angle])
+                interpolate_periodic(scene.drive_angle()[0], [(row[0], row[k]) for row in load.over_angle])
                 for k in (1, 2, 3)
             ]
         else:
             names = (("force.0", load.force[0]), ("force.1", load.force[1]), ("torque", load.torque))
             values = [ca.SX(scene.number(f"{path}.{name}", value)) for name, value in names]
             if load.order is not None:
-                waves = waves or Harmonics(_drive_angle(scene))
+                waves = waves or Harmonics(scene.drive_angle()[0])
                 sine, _ = waves.wave(load.order, load.phase)
                 values = [value * sine for value in values]
         force = scene.kinematics.terms.to_frame(Complex(values[0], values[1]))
@@ -222,21 +237,13 @@ def loads(scene: Scene) -> None:
         scene.twist(pose, values[2])
 
 
-def _drive_angle(scene: Scene) -> ca.SX:
-    """Relative rotation (or travel) of the drive joint since drawn."""
-    drive = scene.machine.drive
-    assert drive is not None  # the machine file refuses a table over the drive angle without a drive
-    joint = scene.machine.joints[drive.joint]
-    return scene.angle(joint)[0] if isinstance(joint, TurningJoint) else scene.slides[drive.joint][0]
-
-
 def effort(scene: Scene) -> None:
     """A drive that is a known torque or force."""
-    drive = scene.machine.drive
-    if drive is None:
+    name = scene.machine.driven_joint
+    if not name:
         return
-    joint = scene.machine.joints[drive.joint]
-    displacement, rate = scene.angle(joint) if isinstance(joint, TurningJoint) else scene.slides[drive.joint]
+    joint = scene.machine.joints[name]
+    displacement, rate = scene.angle(joint) if isinstance(joint, TurningJoint) else scene.slides[name]
     known = known_effort(scene.machine, scene.number, rate)
     if known is not None:
         scene.add(displacement, known)

@@ -250,6 +250,13 @@ class Closure:
     phi: ca.SX
 
 
+def travel(link: str, direction: tuple[float, float], poses: Poses, terms: Terms) -> ca.SX:
+    """How far the centre of gravity of a link has moved along a direction fixed in space since drawn, m."""
+    cg = poses[link].cg
+    offset = terms.value(poses.at(link, cg).point(cg) - constant(cg), ground=True)
+    return Complex(*direction).dot(offset)
+
+
 @dataclass(frozen=True)
 class Kinematics:
     """Coordinates, poses and closures of a machine with a set of clearance joints.

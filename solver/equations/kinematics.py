@@ -30,11 +30,13 @@ from jointplay.solver.equations.geometry import (
     Vector,
     constant,
     slide,
+    travel,
 )
 from jointplay.solver.equations.numbers import Number
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import PositionDrive
 
 #: Joints from the frame after which a link gets coordinates of its own: the mass matrix stays sparse in long chains.
 MAX_DEPTH = 6
@@ -300,7 +302,7 @@ class Tree:
 
 
 def _closures(tree: Tree) -> Iterator[Closure]:
-    """Closure equations of the ideal joints that the tree did not use, of a locked link and of a driven slide."""
+    """Closure equations of ideal joints that the tree did not use, of locked links, of a driven slide or link."""
     for name, joint in tree.machine.joints.items():
         if name in tree.eliminated:
             continue
@@ -327,6 +329,10 @@ def _closures(tree: Tree) -> Iterator[Closure]:
         motions = {"x": offset[0], "y": offset[1], "theta": tree.poses[name].theta}
         for motion in motions if link.fixed else link.locked:
             yield Closure(f"{name}.locked.{motion}", motions[motion])
+    drive = tree.machine.drive
+    if isinstance(drive, PositionDrive) and tree.motion is not None:
+        moved = travel(drive.link, drive.direction, tree.poses, tree.terms)
+        yield Closure(f"{drive.link}.drive", moved - tree.motion.value)
 
 
 def _angle_closures(tree: Tree) -> Iterator[Closure]:

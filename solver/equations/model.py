@@ -297,8 +297,11 @@ def _border(machine: Machine, kin: Kinematics) -> list[int]:
     """Coordinates of the frame, where closures keep their rank without them.
 
     They do where the whole machine can move as one body: what the frame's motion opens, the other links' can open, too.
-    A link that is tied to the ground takes that away. What modes open is as little as those of a rigid frame need.
+    A link that is tied to the ground, or driven in space, takes that away. What modes open is as little as those of a
+    rigid frame need.
     """
+    if machine.driven_link:
+        return []
     if any(link.fixed or link.locked for name, link in machine.links.items() if name != machine.frame):
         return []
     return [*(i for i in kin.indices_of(machine.frame) if i is not None), *kin.modes]

@@ -24,6 +24,7 @@ from jointplay.solver.integrators.control import (
     accepts,
     after_switch,
     arrival,
+    before_row,
     next_step,
     refuse_step,
     remember,
@@ -186,6 +187,25 @@ def _any_contact(w: FloatArray, rows: WorkRows[int], lane: int) -> bool:
     return pushing > 0.5
 
 
+@inlined
+def _heed_rows(
+    lanes: StructuredArray, lane: int, cases: StructuredArray, table: FloatArray, cursor: IntArray
+) -> None:  # fmt: skip
+    """Shorten the trial of a lane to end before the next row of a table, or let it begin there."""
+    mine = lanes[lane]
+    mine.at_row = 0
+    shortest = SHORTEST * (abs(mine.t) + cases[mine.case].interval)
+    place = np.searchsorted(table, mine.t, side="right")
+    if place < table.size:
+        t, step = before_row(mine.t, mine.h, table[place], shortest)
+        if t > mine.t:  # what follows the row holds from now on
+            mine.t, cursor[STALE] = t, 1
+            if place + 1 < table.size:
+                t, step = before_row(mine.t, mine.h, table[place + 1], shortest)
+        if step < mine.h:
+            mine.natural, mine.h, mine.at_row = max(mine.natural, mine.h), step, 1
+
+
 @compiled
 def integrate(
     kernel: tuple[int, int, int, int], w: FloatArray, rows: WorkRows[int], queue: Queue, records: Records, state: Lanes
@@ -211,7 +231,7 @@ def integrate(
     prepare, held, dopri, project = kernel
     n, contacts = rows.v - rows.z, rows.switch - rows.touching
     # Taken out of their tuples once: compiled code counts references whenever an array is.
-    cases, starts, parameters = queue.cases, queue.starts, queue.parameters
+    cases, starts, parameters, table = queue.cases, queue.starts, queue.parameters, queue.rows
     lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
     free, ended, remembering, rubbing = state.free, state.ended, state.remembering, state.rubbing
     sticking = rubbing.size
@@ -245,6 +265,9 @@ def integrate(
                 return
         if cursor[BUSY] == 0:
             return
+        for lane in range(LANES if table.size > 0 else 0):
+            if lanes[lane].case >= 0:
+                _heed_rows(lanes, lane, cases, table, cursor)
         if cursor[STALE] == 1:
             for lane in range(LANES):
                 w[rows.time, lane] = lanes[lane].t
@@ -352,6 +375,8 @@ def integrate(
             # Refusals in a contact say nothing of the closures.
             if mine.uncut > 0.0 and (step >= mine.uncut or _any_contact(w, rows, lane)):
                 mine.uncut = 0.0
+            if mine.at_row == 1:
+                natural = max(natural, mine.natural)
             mine.natural = 0.0
             growth = w[rows.growth, lane] * mine.root
             mine.root = w[rows.root, lane] if event < 0 else 1.0

@@ -231,6 +231,27 @@ def refuse_step(
 
 
 @inlined
+def before_row(t: float, h: float, row: float, shortest: float) -> tuple[float, float]:
+    """Time and step of a trial that must not step over a row of a table, where accelerations jump.
+
+    It ends just before the row, where all its stages still see what goes before; the next begins at the row.
+
+    Parameters
+    ----------
+    t, h : float
+        Time and step, s.
+    row : float
+        The next row after `t`, s.
+    shortest : float
+        What counts as no time, s.
+    """
+    if row - t <= 2.0 * shortest:
+        return row, h
+    left = row - shortest - t
+    return t, left if 1.01 * h > left else h
+
+
+@inlined
 def next_step(
     step: float, first: float, growth: float, natural: float, longest: float, now: float, end: float
 ) -> float:  # fmt: skip

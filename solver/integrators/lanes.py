@@ -39,14 +39,14 @@ CASE = np.dtype(
 #: refusals for error began, s (0 for none), that error, 1 where the next trial is that step again; case in hand (-1 for
 #: none) and the place of its records; 1 until its first step; next sample; trial steps; accepted steps since closures
 #: were restored, and at the noise of the error estimate; corrections in a row that did not restore closures, and the
-#: sample when they last held.
+#: sample when they last held; 1 where the trial was shortened to a row of a table.
 LANE = np.dtype(
     [
         ("begin", np.float64), ("end", np.float64), ("t", np.float64), ("h", np.float64), ("natural", np.float64),
         ("pressed", np.float64), ("root", np.float64),
         ("uncut", np.float64), ("uncut_error", np.float64), ("over", np.int64),
         ("case", np.int64), ("slot", np.int64), ("fresh", np.int64), ("sample", np.int64), ("trials", np.int64),
-        ("since", np.int64), ("forced", np.int64), ("lost", np.int64), ("held_at", np.int64),
+        ("since", np.int64), ("forced", np.int64), ("lost", np.int64), ("held_at", np.int64), ("at_row", np.int64),
     ]
 )  # fmt: skip
 
@@ -61,11 +61,14 @@ class Queue(NamedTuple):
         Coordinates, velocities and what is remembered at the start; those at the end are written over them.
     parameters : (cases, k) array
         Lane parameters.
+    rows : (r,) array
+        Times of the rows of the model's tables, growing, s.
     """
 
     cases: StructuredArray
     starts: FloatArray
     parameters: FloatArray
+    rows: FloatArray
 
 
 class Records(NamedTuple):

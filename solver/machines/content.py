@@ -11,7 +11,7 @@ from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import Name, QuantityField, Title, no_default
 from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
 from jointplay.solver.machines.modes import FrameMode
-from jointplay.solver.machines.parts import Drive, Initial, Link, Load, Mount, Part, Sensor, Support
+from jointplay.solver.machines.parts import Drive, Initial, Link, Load, Mount, Part, PositionDrive, Sensor, Support
 
 
 class MachineContent(Part):
@@ -52,6 +52,16 @@ class MachineContent(Part):
         return tuple(name for name, joint in found if isinstance(joint, TurningJoint) or joint.length is not None)
 
     @property
+    def driven_joint(self) -> str:
+        """Name of the joint that the drive acts on; empty without one."""
+        return "" if self.drive is None or isinstance(self.drive, PositionDrive) else self.drive.joint
+
+    @property
+    def driven_link(self) -> str:
+        """Name of the link whose position in space the drive prescribes; empty without one."""
+        return self.drive.link if isinstance(self.drive, PositionDrive) else ""
+
+    @property
     def clearances(self) -> dict[str, float]:
         """Half the play (m) of the joints to which the file gives one: the fault where no other is asked for."""
         found = {name: joint.clearance for name, joint in self.joints.items()}
@@ -72,5 +82,7 @@ class MachineContent(Part):
         for i, load in enumerate(self.loads):
             if load.link == frame:
                 yield f"loads.{i}", load.at
+        if self.driven_link == frame:
+            yield "drive", self.links[frame].cg
         for i, sensor in enumerate(self.sensors):
             yield f"sensors.{i}", sensor.at

@@ -121,7 +121,7 @@ def machine_svg(machine: Machine, joint_colours: Mapping[str, str] | None = None
     str
         One ``<svg>`` element without script, style sheet or outside reference; it is drawn in ``currentColor``. Classes
         to style or move: ``link``, ``link-NAME``, ``joint``, ``joint-NAME``, ``guide``, ``guide-NAME``, ``support``,
-        ``sensor``, ``load``, ``label-joint``, ``label-joint-NAME`` (a space in a name is a ``-`` there).
+        ``sensor``, ``load``, ``drive``, ``label-joint``, ``label-joint-NAME`` (a space in a name is a ``-`` there).
 
     Raises
     ------
@@ -140,6 +140,7 @@ def machine_svg(machine: Machine, joint_colours: Mapping[str, str] | None = None
         *(_support(sheet, support) for support in shapes.supports),
         *(_arrow(sheet, sensor, "sensor") for sensor in shapes.sensors),
         *(_arrow(sheet, load, "load") for load in shapes.loads),
+        *(_arrow(sheet, drive, "drive") for drive in shapes.drives),
         # Pins on top of the blocks they sit in: a worn one must be seen.
         *(_joint(sheet, joint, colours.get(joint.name)) for joint in sorted(shapes.joints, key=_on_top)),
         *_labels(sheet, shapes),
@@ -163,7 +164,7 @@ def description(machine: Machine) -> str:
     if joints:
         sentences.append(f"Joints: {', '.join(joints)}.")
     if machine.drive is not None:
-        sentences.append(f"Driven at {machine.drive.joint}.")
+        sentences.append(f"Driven at {machine.driven_joint or f'the centre of gravity of {machine.driven_link}'}.")
     if machine.supports:
         sentences.append(f"Supports: {', '.join(f'{support.kind} on {support.link}' for support in machine.supports)}.")
     if machine.sensors:
@@ -278,11 +279,13 @@ def _head(tip: Pixel, direction: Pixel) -> str:
 
 def _arrow(sheet: Sheet, arrow: Arrow, kind: str) -> str:
     at = sheet(arrow.at)
-    # A sensor's arrow leaves its point; a load's arrow ends there.
-    start, tip = (at, _along(at, arrow.direction, 22)) if kind == "sensor" else (_along(at, arrow.direction, -34), at)
+    # A load's arrow ends at its point; that of a sensor or a drive leaves it.
+    reach = 22 if kind == "sensor" else 34
+    start, tip = (_along(at, arrow.direction, -34), at) if kind == "load" else (at, _along(at, arrow.direction, reach))
     foot = f'<rect x="{at[0] - 3:.1f}" y="{at[1] - 3:.1f}" width="6" height="6" fill="currentColor"/>'
-    width = 1.5 if kind == "sensor" else 2.5
-    what = f"sensor {arrow.name}" if kind == "sensor" else f"load on {arrow.name}"
+    width = 2.5 if kind == "load" else 1.5
+    says = {"sensor": "sensor", "load": "load on", "drive": "drive of"}
+    what = f"{says[kind]} {arrow.name}"
     return (
         f'<g class="{svg_class(kind, arrow.name)}"><title>{escape(what)}</title>{foot if kind == "sensor" else ""}'
         f'<path d="{_path([start, tip])} {_head(tip, arrow.direction)}" stroke-width="{width}"/></g>'
@@ -299,8 +302,18 @@ def _support(sheet: Sheet, support: SupportMark) -> str:
     where = f"on {escape(support.link)}, to {'the ground' if support.on_ground else 'another link'}"
     return (
         f'<g class="{svg_class("support", support.link)}"><title>{what or "support"} {where}</title>'
-        f'<path d="{" ".join(marks)}" stroke-width="1.5"/>{ground}</g>'
+        f'<path d="{" ".join(marks)}" stroke-width="1.5"/>{ground}{_to_and_fro(end, support.motion)}</g>'
     )
+
+
+def _to_and_fro(at: Pixel, direction: Pixel | None) -> str:
+    """An arrow with two heads, where the ground moves."""
+    if direction is None:
+        return ""
+    x, y = direction
+    start, tip = _along(at, direction, -14), _along(at, direction, 14)
+    heads = f"{_head(tip, direction)} {_head(start, (-x, -y))}"
+    return f'<path class="motion" d="{_path([start, tip])} {heads}" stroke-width="1.5"/>'
 
 
 def _ends(sheet: Sheet, support: SupportMark) -> tuple[Pixel, Pixel]:

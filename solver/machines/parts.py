@@ -6,7 +6,15 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    StrictBool,
+    model_serializer,
+    model_validator,
+)
 
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import (
@@ -31,6 +39,7 @@ Force = Annotated[tuple[float, float], VectorField((QuantityField(units.FORCE),)
 Torque = Annotated[float, QuantityField(units.TORQUE)]
 Motion: TypeAlias = Literal["x", "y", "theta"]
 LoadTable: TypeAlias = tuple[tuple[float, float, float, float], ...]
+ShiftTable: TypeAlias = tuple[tuple[float, float, float], ...]
 
 _LOAD_COLUMNS = (units.FORCE, units.FORCE, units.TORQUE)
 
@@ -78,7 +87,32 @@ class Initial(Part):
     velocities: Mapping[Name, InitialVelocity] = Field(default_factory=dict)
 
 
-class LineSupport(Part):
+class AnchorMotion(Part):
+    """How the end of a support on the ground moves, beside where it was drawn: a sine, or a table over time.
+
+    ``displacement`` [m] times the sine of a ``frequency`` [Hz], or of so many times the drive angle as ``order`` says,
+    plus ``phase`` [rad].
+    """
+
+    displacement: Annotated[tuple[float, float], VectorField((QuantityField(units.LENGTH),) * 2)] = (0.0, 0.0)
+    frequency: Annotated[float, QuantityField(units.FREQUENCY, above=0)] | None = None
+    order: Annotated[float, QuantityField(units.RATIO, above=0)] | None = None
+    phase: Angle = 0.0
+    over_time: Annotated[ShiftTable, Table((units.TIME, units.LENGTH, units.LENGTH))] | None = None
+
+
+class Anchored(Part):
+    """What ends on the ground, unless on another link; its ``motion`` there is the sum of its parts."""
+
+    motion: tuple[AnchorMotion, ...] = ()
+
+    @model_serializer(mode="wrap")
+    def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Files could not say it once; machines that say nothing of it keep the content key they had then.
+        return {key: value for key, value in write(self).items() if key != "motion" or value}
+
+
+class LineSupport(Anchored):
     """What acts along the line from ``at`` on ``link`` to ``anchor`` on the ground, or on ``to_link``."""
 
     kind: str
@@ -129,7 +163,7 @@ class Damper(LineSupport):
     to_link: Name | None = None
 
 
-class Mount(Part):
+class Mount(Anchored):
     """Spring and damper in fixed x and y directions at one point, unstressed as drawn."""
 
     kind: Literal["mount"] = "mount"
@@ -206,6 +240,16 @@ class TranslationDrive(Part):
     harmonics: tuple[Harmonic, ...] = ()
 
 
+class PositionDrive(Part):
+    """Prescribed motion of a link's centre of gravity along a ``direction`` fixed in space: ``speed`` and harmonics."""
+
+    kind: Literal["position"] = "position"
+    link: Name
+    direction: Direction
+    speed: Annotated[float | Curve, NumberOrTable(QuantityField(units.SPEED), Table((units.TIME, units.SPEED)))] = 0.0
+    harmonics: tuple[Harmonic, ...] = ()
+
+
 class TorqueDrive(Part):
     """Known torque [N m] on links[0] of a turning joint: constant, or a curve over its speed [rad/s]."""
 
@@ -224,4 +268,7 @@ class ForceDrive(Part):
     curve: Annotated[Curve, Table((units.SPEED, units.FORCE))] | None = None
 
 
-Drive: TypeAlias = Annotated[RotationDrive | TranslationDrive | TorqueDrive | ForceDrive, Field(discriminator="kind")]
+#: Drives that prescribe a travel, of a slide or of a link; and all those that prescribe a motion.
+TravelDrive: TypeAlias = TranslationDrive | PositionDrive
+MotionDrive: TypeAlias = RotationDrive | TravelDrive
+Drive: TypeAlias = Annotated[MotionDrive | TorqueDrive | ForceDrive, Field(discriminator="kind")]

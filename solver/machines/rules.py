@@ -11,7 +11,7 @@ from jointplay.solver.machines.fields import RuleError, nearest
 from jointplay.solver.machines.friction import FRICTION_NUMBERS, DryFriction
 from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.modes import MOST_MODES
-from jointplay.solver.machines.parts import ForceDrive, RotationDrive, TorqueDrive
+from jointplay.solver.machines.parts import AnchorMotion, ForceDrive, PositionDrive, RotationDrive, Support, TorqueDrive
 from jointplay.solver.machines.refusals import show_value
 
 _Breach = tuple[str, object, str]
@@ -184,6 +184,9 @@ def _drive(machine: MachineContent) -> Iterator[Breach]:
     drive = machine.drive
     if drive is None:
         return
+    if isinstance(drive, PositionDrive):
+        yield from _driven_link(machine, drive)
+        return
     yield from _check_known("drive.joint", drive.joint, machine.joints, "joint")
     wanted = "turning" if isinstance(drive, (RotationDrive, TorqueDrive)) else "sliding"
     found = machine.joints[drive.joint].kind
@@ -192,6 +195,16 @@ def _drive(machine: MachineContent) -> Iterator[Breach]:
     if isinstance(drive, (TorqueDrive, ForceDrive)):
         given = drive.torque if isinstance(drive, TorqueDrive) else drive.force
         yield from _one_of("drive", {drive.kind: given, "curve": drive.curve})
+
+
+def _driven_link(machine: MachineContent, drive: PositionDrive) -> Iterator[Breach]:
+    yield from _check_known("drive.link", drive.link, machine.links, "link")
+    link = machine.links[drive.link]
+    if link.fixed:
+        yield Breach("drive.link", drive.link, "is fixed and cannot be driven")
+    if not any(part for part, axis in zip(drive.direction, "xy", strict=True) if axis not in link.locked):
+        rule = f"is a direction in which {drive.link} is locked"
+        yield Breach("drive.direction", list(drive.direction), rule)
 
 
 def _one_of(path: str, choices: Mapping[str, object]) -> Iterator[Breach]:
@@ -218,6 +231,31 @@ def _supports(machine: MachineContent) -> Iterator[Breach]:
             yield from _check_known(f"{path}.to_link", support.to_link, machine.links, "link")
             if support.to_link == support.link:
                 yield Breach(f"{path}.to_link", support.to_link, "must be another link than link")
+        for place, motion in enumerate(support.motion):
+            yield from _anchor_motion(machine, f"{path}.motion.{place}", support, motion)
+
+
+def _anchor_motion(machine: MachineContent, path: str, support: Support, motion: AnchorMotion) -> Iterator[Breach]:
+    if support.to_link is not None:
+        yield Breach(path, None, f"is of an end on the ground, and this one is on {support.to_link}")
+    table = motion.over_time
+    yield from _one_of(path, {"frequency": motion.frequency, "order": motion.order, "over_time": table})
+    if table is None and "displacement" not in motion.model_fields_set:
+        yield Breach(f"{path}.displacement", None, "is missing")
+    if table is not None and any(motion.displacement):
+        yield Breach(f"{path}.displacement", list(motion.displacement), "is of a sine, and there is a table")
+    if table is not None and motion.phase:
+        yield Breach(f"{path}.phase", motion.phase, "is of a sine, and there is a table")
+    if motion.order is not None and not _has_drive_angle(machine):
+        yield Breach(f"{path}.order", motion.order, _NO_ANGLE)
+
+
+#: What says so where something goes by the drive angle.
+_NO_ANGLE = "needs a rotation or torque drive: there is no drive angle"
+
+
+def _has_drive_angle(machine: MachineContent) -> bool:
+    return isinstance(machine.drive, (RotationDrive, TorqueDrive))
 
 
 def _loads(machine: MachineContent) -> Iterator[Breach]:
@@ -233,10 +271,10 @@ def _loads(machine: MachineContent) -> Iterator[Breach]:
             yield Breach(f"{path}.order", load.order, "is of a force or torque, and there is a table")
         if load.phase and load.order is None:
             yield Breach(f"{path}.phase", load.phase, "needs an order")
-        if not isinstance(machine.drive, (RotationDrive, TorqueDrive)):
+        if not _has_drive_angle(machine):
             for name in ("over_angle", "order"):
                 if getattr(load, name) is not None:
-                    yield Breach(f"{path}.{name}", None, "needs a rotation or torque drive: there is no drive angle")
+                    yield Breach(f"{path}.{name}", None, _NO_ANGLE)
 
 
 def _sensors(machine: MachineContent) -> Iterator[Breach]:

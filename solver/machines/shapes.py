@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Damper, Load, Mount, Spring, Support
+from jointplay.solver.machines.parts import Damper, Load, Mount, PositionDrive, Spring, Support
 
 Point: TypeAlias = tuple[float, float]
 
@@ -67,6 +67,8 @@ class SupportMark:
         A mount is above the link's centre of gravity, so that there is room over it rather than below.
     spring, damper, on_ground : bool
         What is in it, and whether its other end stands on the ground.
+    motion : point or None
+        Direction, of length 1, in which that end moves most; None where it stands still.
     """
 
     link: str
@@ -76,11 +78,12 @@ class SupportMark:
     spring: bool
     damper: bool
     on_ground: bool
+    motion: Point | None
 
 
 @dataclass(frozen=True)
 class Arrow:
-    """A sensor or a load: a point and a direction of length 1."""
+    """A sensor, a load or a driven link: a point and a direction of length 1."""
 
     name: str
     at: Point
@@ -97,13 +100,16 @@ class MachineShapes:
     joints: tuple[JointMark, ...]
     sensors: tuple[Arrow, ...]
     loads: tuple[Arrow, ...]
+    drives: tuple[Arrow, ...]
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """Least and greatest x and y, m: (x0, y0, x1, y1)."""
         points = [point for link in self.links for point in (*link.outline, link.cg)]
         points += [point for support in self.supports for point in (support.start, support.end or support.start)]
-        points += [joint.at for joint in self.joints] + [arrow.at for arrow in (*self.sensors, *self.loads)]
+        points += [joint.at for joint in self.joints] + [
+            arrow.at for arrow in (*self.sensors, *self.loads, *self.drives)
+        ]
         xs, ys = zip(*points, strict=True)
         return min(xs), min(ys), max(xs), max(ys)
 
@@ -129,6 +135,7 @@ def machine_shapes(machine: Machine) -> MachineShapes:
         joints=tuple(_joint_mark(machine, name) for name in machine.joints),
         sensors=tuple(Arrow(sensor.name, sensor.at, sensor.direction) for sensor in machine.sensors),
         loads=tuple(Arrow(load.link, load.at, direction) for load in machine.loads if (direction := _pull(load))),
+        drives=tuple(_driven_arrow(machine)),
     )
 
 
@@ -179,23 +186,39 @@ def _joint_mark(machine: Machine, name: str) -> JointMark:
     joint = machine.joints[name]
     direction = joint.direction if isinstance(joint, SlidingJoint) else (1.0, 0.0)
     grounded = machine.frame in joint.links and machine.links[machine.frame].fixed
-    driven = machine.drive is not None and machine.drive.joint == name
+    driven = machine.driven_joint == name
     return JointMark(name, joint.kind, joint.at, direction, joint.links, grounded, driven)
 
 
 def _support_mark(machine: Machine, support: Support) -> SupportMark:
-    on_ground = support.to_link is None
+    on_ground, motion = support.to_link is None, _largest(_shifts(support))
     if isinstance(support, Mount):
         upward = support.at[1] > machine.links[support.link].cg[1]
         spring, damper = any(support.stiffness), any(support.damping)
-        return SupportMark(support.link, support.at, None, upward, spring, damper, on_ground)
+        return SupportMark(support.link, support.at, None, upward, spring, damper, on_ground, motion)
     is_spring, is_damper = isinstance(support, Spring), isinstance(support, Damper)
-    return SupportMark(support.link, support.at, support.anchor, False, is_spring, is_damper, on_ground)
+    return SupportMark(support.link, support.at, support.anchor, False, is_spring, is_damper, on_ground, motion)
+
+
+def _driven_arrow(machine: Machine) -> Iterator[Arrow]:
+    if isinstance(machine.drive, PositionDrive):
+        link = machine.drive.link
+        yield Arrow(link, machine.links[link].cg, machine.drive.direction)
 
 
 def _pull(load: Load) -> Point | None:
     rows = load.over_time or load.over_angle
-    forces = [(row[1], row[2]) for row in rows] if rows else [load.force]
-    x, y = max(forces, key=lambda force: math.hypot(*force))
+    return _largest([(row[1], row[2]) for row in rows] if rows else [load.force])
+
+
+def _shifts(support: Support) -> list[Point]:
+    """Displacements of the ground at a support."""
+    sines = [part.displacement for part in support.motion]
+    return sines + [(row[1], row[2]) for part in support.motion for row in part.over_time or ()]
+
+
+def _largest(vectors: list[Point]) -> Point | None:
+    """Direction of the largest vector; ``None`` where all are nothing."""
+    x, y = max(vectors, key=lambda vector: math.hypot(*vector), default=(0.0, 0.0))
     size = math.hypot(x, y)
     return (x / size, y / size) if size > 0 else None

@@ -165,7 +165,7 @@ def _unknowns_left_out(machine: Machine, model: Model) -> Iterator[LeftOut]:
 
     for joint_name, joint in machine.joints.items():
         eliminated = joint_name in model.kinematics.eliminated
-        driven = machine.drive is not None and machine.drive.joint == joint_name and prescribes_motion(machine)
+        driven = machine.driven_joint == joint_name and prescribes_motion(machine)
         if joint_name in model.clearance_joints:
             yield LeftOut(f"2 reactions of {joint_name}", "clearance: its force follows from the motion", 2)
         elif isinstance(joint, SlidingJoint):

@@ -55,8 +55,7 @@ class Driver:
     """
 
     def __init__(self, model: Model) -> None:
-        assert model.machine.drive is not None
-        joint = model.machine.joints[model.machine.drive.joint]
+        joint = model.machine.joints[model.machine.driven_joint]
         self.rotates = isinstance(joint, TurningJoint)
         position = model.kinematics.position(joint)
         self.coordinates = tuple(np.flatnonzero(ca.which_depends(position, model.z, 1, False)).tolist())

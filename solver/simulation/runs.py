@@ -15,6 +15,7 @@ from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import NEVER, Prepared, model_of
 from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.compiler.ir import LANES
+from jointplay.solver.equations.anchors import row_times
 from jointplay.solver.equations.model import MODELS_KEPT, Model
 from jointplay.solver.integrators import adaptive, control, gill
 from jointplay.solver.integrators.kernel import Kernel, compile_adaptive, compile_model
@@ -218,7 +219,8 @@ def queue_of(machine: Machine, model: Model, waiting: Sequence[Prepared], settin
     patience = np.clip(needed, _LEAST_PATIENCE, _MOST_PATIENCE).astype(np.int64)
     cases["most_trials"] = patience if settings.most_trials is None else settings.most_trials
     starts = np.array([np.concatenate([case.z, case.v, case.memory]) for case in waiting])
-    return Queue(cases, starts, np.array([case.vector for case in waiting]).reshape(len(waiting), -1))
+    vectors = np.array([case.vector for case in waiting]).reshape(len(waiting), -1)
+    return Queue(cases, starts, vectors, np.array(row_times(machine)))
 
 
 def _run(model: Model, case: Prepared, queue: Queue, index: int, records: Records, slot: int, seconds: float) -> Run:

@@ -65,9 +65,9 @@ def test_a_slide_takes_a_speed_of_sliding(ram: Path, tmp_path: Path) -> None:
     [
         (
             "{kind: force, joint: G, force: 10}",
-            "ram has a force drive; only a rotation or",
+            "ram has a force drive; only a rotation,",
         ),
-        ("", "ram has no drive; only a rotation or translation drive has a speed"),
+        ("", "ram has no drive; only a rotation, translation or position drive has a speed"),
         ("{kind: translation, joint: G, speed: [[0, 0], [1, 0.1]]}", "the drive of ram runs up by a table"),
     ],
 )

@@ -89,6 +89,26 @@ def test_machine_without_constant_speed_is_refused() -> None:
         entries_of(plan_of(), parse_machine(tree))
 
 
+def test_a_link_driven_in_space_and_ground_that_does_not_come_round_are_refused() -> None:
+    tree = QUICK_RETURN.model_dump()
+    driven = {
+        "kind": "position",
+        "link": "ram",
+        "direction": [1, 0],
+        "harmonics": [{"frequency": 2, "amplitude": 0.01}],
+    }
+    with pytest.raises(PlanError, match=r"drive: kind position: a catalogue needs a drive of kind rotation"):
+        entries_of(plan_of(), parse_machine({**tree, "drive": driven}))
+    for motion, comes in (({"order": 3}, True), ({"order": 0.5}, False), ({"frequency": 2.0}, False)):
+        tree["supports"][1]["motion"] = [{"displacement": [0, 1e-5], **motion}]
+        machine = parse_machine(tree)
+        if comes:
+            assert entries_of(plan_of(), machine)
+        else:
+            with pytest.raises(PlanError, match=r"supports\.1\.motion\.0: a catalogue needs ground that stands"):
+                entries_of(plan_of(), machine)
+
+
 def test_unknown_presets_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match='did you mean "standard"'):
         load_plan("standart")

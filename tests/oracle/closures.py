@@ -10,7 +10,7 @@ from oracle.tables import prescribed
 
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import MotionDrive
 
 
 def lacking(
@@ -34,7 +34,7 @@ def lacking(
     for i, k in blocked_motions(machine):
         drawn = (*list(machine.links.values())[i].cg, 0.0)[k]
         gaps += [positions[i, k] - drawn, velocities[i, k]]
-    if isinstance(machine.drive, RotationDrive | TranslationDrive):
+    if isinstance(machine.drive, MotionDrive):
         gaps += [a - b for a, b in zip(state.drive_motion(), prescribed(machine.drive, t), strict=False)]
     return float(np.abs(gaps).max())
 

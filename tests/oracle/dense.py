@@ -27,15 +27,7 @@ from oracle.tables import periodic_row, prescribed, table, time_row
 
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import (
-    Damper,
-    ForceDrive,
-    Mount,
-    RotationDrive,
-    Spring,
-    TorqueDrive,
-    TranslationDrive,
-)
+from jointplay.solver.machines.parts import Damper, ForceDrive, MotionDrive, Mount, PositionDrive, Spring, TorqueDrive
 
 
 class JammedError(Exception):
@@ -108,7 +100,7 @@ class _System:
     def __init__(self, state: State, clearances: Mapping[str, float], t: float, began: Mapping[str, float]) -> None:
         self.state, self.machine, self.clearances, self.t, self.began = state, state.machine, clearances, t, began
         n, j = len(self.machine.links), len(self.machine.joints)
-        known_motion = isinstance(self.machine.drive, RotationDrive | TranslationDrive)
+        known_motion = isinstance(self.machine.drive, MotionDrive)
         self.effort = 3 * n + 2 * j
         size = self.effort + known_motion + len(self.machine.modes)
         self.modes = slice(self.effort + known_motion, size)
@@ -193,6 +185,8 @@ class _System:
             point = state.point(i, support.at)
             base = np.array(anchor) if j is None else state.point(j, anchor)
             relative = state.velocity(i, support.at) - (np.zeros(2) if j is None else state.velocity(j, anchor))
+            shift, rate = state.shift(support, self.t)
+            base, relative = base + shift, relative - rate
             gap = point - base
             along = gap / math.hypot(*gap) if gap.any() else gap  # away from the anchor
             if isinstance(support, Mount):
@@ -310,8 +304,7 @@ class _System:
             self.known_motion(drive)
 
     def known_effort(self, effort: float) -> None:
-        assert self.machine.drive is not None
-        joint = self.machine.joints[self.machine.drive.joint]
+        joint = self.machine.joints[self.machine.driven_joint]
         i, j = (self.state.index(link) for link in joint.links)
         if isinstance(joint, SlidingJoint):
             slide = self.state.slide(joint)
@@ -319,11 +312,19 @@ class _System:
         else:
             self.couple(i, j, effort, joint.at)
 
-    def known_motion(self, drive: RotationDrive | TranslationDrive) -> None:
-        """The last row and column. (u . d)'' = u . d'' + 2 w n . d' + theta'' n . d - w^2 u . d is prescribed."""
-        joint, column = self.machine.joints[drive.joint], self.effort
-        i, j = (self.state.index(link) for link in joint.links)
+    def known_motion(self, drive: MotionDrive) -> None:
+        """The last row and column. (u . d)'' = u . d'' + 2 w n . d' + theta'' n . d - w^2 u . d is prescribed, or that
+        of a centre of gravity along a direction that stays.
+        """
+        column = self.effort
         self.c[column] = prescribed(drive, self.t)[2]
+        if isinstance(drive, PositionDrive):
+            i, cg, along = self.state.index(drive.link), self.machine.links[drive.link].cg, np.array(drive.direction)
+            self.force(i, self.state.point(i, cg), along, cg, column)
+            self.acceleration_row(column, along, i, cg, 1.0)
+            return
+        joint = self.machine.joints[drive.joint]
+        i, j = (self.state.index(link) for link in joint.links)
         if isinstance(joint, SlidingJoint):
             slide = self.state.slide(joint)
             self.pair(i, j, slide.point, slide.along, joint.at, column)

@@ -180,6 +180,17 @@ class _Draft:
             data |= {"curve": curve} if ramped else {kind: float(values[0])}
         return data
 
+    def shift(self, kind: str) -> dict[str, Any]:
+        """Part of an anchor's motion, up to 1 cm and 2 m/s."""
+        if kind == "over_time":
+            return {kind: [[t, *self.rng.uniform(-0.01, 0.01, 2).tolist()] for t in (0.001, 0.011, 0.021)]}
+        often = {"frequency": self.between(1, 30)} if kind == "frequency" else {"order": self.choose((1, 2, 0.37))}
+        return {
+            "displacement": self.rng.uniform(-0.01, 0.01, 2).tolist(),
+            "phase": float(self.rng.uniform(-3, 3)),
+            **often,
+        }
+
     def load(self, *, by_angle: bool) -> dict[str, Any]:
         link = self.pick()
         data: dict[str, Any] = {"link": link, "at": self.near(self.links[link]["cg"])}
@@ -218,6 +229,31 @@ def _oil(joints: dict[str, dict[str, Any]], seed: int) -> None:
             joint["film"] = {"viscosity": viscosity, "length": length, "roughness": draft.between(1e-7, 1e-5)}
 
 
+def _shake(supports: list[dict[str, Any]], seed: int, *, by_angle: bool) -> None:
+    """Let the ground of some supports move. Drawn apart: all else is as without it."""
+    draft = _Draft(np.random.default_rng([seed, 4]))
+    kinds = ("frequency", "over_time", "order") if by_angle else ("frequency", "over_time")
+    for support in supports:
+        if support["to_link"] is None and draft.rng.random() < 0.3:
+            support["motion"] = [draft.shift(draft.choose(kinds)) for _ in range(int(draft.rng.integers(1, 3)))]
+
+
+def _in_space(
+    links: dict[str, dict[str, Any]], drive: dict[str, Any] | None, seed: int
+) -> dict[str, Any] | None:  # fmt: skip
+    """The drive, or one of a link in space in place of a force or of none. Drawn apart, as above."""
+    draft = _Draft(np.random.default_rng([seed, 5]), links)
+    link, angle, s = draft.pick(), float(draft.rng.uniform(0, 2 * math.pi)), draft.rng.uniform(-1, 1, 2)
+    other = drive is not None and drive["kind"] != "force"
+    locked = links[link].get("fixed") or {"x", "y"} & set(links[link].get("locked", ()))
+    if other or locked or draft.rng.random() < 0.3:
+        return drive
+    direction = draft.choose(([1, 0], [0, 1], [math.cos(angle), math.sin(angle)]))
+    speed = [[0.0, s[0]], [0.02, s[1]]] if draft.rng.random() < 0.4 else float(s[0])
+    harmonics = [{"frequency": 5.0, "amplitude": 0.01, "phase": angle}][: int(draft.rng.integers(2))]
+    return {"kind": "position", "link": link, "direction": direction, "speed": speed, "harmonics": harmonics}
+
+
 def sketch(seed: int) -> Sketch:
     """A machine of 3 to 12 links with anything that a machine file can say."""
     draft = _Draft(np.random.default_rng(seed))
@@ -235,6 +271,7 @@ def sketch(seed: int) -> Sketch:
     draft.rng.shuffle(names)  # the frame may stand anywhere in the file
     guides = _loosen(draft.joints, seed)
     _oil(draft.joints, seed)
+    _shake(draft.supports, seed, by_angle=by_angle)
     tree = {
         "name": "drawn",
         "frame": "L0",
@@ -243,7 +280,7 @@ def sketch(seed: int) -> Sketch:
         "joints": draft.joints,
         "supports": draft.supports,
         "loads": [draft.load(by_angle=by_angle) for _ in range(int(draft.rng.integers(3)))],
-        "drive": drive,
+        "drive": _in_space(draft.links, drive, seed),
     }
     return Sketch(parse_machine(tree), {name: draft.between(1e-5, 1e-2) for name in worn} | guides, seed)
 

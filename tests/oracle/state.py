@@ -9,9 +9,11 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from oracle.tables import shift
 
 from jointplay.solver.machines.joints import Contact, SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import PositionDrive, Support
 
 Array = NDArray[np.float64]
 Point: TypeAlias = tuple[float, float]
@@ -116,6 +118,11 @@ class State:
         """Velocity of a point of link i that was drawn at `drawn`."""
         return self.velocity_at(i, self.point(i, drawn), drawn)
 
+    def shift(self, support: Support, t: float) -> tuple[Array, Array]:
+        """Displacement of the ground end of a support since drawn and its rate."""
+        by_angle = any(part.order is not None for part in support.motion)
+        return shift(support.motion, t, *(self.drive_motion() if by_angle else (0.0, 0.0)))
+
     def slide(self, joint: SlidingJoint) -> Slide:
         i, j = (self.index(link) for link in joint.links)
         along = self.turned(j, joint.direction, joint.at)
@@ -125,9 +132,13 @@ class State:
         return Slide(i, j, along, across(along), self.point(i, joint.at), gap, rate, omega)
 
     def drive_motion(self) -> tuple[float, float]:
-        """Relative rotation, or travel, of the drive's joint since drawn, and its rate."""
-        assert self.machine.drive is not None
-        joint = self.machine.joints[self.machine.drive.joint]
+        """Relative rotation, or travel, of the drive's joint or link since drawn, and its rate."""
+        drive = self.machine.drive
+        assert drive is not None
+        if isinstance(drive, PositionDrive):
+            i, cg, along = self.index(drive.link), self.machine.links[drive.link].cg, np.array(drive.direction)
+            return float(along @ (self.point(i, cg) - cg)), float(along @ self.velocity(i, cg))
+        joint = self.machine.joints[drive.joint]
         if isinstance(joint, SlidingJoint):
             slide = self.slide(joint)
             return float(slide.along @ slide.gap), slide.rate
@@ -143,8 +154,8 @@ class State:
         rows = [(m * v[0], m * v[1], m * (p[0] * v[1] - p[1] * v[0]) + i * v[2]) for (m, i), p, v in parts]
         return np.sum(rows, axis=0)
 
-    def energy(self, clearances: dict[str, float]) -> float:
-        """Kinetic energy, weight, springs, and the springs of contacts that touch, J."""
+    def energy(self, clearances: dict[str, float], t: float = 0.0) -> float:
+        """Kinetic energy, weight, springs with their ends as they are at `t`, springs of contacts that touch, J."""
         total = 0.0
         for i, link in enumerate(self.machine.links.values()):
             if link.mass is not None and link.inertia is not None:
@@ -159,7 +170,7 @@ class State:
             base = np.array(anchor)
             if support.to_link is not None:
                 base = self.point(self.index(support.to_link), anchor)
-            gap = self.point(i, support.at) - base
+            gap = self.point(i, support.at) - base - self.shift(support, t)[0]
             if support.kind == "mount":
                 total += 0.5 * float(np.array(support.stiffness) @ gap**2)
             else:

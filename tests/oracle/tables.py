@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import AnchorMotion, MotionDrive, RotationDrive
 
 Points = Sequence[tuple[float, float]]
 
@@ -48,7 +48,7 @@ def time_row(rows: Sequence[tuple[float, ...]], t: float) -> NDArray[np.float64]
     return np.array([table([(row[0], row[k]) for row in rows], t) for k in (1, 2, 3)])
 
 
-def prescribed(drive: RotationDrive | TranslationDrive, t: float) -> tuple[float, float, float]:
+def prescribed(drive: MotionDrive, t: float) -> tuple[float, float, float]:
     """Displacement of a prescribed drive since t = 0, its rate and its acceleration."""
     if isinstance(drive.speed, tuple):
         base, (speed, slope) = area(drive.speed, t), _segment(drive.speed, t)
@@ -69,3 +69,22 @@ def prescribed(drive: RotationDrive | TranslationDrive, t: float) -> tuple[float
             rate += a * w * math.cos(angle)
             acceleration -= a * w * w * math.sin(angle)
     return value, rate, acceleration
+
+
+def shift(
+    motion: Sequence[AnchorMotion], t: float, angle: float, speed: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Displacement of an anchor since drawn and its rate, at a drive angle and its rate."""
+    moved, rate = np.zeros(2), np.zeros(2)
+    for part in motion:
+        if part.over_time is not None:
+            both = np.array([_segment([(row[0], row[k]) for row in part.over_time], t) for k in (1, 2)])
+            moved, rate = moved + both[:, 0], rate + both[:, 1]
+        elif part.frequency is not None:
+            w = 2 * math.pi * part.frequency
+            moved = moved + np.array(part.displacement) * math.sin(w * t + part.phase)
+            rate = rate + np.array(part.displacement) * w * math.cos(w * t + part.phase)
+        elif part.order is not None:
+            moved = moved + np.array(part.displacement) * math.sin(part.order * angle + part.phase)
+            rate = rate + np.array(part.displacement) * part.order * speed * math.cos(part.order * angle + part.phase)
+    return moved, rate

@@ -19,7 +19,7 @@ from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import RotationDrive, TranslationDrive
+from jointplay.solver.machines.parts import MotionDrive, RotationDrive
 
 #: Largest difference, as part of the largest term of the equations. What is not the solver's fault sets it: a pin
 #: pressed 1e-6 m into a socket of 1e8 N/m loses six digits of sixteen before any equation is written.
@@ -48,8 +48,8 @@ def difference(machine: Machine, solution: Solution, motion: LinkMotion, modes: 
         else:
             worn = f"force_{name}_on_pin"
             expected[worn if worn in motion.reactions else f"force_{name}"] = (reaction, force)
-    if isinstance(machine.drive, RotationDrive | TranslationDrive):
-        scale = force if isinstance(machine.drive, TranslationDrive) else moment
+    if isinstance(machine.drive, MotionDrive):
+        scale = moment if isinstance(machine.drive, RotationDrive) else force
         expected["drive_effort"] = (solution.effort, scale)
     assert set(expected) <= set(motion.reactions)
     if machine.modes:
@@ -110,6 +110,9 @@ def features(sketch: Sketch, state: State) -> set[str]:
             seen |= {"pin radius"} if law.pin_radius else set()
     for support in machine.supports:
         seen.add(f"{support.kind} to {'link' if support.to_link else 'ground'}")
+        for part in support.motion:
+            kinds = ("frequency", "order", "over_time")
+            seen |= {f"moving {support.kind}", *(f"motion {kind}" for kind in kinds if getattr(part, kind) is not None)}
     for load in machine.loads:
         of_an_order = "of an order" if load.order else "constant"
         seen.add("load " + ("over time" if load.over_time else "over angle" if load.over_angle else of_an_order))
@@ -119,8 +122,10 @@ def features(sketch: Sketch, state: State) -> set[str]:
         more = ("ripple", "harmonics", "curve")
         seen |= {f"{drive.kind} {key}" for key in more if getattr(drive, key, None)}
         seen |= {f"{drive.kind} ramp"} if isinstance(getattr(drive, "speed", None), tuple) else set()
-        loose = "guide" if drive.joint in guides else "joint"
-        seen |= {f"{drive.kind} of a worn {loose}"} if drive.joint in sketch.clearances else set()
+        if machine.driven_link:
+            seen.add("position of the frame" if machine.driven_link == machine.frame else "position of another link")
+        loose = "guide" if machine.driven_joint in guides else "joint"
+        seen |= {f"{drive.kind} of a worn {loose}"} if machine.driven_joint in sketch.clearances else set()
     return seen
 
 
@@ -144,6 +149,9 @@ EXPECTED = {
     "corner viscous": 15, "corner law linear": 10, "corner law hertz": 2, "corner law hunt-crossley": 2,
     "corner law flores": 2, "corner law gonthier": 2, "corner law lankarani-nikravesh": 2,
     "translation of a worn guide": 2, "force of a worn guide": 2, "oil apart": 5, "oil fading": 5,
+    "position of another link": 25, "position of the frame": 2, "position ramp": 10, "position harmonics": 10,
+    "moving spring": 10, "moving damper": 2, "moving mount": 4, "motion frequency": 8, "motion order": 4,
+    "motion over_time": 8,
 }  # fmt: skip
 
 
@@ -160,7 +168,8 @@ EXPECTED_BENT = {
     "compared": 35, "closed loops": 10, "fixed frame": 5, "slide": 5, "vertical slide": 5, "rubbing slide": 5,
     "viscous turning": 10, "pin pressed": 8, "contact friction": 5, "1 corners pressed": 2, "2 corners pressed": 2,
     "spring to ground": 5, "spring to link": 5, "mount to ground": 2, "mount to link": 2, "rotation": 5,
-    "translation": 2, "torque": 2, "force": 2, "load constant": 5,
+    "translation": 2, "torque": 2, "force": 2, "load constant": 5, "position": 10, "position of the frame": 2,
+    "moving spring": 4,
 }  # fmt: skip
 
 

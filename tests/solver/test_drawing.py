@@ -172,3 +172,19 @@ def test_pins_are_drawn_over_the_blocks_they_sit_in() -> None:
     """Joint A of the quick-return sits in the block that slides in G1."""
     svg = machine_svg(shipped_machine("quick-return"), {"A": "#c00", "G1": "#fff"})
     assert svg.index("joint-G1") < svg.index("joint-A")
+
+
+def test_a_driven_link_and_moving_ground_have_arrows() -> None:
+    tree = shipped_machine("slider-crank").model_dump()
+    belt = {"kind": "spring", "link": "frame", "at": [0, 0], "anchor": [0.4, 0.2], "stiffness": 10}
+    shaken = {"displacement": [0, 1e-3], "frequency": 5.0}
+    tree["drive"] = {"kind": "position", "link": "slider", "direction": [1, 0], "speed": 0.1}
+    tree["supports"] = [{**tree["supports"][0], "motion": [shaken]}, {**belt, "motion": [shaken]}, tree["supports"][1]]
+    machine = parse_machine(tree)
+    shapes = machine_shapes(machine)
+    assert [(drive.name, drive.at, drive.direction) for drive in shapes.drives] == [("slider", (0.2, 0.05), (1.0, 0.0))]
+    assert [support.motion for support in shapes.supports] == [(0.0, 1.0), (0.0, 1.0), None]
+    svg = root(machine)
+    assert (classes(svg).count("drive"), classes(svg).count("motion")) == (1, 2)
+    assert "Driven at the centre of gravity of slider." in machine_svg(machine)
+    assert not any(joint.driven for joint in shapes.joints)

@@ -55,7 +55,7 @@ TORQUE = {"kind": "torque", "joint": "O"}
         ("drive.rippel", [], 'drive.rippel: []: unknown key; did you mean "ripple"?'),
         ("joints.A.kind", "turnin", 'joints.A.kind: turnin: is not a known kind; did you mean "turning"?'),
         ("joints.A.kind", MISSING, "joints.A.kind: is missing"),
-        ("drive.kind", "steam", "drive.kind: steam: is not a known kind; known: rotation, translation, torque, force"),
+        ("drive.kind", "steam", "drive.kind: steam: is not a known kind; known: rotation, translation, position, torque, force"),
         ("supports.1.kind", "spirng", 'supports.1.kind: spirng: is not a known kind; did you mean "spring"?'),
         ("initial", {"pose": "drwn"}, "initial.pose: drwn: must be drawn or equilibrium"),
         ("links.frame.locked", ["x", "z"], "links.frame.locked.1: z: must be x, y or theta"),
