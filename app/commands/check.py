@@ -56,6 +56,18 @@ def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None,
             click.echo(f"\ndrawn: {drawing}")
 
 
+def ground_of(machine: Machine) -> list[str]:
+    """Return how the ground moves under supports, a line for each part of it."""
+    lines = []
+    for i, support in enumerate(machine.supports):
+        for part in support.motion:
+            x, y = (1e6 * size for size in part.displacement)
+            often = f"order {part.order or 0:g}" if part.frequency is None else f"{part.frequency:g} Hz"
+            how = "by a table" if part.over_time is not None else f"({x:.3g}, {y:.3g}) um at {often}"
+            lines.append(f"supports.{i}, {support.kind} on {support.link}: {how}")
+    return lines
+
+
 def matrix_of(machine: Machine, fault: Fault) -> MechanismMatrix | str:
     """Return the mechanism matrix, or why it cannot say this machine."""
     from jointplay.solver.errors import MachineError
@@ -87,6 +99,7 @@ def document(
         "sliding_joints": list(machine.sliding_joints),
         "sensors": [sensor.name for sensor in machine.sensors],
         "joints": fits_document(machine),
+        "ground_motion": ground_of(machine),
         "fault_um": {joint: clearance * 1e6 for joint, clearance in fault.items()},
         "degrees_of_freedom": sizes.freedoms,
         "integrated_degrees_of_freedom": sizes.integrated,
@@ -122,6 +135,7 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
         "",
         joints_of(machine, fault),
         "",
+        *(f"ground moves under {line}\n" for line in ["; ".join(ground_of(machine))] if line),
         f"degrees of freedom      F = {sizes.freedoms}, of which {sizes.integrated} are integrated",
         f"full system       3N + 2J = {sizes.full_unknowns} unknowns ({sizes.links} links, {sizes.joints} joints)",
         f"compiled system             {size} unknowns, {len(sizes.coordinates)} accelerations and "

@@ -101,6 +101,7 @@ def _modes(suspension: Suspension) -> Iterator[tuple[str, complex]]:
 def _orders(machine: Machine) -> set[float]:
     """Orders with which the drive shakes the frame: the main ones, and those that the file gives itself."""
     orders = {*MAIN_ORDERS, *(float(load.order) for load in machine.loads if load.order is not None)}
+    orders |= {part.order for support in machine.supports for part in support.motion if part.order is not None}
     if isinstance(machine.drive, RotationDrive):
         orders |= {ripple.order for ripple in machine.drive.ripple if ripple.amplitude}
     return orders

@@ -109,6 +109,22 @@ def test_check_shows_the_sizes_of_the_model() -> None:
     assert "arrays" not in document["mechanism_matrix"]
 
 
+def test_check_shows_a_link_driven_in_space_and_ground_that_moves(tmp_path: Path) -> None:
+    tree = json.loads(invoke("machines", "slider-crank", "--json").stdout)
+    foot = {"kind": "mount", "link": "frame", "at": [0, 0], "stiffness": [1e5, 1e5]}
+    tree["supports"][0]["motion"] = [{"displacement": [0, 2e-5], "order": 2}, {"over_time": [[0, 0, 0]]}]
+    tree["supports"].append({**foot, "motion": [{"displacement": ["1 mm", 0], "frequency": "12 Hz"}]})
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps(tree))
+    (line,) = (line for line in invoke("check", path).stdout.splitlines() if line.startswith("ground"))
+    first, last = "supports.0, mount on frame: ", "supports.2, mount on frame: (1e+03, 0) um at 12 Hz"
+    assert line == f"ground moves under {first}(0, 20) um at order 2; {first}by a table; {last}"
+    assert json.loads(invoke("check", path, "--json").stdout)["ground_motion"][2] == last
+    tree["drive"], tree["supports"] = {"kind": "position", "link": "frame", "direction": [0, 1], "speed": 0.1}, []
+    path.write_text(json.dumps(tree))
+    assert "; drive: frame along y at 0.1 m/s; fault: healthy" in invoke("check", path).stdout
+
+
 def test_a_matrix_is_shown_and_simulated_as_its_file_gives_it(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "reference" / "machine-file.md").read_text(encoding="utf-8")
     (given,) = re.findall(r"```yaml\n(name: slider-crank\nmatrix:.*?)```", page, re.DOTALL)
