@@ -33,7 +33,8 @@ class LinkMotion:
         By name: ``force_J`` (n, 2) on links[0] of turning joint J, N, global axes; ``force_J_on_pin`` (n, 2) for one
         with clearance; ``normal_J`` and ``couple_J`` (n,) on links[0] of a sliding joint, N and N m, the normal being
         the direction turned by +90 deg (with clearance the sum over the corners, and the moment of all their forces
-        about the joint's point); ``drive_effort`` (n,) on links[0] of a prescribed drive, N m or N.
+        about the joint's point); ``drive_effort`` (n,) of a prescribed drive, on links[0] or its
+        link, N m or N.
     open : tuple of str
         Those of joints that hold together more than there is to hold: their sum has a value, their shares have none.
         Joints that repeat another have 0 here; the others share by least squares.

@@ -80,6 +80,11 @@ def oiled() -> Machine:
     return loaded("four-bar", joints=joints)
 
 
+SWING = {"frequency": 4.0, "amplitude": -0.02}
+SHAKEN = [
+    {"displacement": [1e-4, 2e-4], "frequency": 12.0, "phase": 0.4},
+    {"over_time": [[0.0, 0, 0], [0.011, 1e-3, 0], [0.02, 0, 2e-3]]},
+]
 CUTTING = [[0.0, 0.0, 0.0, 0.0], [1.2, -800.0, 20.0, 3.0], [3.1, 0.0, 0.0, 0.0]]
 SCENES = {
     "quick-return, two worn joints, ripple, cutting force": (
@@ -144,6 +149,18 @@ SCENES = {
         ),
         ("G2",),
         (),
+    ),
+    "quick-return, its ram driven in space, on ground that moves": (
+        loaded(
+            "quick-return",
+            drive={"kind": "position", "link": "ram", "direction": [1, 0.1], "harmonics": [SWING]},
+            supports=[
+                {**shipped_machine("quick-return").supports[0].model_dump(), "motion": SHAKEN},
+                *shipped_machine("quick-return").supports[1:],
+            ],
+        ),
+        ("C",),
+        ("supports.0.motion.0.displacement.1", "drive.harmonics.0.amplitude"),
     ),
     "four-bar, oil": (oiled(), ("A", "B", "D"), ()),
     "four-bar, every joint worn": (shipped_machine("four-bar"), tuple(shipped_machine("four-bar").turning_joints), ()),
