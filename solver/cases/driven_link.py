@@ -20,11 +20,13 @@ def cannot_follow(model: Model, rows: FloatArray) -> bool:
     ----------
     model : Model
     rows : (m, n) array
-        Jacobian of the closures, of which the drive's is the last.
+        Jacobian of the closures, of which the drive's is the last, and of concentric pins.
     """
     if model.machine.driven_link in ("", model.machine.frame):
         return False
-    return len(rows) - 1 not in independent_rows(rows[:, model.inner_indices])
+    inner = rows[:, model.inner_indices]
+    drive = len(model.kinematics.closures) - 1
+    return len(rows) - 1 not in independent_rows(np.vstack([np.delete(inner, drive, axis=0), inner[drive]]))
 
 
 def still_frame(model: Model) -> list[FloatArray]:

@@ -177,11 +177,11 @@ def find_repeat(model: Model, p: Sequence[float]) -> AssemblyError | None:
     driven in space the frame must not have to follow.
     """
     closures = model.kinematics.closures
-    rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1][: len(closures)]
+    rows = evaluate(model.constraint, 0.0, np.zeros(model.size), np.zeros(model.size), p)[1]
     if cannot_follow(model, rows):
         rule = "cannot be driven so from the drawn pose: a dead centre, or a direction in which it is held"
         return AssemblyError(model.machine.name, "drive.link", model.machine.driven_link, rule)
-    rows = np.delete(rows, model.kinematics.modes, axis=1)
+    rows = np.delete(rows[: len(closures)], model.kinematics.modes, axis=1)
     kept = independent_rows(rows)
     if len(kept) == len(rows) - model.repeats.shared:
         return None

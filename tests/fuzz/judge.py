@@ -15,6 +15,7 @@ from oracle.state import State
 from scipy.integrate import solve_ivp
 
 from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.equations.anchors import row_times
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine
@@ -142,13 +143,20 @@ def _integrated(scene: Scene, motion: LinkMotion, rtol: float, most: int) -> Arr
         accelerations[blocked] = 0.0
         return np.concatenate([y[len(y) // 2 :], accelerations])
 
-    try:
-        found = solve_ivp(rate, (0.0, t[-1]), start, "DOP853", t, rtol=rtol, atol=0.1 * rtol)
-    except np.linalg.LinAlgError as error:
-        raise _TiredError from error
-    if found.status != 0:
-        raise FaultyError(f"the oracle's integration ends at {found.t[-1]:.3g} s: {found.message}")
-    return np.asarray(found.y[len(start) // 2 :].T.reshape(len(t), -1, 3))
+    rows = [row for row in row_times(machine) if 0 < row <= t[-1]]
+    found = np.array([start] * len(t))
+    for begin, end in itertools.pairwise(sorted({0.0, *rows, t[-1]})):
+        stop = end * (1 - 1e-13) if end in rows else end  # what follows the row of a table is not to be seen before
+        inside = (t > begin) & (t <= end)
+        times = np.unique([*np.minimum(t[inside], stop), stop])
+        try:
+            part = solve_ivp(rate, (begin, stop), start, "DOP853", times, rtol=rtol, atol=0.1 * rtol)
+        except np.linalg.LinAlgError as error:
+            raise _TiredError from error
+        if part.status != 0:
+            raise FaultyError(f"the oracle's integration ends at {part.t[-1]:.3g} s: {part.message}")
+        found[inside], start = part.y.T[: np.count_nonzero(inside)], part.y[:, -1]
+    return np.asarray(found[:, len(start) // 2 :].reshape(len(t), -1, 3))
 
 
 def _signed(system: _System, last: list[tuple[float, ...]]) -> Array:

@@ -38,7 +38,7 @@ def test_random_machines(first: int) -> None:
 
 def test_compiled_lanes() -> None:
     confirmed = 0
-    for drawn in small_scenes(20_000, 6):
+    for drawn in small_scenes(20_000, 8):
         confirmed += judge(drawn, evaluations=250).confirmed
     assert confirmed >= 2
 

@@ -250,7 +250,7 @@ def _in_space(
         return drive
     direction = draft.choose(([1, 0], [0, 1], [math.cos(angle), math.sin(angle)]))
     speed = [[0.0, s[0]], [0.02, s[1]]] if draft.rng.random() < 0.4 else float(s[0])
-    harmonics = [{"frequency": 5.0, "amplitude": 0.01, "phase": angle}][: int(draft.rng.integers(2))]
+    harmonics = [{"frequency": 5.0, "amplitude": 0.002, "phase": angle}][: int(draft.rng.integers(2))]
     return {"kind": "position", "link": link, "direction": direction, "speed": speed, "harmonics": harmonics}
 
 

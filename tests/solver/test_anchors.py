@@ -18,7 +18,7 @@ from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.simulation.simulate import simulate
+from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 M, K, C = 2.0, 800.0, 8.0  # 20 rad/s, a tenth of critical damping
 
@@ -111,6 +111,19 @@ def test_a_run_up_with_ripple_is_as_accurate_as_other_runs() -> None:
 
 
 TABLE = [[0.01, 0, 0], [0.03, 1e-3, 2e-3]]
+
+
+def test_lanes_with_tables_change_nothing() -> None:
+    """Every lane comes to the rows in steps of its own: bit for bit what the cases give alone."""
+    machine = shaken([{"over_time": TABLE}])
+    cases = [
+        Case(Fault({"B": size}), {"links.frame.mass": mass}) for size in (1e-5, 1e-4) for mass in (18.0, 20.0, 25.0)
+    ]
+    settings = Settings(duration=0.05, sample_rate=5000.0)
+    for case, together in zip(cases, simulate_batch(machine, cases, settings), strict=True):
+        alone = simulate(machine, case, settings)
+        assert together.step == alone.step
+        assert np.array_equal(together.acceleration, alone.acceleration)
 
 
 def shaken(pulled: list[Tree]) -> Machine:

@@ -18,7 +18,7 @@ from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine, machine_json_schema, parse_machine
 from jointplay.solver.simulation.account import account
-from jointplay.solver.simulation.simulate import check_assembly, simulate
+from jointplay.solver.simulation.simulate import check_assembly, simulate, start_of
 
 SWING: Tree = {"frequency": 5.0, "amplitude": 0.01, "phase": 0.4}
 W = 2 * math.pi * SWING["frequency"]
@@ -234,3 +234,11 @@ def test_as_drawn_at_a_dead_centre_it_is_refused_on_a_frame_that_could_give_way(
     machine = parse_machine({**drawn, "drive": driven("slider", [1, 0])})
     with pytest.raises(MachineError, match=r"drive\.link: slider: cannot be driven so from the drawn pose"):
         check_assembly(machine)
+
+
+def test_what_a_worn_pin_alone_would_let_follow_is_refused() -> None:
+    """Where the ideal machine holds the link, its play is not there to be driven through."""
+    tree = tree_of("slider-crank")
+    machine = parse_machine({**tree, "drive": driven("rod", [1, 0])})
+    with pytest.raises(MachineError, match=r"drive\.link: rod: cannot be driven so from the drawn pose"):
+        start_of(machine, Case(Fault({"A": 1e-4, "B": 1e-4})))
