@@ -139,10 +139,10 @@ def _inertia(machine: Machine, link: str, values: Mapping[str, float]) -> float:
     return values.get(f"links.{link}.inertia", machine.links[link].inertia or math.inf)
 
 
-def drive_cause(rule: StepRule, fastest: float) -> Cause:
-    """What the drive asks for, rad/s."""
+def drive_cause(rule: StepRule, fastest: float, path: str = "drive.speed") -> Cause:
+    """What the drive, or ground that moves, asks for at its fastest, rad/s."""
     step = 2 * math.pi / abs(fastest) / rule.per_revolution if fastest else math.inf
-    return Cause(step, "drive.speed", fastest, f"takes {rule.per_revolution:g} steps a revolution; take a slower one")
+    return Cause(step, path, fastest, f"takes {rule.per_revolution:g} steps a revolution; take a slower one")
 
 
 def check_pins(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float]) -> None:

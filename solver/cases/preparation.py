@@ -217,9 +217,10 @@ def prepare(
     rule = STEP_RULES[settings.accuracy]
     rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.fixed_step else 0.0
     contacts = contact_rates(machine, mobility, complete, fastest, 0.0 if settings.fixed_step else USUAL_FILM)
-    fastest = max(fastest, fastest_anchor(machine, speed), key=abs)
-    longest = settings.step or largest_step(rule, contacts.values(), motions.eigenvalues, fastest, rubbing)
-    smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, fastest)
+    shaken, shaking = fastest_anchor(machine, speed)
+    moved = max(abs(fastest), shaken)
+    longest = settings.step or largest_step(rule, contacts.values(), motions.eigenvalues, moved, rubbing)
+    smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, moved)
     recorded = model.size if settings.links else 3
     if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
         too_much = f"{duration * settings.sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
@@ -227,7 +228,8 @@ def prepare(
     check_sample_rate(settings.sample_rate, duration, speed)
     causes = chain(
         contact_causes(machine, rule, contacts, mobility, complete),
-        support_causes(machine, rule, motions.eigenvalues, complete), [drive_cause(rule, fastest)],
+        support_causes(machine, rule, motions.eigenvalues, complete),
+        [drive_cause(rule, fastest), drive_cause(rule, shaken, shaking)],
     )  # fmt: skip
     refuse_too_many_steps(machine.name, duration, min(longest, 1 / settings.sample_rate), causes)
     remark = "; ".join(filter(None, remarks))

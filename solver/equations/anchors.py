@@ -64,12 +64,17 @@ def _slope(x: Number, points: Sequence[tuple[float, float]]) -> ca.SX:
     return total
 
 
-def fastest_anchor(machine: Machine, drive_speed: float) -> float:
-    """Fastest sine that an anchor moves with at a speed of the drive, rad/s; 0 without one."""
-    parts = [part for support in machine.supports for part in support.motion]
-    rates = [2 * math.pi * part.frequency for part in parts if part.frequency is not None]
-    rates += [part.order * abs(drive_speed) for part in parts if part.order is not None]
-    return max(rates, default=0.0)
+def fastest_anchor(machine: Machine, drive_speed: float) -> tuple[float, str]:
+    """Fastest sine that an anchor moves with at a speed of the drive, rad/s, and its path; 0 without one."""
+    found = [(0.0, "supports")]
+    for i, support in enumerate(machine.supports):
+        for k, part in enumerate(support.motion):
+            path = f"supports.{i}.motion.{k}"
+            if part.frequency is not None:
+                found.append((2 * math.pi * part.frequency, f"{path}.frequency"))
+            elif part.order is not None:
+                found.append((part.order * abs(drive_speed), f"{path}.order"))
+    return max(found)
 
 
 def row_times(machine: Machine) -> list[float]:

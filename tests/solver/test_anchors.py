@@ -18,6 +18,7 @@ from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
+from jointplay.solver.machines.matrix import matrix_tree
 from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
 M, K, C = 2.0, 800.0, 8.0  # 20 rad/s, a tenth of critical damping
@@ -252,7 +253,14 @@ def test_a_machine_file_round_trip_and_its_key() -> None:
     assert "motion" not in parse_machine(tree_of("slider-crank")).canonical_json()
     assert machine.supports[0].motion[0].displacement == (1e-4, 2e-4)
     assert row_times(machine) == [0.01, 0.03]
-    assert fastest_anchor(machine, 20 * math.pi) == pytest.approx(60 * math.pi)
+    assert fastest_anchor(machine, 20 * math.pi) == (pytest.approx(60 * math.pi), "supports.1.motion.1.order")
+    assert parse_machine(matrix_tree(machine)) == machine
+
+
+def test_ground_that_asks_for_steps_without_number_is_named() -> None:
+    machine = body(mount([{"displacement": [0, 1e-6], "frequency": 1e9}]))
+    with pytest.raises(MachineError, match=r"^m: supports\.0\.motion\.0\.frequency: .*: takes 1440 steps a revolution"):
+        simulate(machine, {}, Settings(duration=100.0, sample_rate=100.0))
 
 
 SINE: Tree = {"displacement": [0, 1e-3], "frequency": 5.0}

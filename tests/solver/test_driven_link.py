@@ -17,6 +17,7 @@ from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine, machine_json_schema, parse_machine
+from jointplay.solver.machines.matrix import matrix_tree
 from jointplay.solver.simulation.account import account
 from jointplay.solver.simulation.simulate import check_assembly, simulate, start_of
 
@@ -190,6 +191,7 @@ def test_a_machine_file_round_trip() -> None:
     assert machine.drive is not None and machine.drive.kind == "position"
     assert machine.drive.direction == (0.0, 1.0)
     assert parse_machine(machine.canonical_json()) == machine
+    assert parse_machine(matrix_tree(machine)) == machine
     assert (machine.driven_link, machine.driven_joint) == ("slider", "")
     assert "PositionDrive" in machine_json_schema()["$defs"]
 
