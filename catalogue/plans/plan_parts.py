@@ -13,12 +13,19 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtri
 
+from jointplay.catalogue.plans.driving import (
+    EFFORT_FACTOR,
+    driver_link,
+    has_motor,
+    nominal_drive_speed,
+    speed_path,
+)
 from jointplay.catalogue.plans.variants import LawChoice, output_load
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
 from jointplay.solver.machines.joints import WearingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Damper, Mount, Part, RotationDrive, Spring
+from jointplay.solver.machines.parts import Damper, ForceDrive, Mount, Part, RotationDrive, Spring, TorqueDrive
 from jointplay.solver.machines.units import FREQUENCY, LENGTH, RATIO
 
 #: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
@@ -251,6 +258,12 @@ VISCOSITY_RANGE = (0.3, 3.0)
 RIPPLE = (1e-4, 1e-2)
 RIPPLE_ORDERS = (1, 2, 3, 4, 6, 12)
 
+#: Factors on drive speeds, and on those of a motor's curve.
+SPEED = (0.97, 1.03)
+#: Factors on a motor's torque at each speed and on the inertia of the link that it drives: what IEC 60034-1 allows of
+#: slip (a fifth either way) and inertia (a tenth); and where the machine's data cannot be trusted.
+EFFORT, DRIVER_INERTIA, WIDE_EFFORT = (0.8, 1.25), (0.9, 1.1), (0.7, 1.4)
+
 #: Process load, as a part of the weight and the inertia of the moving links; and orders of what comes and goes with a
 #: turn, each as a part of that: a force on one of two strokes is 1/2, 0.64, 0 and 0.21 of itself in orders 0 to 3.
 LOAD = (0.01, 1.0)
@@ -282,8 +295,10 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     filed = [machine.joints[joint].contact for joint in machine.wearing_joints]
     contacts = filed if "own" in laws else []  # any other law takes the place of the file's in every joint
     known = {contact.law for contact in contacts} | set(laws)
+    fast = speed_path(machine)
     found = {
-        "drive.speed": Distribution(factor_uniform=(0.97, 1.03)),
+        **({fast: Distribution(factor_uniform=SPEED)} if fast else {}),
+        **(_motor(machine, EFFORT, DRIVER_INERTIA) if has_motor(machine) else {}),
         "contact.friction": Distribution(uniform=(0.01, 0.15)),
         "contact.stiffness": Distribution(lognormal=STIFFNESS_SCATTER),
     }
@@ -334,12 +349,24 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
     if load is not None:
         scale = _weight_and_inertia(machine) * (load.arm or 1.0)
         found["load"] = _either(LOAD, scale)
-        for order, share in LOAD_ORDERS.items():
+        for order, share in LOAD_ORDERS.items() if not isinstance(machine.drive, ForceDrive) else ():
             spread = _either(LOAD, share * scale)
             found |= {f"load.{order}.sin": spread, f"load.{order}.cos": spread}
+    if has_motor(machine):  # it ripples as torque and inertia have it
+        return found | _motor(machine, WIDE_EFFORT, WIDE_EFFORT)
     for order in RIPPLE_ORDERS:
         spread = _either(RIPPLE, 1.0 / order)
         found |= {f"ripple.{order}.sin": spread, f"ripple.{order}.cos": spread}
+    return found
+
+
+def _motor(machine: Machine, effort: tuple[float, float], inertia: tuple[float, float]) -> dict[str, Distribution]:
+    """Factors on a motor's torque or force, and on the inertia of the link that it turns, by path."""
+    # Without a curve the speed follows the torque as steeply as the resistance falls short of it.
+    found = {EFFORT_FACTOR: Distribution(factor_uniform=effort if speed_path(machine) else SPEED)}
+    driver = driver_link(machine)
+    if isinstance(machine.drive, TorqueDrive) and driver and machine.links[driver].inertia:
+        found[f"links.{driver}.inertia"] = Distribution(factor_uniform=inertia)
     return found
 
 
@@ -380,6 +407,7 @@ def _weight_and_inertia(machine: Machine) -> float:
     drive = machine.drive
     joint = machine.joints.get(str(getattr(drive, "joint", "")))
     speed = drive.speed if isinstance(drive, RotationDrive) and isinstance(drive.speed, float) else 0.0
+    speed = nominal_drive_speed(machine) if has_motor(machine) else speed
     driven = [name for name in joint.links if name != machine.frame] if joint else []
     ends = [math.dist(joint.at, end.at) for end in machine.joints.values() if joint and {*driven} & {*end.links}]
     return moving * (WEIGHT + max(ends, default=0.0) * speed**2)
