@@ -6,7 +6,10 @@ of its curve moves that.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+
+import numpy as np
 
 from jointplay.catalogue.errors import PlanError
 from jointplay.solver.machines.fault import HEALTHY
@@ -16,6 +19,11 @@ from jointplay.solver.machines.parts import ForceDrive, RotationDrive, TorqueDri
 DRIVE_SPEED = "drive.speed"
 SPEED_FACTOR = "drive.speed_factor"
 EFFORT_FACTOR = "drive.effort_factor"
+
+#: Part of its speed by which a process load may slow a motor.
+BORNE = 0.05
+#: Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat.
+WEIGHT = 9.81
 
 
 def has_motor(machine: Machine) -> bool:
@@ -89,3 +97,35 @@ def driver_link(machine: Machine) -> str:
     joint = machine.joints.get(str(getattr(machine.drive, "joint", "")))
     others = [name for name in joint.links if name != machine.frame] if joint else []
     return others[0] if len(others) == 1 else ""
+
+
+def load_scale(machine: Machine) -> float:
+    """Force [N] that a process is compared with: of the moving links' weight, and of their mass on the driver's way.
+
+    That is of the driven link's end. Of a motor it is no more than moves its speed by :data:`BORNE`: what stops it, or
+    turns it round, is not the same machine under another load.
+    """
+    moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
+    drive = machine.drive
+    joint = machine.joints.get(str(getattr(drive, "joint", "")))
+    speed = drive.speed if isinstance(drive, RotationDrive) and isinstance(drive.speed, float) else 0.0
+    speed = nominal_drive_speed(machine) if has_motor(machine) else speed
+    driven = [name for name in joint.links if name != machine.frame] if joint else []
+    ends = [math.dist(joint.at, end.at) for end in machine.joints.values() if joint and {*driven} & {*end.links}]
+    reach = max(ends, default=0.0)
+    scale = moving * (WEIGHT + reach * speed**2)
+    if isinstance(drive, ForceDrive):
+        return min(scale, 2 * BORNE * max(abs(force) for _, force in drive.curve or ((0.0, drive.force or 0.0),)))
+    if isinstance(drive, TorqueDrive) and reach:
+        # In phase with the way r sin it does pi F r of work in a turn, as much as a torque of F r / 2.
+        return min(scale, 2 * _torque_borne(drive, speed) / reach)
+    return scale
+
+
+def _torque_borne(drive: TorqueDrive, speed: float) -> float:
+    """Torque [N m] that a motor gives more when it turns slower by :data:`BORNE`."""
+    if not drive.curve:
+        return BORNE * abs(drive.torque or 0.0) * drive.effort_factor
+    speeds, torques = zip(*drive.curve, strict=True)
+    now, slower = np.interp([speed / drive.speed_factor, (1 - BORNE) * speed / drive.speed_factor], speeds, torques)
+    return drive.effort_factor * abs(float(now - slower))

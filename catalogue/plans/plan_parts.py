@@ -13,19 +13,13 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtri
 
-from jointplay.catalogue.plans.driving import (
-    EFFORT_FACTOR,
-    driver_link,
-    has_motor,
-    nominal_drive_speed,
-    speed_path,
-)
+from jointplay.catalogue.plans.driving import EFFORT_FACTOR, driver_link, has_motor, load_scale, speed_path
 from jointplay.catalogue.plans.variants import LawChoice, output_load
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
 from jointplay.solver.machines.joints import WearingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Damper, ForceDrive, Mount, Part, RotationDrive, Spring, TorqueDrive
+from jointplay.solver.machines.parts import Damper, ForceDrive, Mount, Part, Spring, TorqueDrive
 from jointplay.solver.machines.units import FREQUENCY, LENGTH, RATIO
 
 #: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
@@ -268,8 +262,6 @@ EFFORT, DRIVER_INERTIA, WIDE_EFFORT = (0.8, 1.25), (0.9, 1.1), (0.7, 1.4)
 #: turn, each as a part of that: a force on one of two strokes is 1/2, 0.64, 0 and 0.21 of itself in orders 0 to 3.
 LOAD = (0.01, 1.0)
 LOAD_ORDERS = {1: 0.6, 2: 0.3, 3: 0.2}
-#: Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat.
-WEIGHT = 9.81
 
 
 def default_laws(machine: Machine) -> dict[LawChoice, float]:
@@ -347,7 +339,7 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         found[path] = wide or Distribution(factor_uniform=(0.9, 1.1))
     load = output_load(machine)
     if load is not None:
-        scale = _weight_and_inertia(machine) * (load.arm or 1.0)
+        scale = load_scale(machine) * (load.arm or 1.0)
         found["load"] = _either(LOAD, scale)
         for order, share in LOAD_ORDERS.items() if not isinstance(machine.drive, ForceDrive) else ():
             spread = _either(LOAD, share * scale)
@@ -399,15 +391,3 @@ def _modes(machine: Machine) -> dict[str, float]:
 def _either(bounds: tuple[float, float], scale: float) -> Distribution:
     low, high = (float(f"{scale * bound:.3g}") for bound in bounds)
     return Distribution(either_loguniform=(low, high))
-
-
-def _weight_and_inertia(machine: Machine) -> float:
-    """Force [N] of the moving links' weight, and of their mass on the way of the driven link's end."""
-    moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
-    drive = machine.drive
-    joint = machine.joints.get(str(getattr(drive, "joint", "")))
-    speed = drive.speed if isinstance(drive, RotationDrive) and isinstance(drive.speed, float) else 0.0
-    speed = nominal_drive_speed(machine) if has_motor(machine) else speed
-    driven = [name for name in joint.links if name != machine.frame] if joint else []
-    ends = [math.dist(joint.at, end.at) for end in machine.joints.values() if joint and {*driven} & {*end.links}]
-    return moving * (WEIGHT + max(ends, default=0.0) * speed**2)

@@ -17,7 +17,7 @@ from jointplay.catalogue.evaluation.differences import DIFFERENCES
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.measurements.measurement import Channel, Recording
 from jointplay.catalogue.plans.cases import entries_of
-from jointplay.catalogue.plans.driving import nominal_drive_speed, speed_of
+from jointplay.catalogue.plans.driving import load_scale, nominal_drive_speed, speed_of
 from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import Plan, parse_plan
@@ -165,6 +165,22 @@ def test_cases_that_do_not_become_steady_have_a_status(monkeypatch: pytest.Monke
         assert outcome.status == NO_LIMIT_CYCLE
         assert "no limit cycle: " in outcome.message
         assert outcome.power is None
+
+
+def test_wide_draws_load_a_motor_with_what_it_bears() -> None:
+    """A constant torque on a rocker does no work in a turn, but waves of it do: worth 5 % of the speed at most.
+
+    With the scatter of the motor itself 0.94 to 1.02 of the nominal speed are seen.
+    """
+    plan = plan_of(draws={"healthy": 8, "single": 1}, sets=[], wide={"draws": 1}, guard=0)
+    entries = [entry for entry in entries_of(plan, MACHINE) if entry.stratum == "wide"]
+    recipe = plan.recipe(MACHINE)
+    found = [outcome for chunk in cut_chunks(MACHINE, recipe, entries, 8) for outcome in simulate_chunk(chunk)]
+    assert {outcome.status for outcome in found} == {OK}
+    ratios = np.array([outcome.drive_speed for outcome in found]) / recipe.nominal_drive_speed
+    assert len(ratios) == 8
+    assert 0.85 < ratios.min() < ratios.max() < 1.1
+    assert load_scale(MACHINE) == pytest.approx(2 * 0.05 * 6.0 / 60.0 * recipe.nominal_drive_speed / 0.06, rel=1e-3)
 
 
 def levels(power: Any) -> FloatArray:
