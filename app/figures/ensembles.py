@@ -115,6 +115,7 @@ def report(found: EnsembleResult) -> str:
     """Return what was computed as text."""
     ended = sum(member.status == "ok" for member in found.members)
     began = "the healthy machine's steady state" if found.from_healthy else "the drawn pose"
+    began = "the limit cycle" if found.from_limit_cycle else began
     known = f"known to {found.error:.2g} dB" if math.isfinite(found.error) else "not known how well"
     lines = [
         f"{ended} of {len(found.members)} members from {began}, {found.revolutions} revolutions each after the "

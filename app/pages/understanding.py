@@ -42,7 +42,7 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     try:
         map_sensors(measurement, found.machine)
         field = "speed"
-        prepared = prepare(measurement, found.machine, scheme=found.scheme)
+        prepared = prepare(measurement, found.machine, scheme=found.scheme, nominal=found.recipe.nominal_drive_speed)
     except MeasurementError as error:
         return {**answer, "warnings": list(measurement.warnings), "field": field, "message": str(error)}
     estimate = prepared.speed

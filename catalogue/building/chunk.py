@@ -47,6 +47,10 @@ def mean_difference_db(power: AnyComplexArray, finer: AnyComplexArray) -> float:
     return float(np.abs(levels[0] - levels[1])[counts].mean()) if counts.any() else 0.0
 
 
+NO_LIMIT_CYCLE = "no_limit_cycle"
+"""Status of a case whose motor brings it to no steady mean speed."""
+
+
 @dataclass(frozen=True)
 class Chunk:
     """Cases to be computed together, and all that a worker must know for it.
@@ -171,16 +175,21 @@ def _outcome(machine: Machine, history: History, recipe: Recipe) -> CaseOutcome:
 
     if history.status is not Status.OK:
         return failed(history.status.value, message)
+    if history.turning is not None and not history.turning.is_steady:
+        return failed(NO_LIMIT_CYCLE, message)
     signal = history.as_rigid(machine)
     if not np.isfinite(signal).all():
         return failed("not_finite", "the acceleration holds a number that is not finite")
+    rate, angle = history.sample_rate, abs(history.drive_speed) * float(history.t[0])
+    if history.turning is not None:
+        signal, rate, angle = history.by_revolutions(signal)
     bands = band_matrix(
         signal,
-        history.sample_rate,
+        rate,
         history.drive_speed,
         recipe.scheme,
         cuts=recipe.scheme.third_octave_groups(FEATURE_ORDERS),
-        angle=abs(history.drive_speed) * float(history.t[0]),
+        angle=angle,
         period=history.period,
     )
     power = bands.power.astype(np.complex64)

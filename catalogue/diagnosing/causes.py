@@ -21,6 +21,7 @@ from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
+from jointplay.solver.machines.parts import ForceDrive
 
 #: What evidence is divided by, as a logarithm: the forces on a rigid frame are no simulation of a machine with play,
 #: and levels that err together are not as many as they look.
@@ -102,7 +103,7 @@ def name_causes(
         The ideal machine does not come round at this speed.
     """
     machine = catalogue.machine
-    if not on_mounts(machine):
+    if not on_mounts(machine) or isinstance(machine.drive, ForceDrive):
         return ()
     levels = OrderLevels.of(prepared)
     model = IdealFrame.of(machine, math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed))

@@ -149,10 +149,11 @@ def diagnose(
         A setting breaks a rule, or the catalogue holds too little.
     """
     question = Question(effort, mode, coverage, cases, prior or Prior())
-    prepared = prepare(measurement, catalogue.machine, mapping, speed, catalogue.scheme)
+    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed)
+    prepared = prepare(measurement, catalogue.machine, mapping, speed, *scale)
     known = None
     if baseline is not None:
-        in_order = prepare(baseline, catalogue.machine, mapping, None, catalogue.scheme)
+        in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)
         known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
     shown, _ = answer(
         prepared,

@@ -10,16 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.plans.parameters import DRIVE_SPEED
+from jointplay.catalogue.plans.driving import DRIVE_SPEED
 from jointplay.catalogue.plans.variants import output_load
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine, keep_by_machine
+from jointplay.solver.machines.parts import RotationDrive, TorqueDrive
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
@@ -149,7 +151,10 @@ def pose_speed(machine: Machine, speed: float) -> float:
 def _poses(machine: Machine, speed: float) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
     """Moving links, with place (n, k, 2), angle (n, k) and turns (k,) as :class:`Revolution` has them."""
     frame = machine.links[machine.frame].model_copy(update={"fixed": True})
-    held = machine.model_copy(update={"links": {**machine.links, machine.frame: frame}, "modes": ()})
+    changes: dict[str, Any] = {"links": {**machine.links, machine.frame: frame}, "modes": ()}
+    if isinstance(machine.drive, TorqueDrive):  # as if a motor turned evenly
+        changes["drive"] = RotationDrive(joint=machine.drive.joint, speed=speed)
+    held = machine.model_copy(update=changes)
     rate = SAMPLES * abs(speed) / (2.0 * math.pi)
     settings = Settings(sample_rate=rate, revolutions=1.0 + 2.0 / SAMPLES, links=True)
     history = next(iter(simulate_batch(held, [Case(parameters={DRIVE_SPEED: speed})], settings)))

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.plans.parameters import DRIVE_SPEED, MachineNumbers
+from jointplay.catalogue.plans.driving import at_speed
+from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.history import Case, Settings, Status
@@ -142,19 +143,22 @@ class HealthyMachine:
 
     def powers(self, points: Sequence[FloatArray]) -> ComplexArray:
         """Cross-powers (n, B, 3, 3) with numbers off by each of n sets of factors; errors as for :meth:`at`."""
-        cases = [Case(parameters={**self.parameters(point), DRIVE_SPEED: self._speed}) for point in points]
+        cases = [
+            Case(parameters={**self.parameters(point), **at_speed(self._catalogue.machine, self._speed)})
+            for point in points
+        ]
         recipe = self._catalogue.recipe
         settings = Settings(
             sample_rate=recipe.sample_rate, accuracy=recipe.accuracy, revolutions=REVOLUTIONS, motion=False
         )
         powers = []
         for history in simulate_batch(self._catalogue.machine, cases, settings):
-            if history.status is not Status.OK:
+            if history.status is not Status.OK or not history.drive_speed:
                 raise DiagnosisError(
                     f"healthy {self._catalogue.machine.name} at {self._speed * 30 / math.pi:.4g} rpm cannot be"
                     f" simulated: {history.status.value} {history.message}"
                 )
-            signal = history.as_rigid(self._catalogue.machine)[history.t >= history.transient]
-            powers.append(band_matrix(signal, history.sample_rate, history.drive_speed, recipe.scheme).power)
+            signal, rate, _ = history.by_revolutions(history.as_rigid(self._catalogue.machine))
+            powers.append(band_matrix(signal, rate, history.drive_speed, recipe.scheme).power)
         self.simulations += len(cases)
         return np.array(powers)

@@ -20,6 +20,7 @@ from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, H
 from jointplay.catalogue.matching.modes import Mode
 from jointplay.catalogue.matching.observation import Sensing, group
 from jointplay.catalogue.matching.population import Population, weigh
+from jointplay.catalogue.plans.driving import DRIVE_SPEED, has_motor
 from jointplay.catalogue.plans.entry import Entry, Stratum, seed_from
 from jointplay.catalogue.storage.cross_power import pack
 from jointplay.catalogue.storage.store import Catalogue
@@ -204,14 +205,16 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
     for search in searches:
         elite = [search.cases[place] for place in search.best(ELITE)]
         for parent, clearances, parameters, importance in search.population.draw(elite, SIZE, search.generator):
-            speed = np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed)
+            speed = float(np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed))
+            # What a motor turns at follows from its numbers, which are drawn.
+            turned = {} if has_motor(catalogue.machine) else {DRIVE_SPEED: speed}
             case = Entry.of(
                 catalogue.machine,
                 catalogue.recipe,
                 hypothesis=parent.hypothesis,
                 joints=parent.joints,
                 clearances=clearances,
-                parameters={**parameters, "drive.speed": float(speed)},
+                parameters={**parameters, **turned},
                 draw=parent.draw,
                 stratum=parent.stratum,
                 variant=parent.variant,

@@ -14,8 +14,8 @@ from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.differences import DIFFERENCES
 from jointplay.catalogue.evaluation.spoiling import SPOILINGS
 from jointplay.catalogue.evaluation.truth import Truth, draw_contacts
+from jointplay.catalogue.plans.driving import at_speed, nominal_drive_speed
 from jointplay.catalogue.plans.entry import Hypothesis, seed_from
-from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 
@@ -255,7 +255,7 @@ def draw_truth(machine: Machine, hypothesis: Hypothesis, protocol: EvaluationPro
     }
     speed = nominal_drive_speed(machine) * (1.0 + float(draws.uniform(-protocol.speed, protocol.speed)))
     friction = {f"joints.{joint}.contact.friction": float(draws.uniform(*protocol.friction)) for joint in joints}
-    parameters = {"drive.speed": speed, **friction, **draw_contacts(machine, joints, protocol.scatter, draws)}
+    parameters = {**at_speed(machine, speed), **friction, **draw_contacts(machine, joints, protocol.scatter, draws)}
     return Truth(
         hypothesis=hypothesis,
         machine=machine,

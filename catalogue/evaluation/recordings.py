@@ -147,7 +147,7 @@ def _settings(protocol: EvaluationProtocol) -> Settings:
 
 
 def _ideal(machine: Machine, history: History, seconds: float) -> FloatArray | None:
-    if history.status is not Status.OK:
+    if history.status is not Status.OK or (history.turning is not None and not history.turning.is_steady):
         return None
     first = int(np.searchsorted(history.t, history.transient))
     return history.at_sensors(machine, slice(first, first + round(seconds * history.sample_rate)))

@@ -14,6 +14,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.truth import Blows, Bursts, Tones, Truth, Wrench
+from jointplay.catalogue.plans.driving import speed_of
 from jointplay.catalogue.plans.entry import seed_from
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
@@ -231,7 +232,7 @@ def _some_sensors(truth: Truth, count: int, draws: np.random.Generator) -> tuple
 
 def _turn(truth: Truth) -> float:
     """Revolutions a second."""
-    return abs(truth.parameters["drive.speed"]) / (2.0 * math.pi)
+    return abs(speed_of(truth.machine, truth.parameters)) / (2.0 * math.pi)
 
 
 SPOILINGS: Mapping[str, Spoiling] = {

@@ -287,7 +287,8 @@ class _StudyRun:
                     signals.clear()
             try:
                 recording = recorded(protocol, truths[index], signal)
-                prepared = prepare(recording, self.catalogue.machine, scheme=self.catalogue.scheme)
+                scheme, nominal = self.catalogue.scheme, self.catalogue.recipe.nominal_drive_speed
+                prepared = prepare(recording, self.catalogue.machine, scheme=scheme, nominal=nominal)
             except MeasurementError:
                 found.refused += 1
                 continue

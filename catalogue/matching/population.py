@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import genpareto
 
+from jointplay.catalogue.plans.driving import DRIVE_SPEED
 from jointplay.catalogue.plans.entry import Entry
-from jointplay.catalogue.plans.parameters import DRIVE_SPEED
 from jointplay.solver.arrays import BoolArray, FloatArray
 
 CaseKind = tuple[object, ...]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations
 
 from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.driving import speed_path
 from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum, seed_from
 from jointplay.catalogue.plans.parameters import (
     LOAD,
@@ -125,9 +126,12 @@ def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
     ------
     PlanError
         A path of `uncertain` that the machine does not have or cannot vary; a set with a joint that it does not
-        have; a machine without a constant drive speed.
+        have; a machine without a constant drive speed or limit cycle; speeds of a motor without a curve.
     """
     plan = plan.resolve(machine)
+    if plan.speeds != (1.0,) and speed_path(machine) is None:
+        rule = f"must be [1]: what machine {machine.name} turns at, which has no motor curve, is said by its load"
+        raise PlanError("plan", "speeds", list(plan.speeds), rule)
     strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
     for stratum in strata:
         check_drawable(machine, frozenset(plan.spread(machine, stratum)))

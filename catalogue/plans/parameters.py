@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.driving import speed_path
 from jointplay.catalogue.plans.plan_parts import Distribution
 from jointplay.catalogue.plans.variants import output_load
 from jointplay.solver.cases.groups import SHORTHANDS
@@ -20,12 +21,11 @@ from jointplay.solver.machines.parts import RotationDrive
 SHARED = SHORTHANDS
 """Short paths that stand for a number of every joint that can wear; each joint draws its own."""
 
-DRIVE_SPEED = "drive.speed"
 LOAD = "load"
 """Short path of the process load of a machine's output link, N or N m."""
 
 _USUAL = re.compile(
-    r"drive\.speed|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.(contact\..*|pin_radius|film\.viscosity)"
+    r"drive\.(speed|effort_factor)|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.(contact\..*|pin_radius|film\.viscosity)"
 )
 """Numbers that every machine's equations hold."""
 
@@ -37,23 +37,6 @@ _SUPPORTS = {
     for name in ("stiffness", "damping")
     for axis, ending in (("x", r"\.0"), ("y", r"\.1"), ("", ""))
 }
-
-
-def nominal_drive_speed(machine: Machine) -> float:
-    """Drive speed of the machine file [rad/s].
-
-    Raises
-    ------
-    PlanError
-        The drive does not turn, or not at one speed, so spectra cannot be compared by order.
-    """
-    drive = machine.drive
-    speed = drive.speed if isinstance(drive, RotationDrive) else None
-    if isinstance(speed, float) and speed != 0.0:
-        return speed
-    shown = "none" if drive is None else f"kind {drive.kind}"
-    rule = "a catalogue needs a drive of kind rotation with one speed that is not 0"
-    raise PlanError(machine.name, "drive", shown, rule)
 
 
 def check_ground(machine: Machine) -> None:
@@ -110,6 +93,7 @@ class MachineNumbers:
         self._machine, self._name = machine, machine.name
         self.wearing = tuple(sorted(machine.wearing_joints))
         self.by_path: dict[str, float] = dict(_numbers(machine.model_dump(), ""))
+        self.speed_path = speed_path(machine)
 
     def targets(self, path: str) -> tuple[ParameterTarget, ...]:
         """The numbers that `path` of a plan stands for.
@@ -211,7 +195,8 @@ class Scatter:
         self, numbers: MachineNumbers, spread: Mapping[str, Distribution], left_out: Iterable[str] = ()
     ) -> None:
         skipped = set(left_out)
-        self._speed = numbers.by_path[DRIVE_SPEED]
+        self._speed_path = numbers.speed_path or ""
+        self._speed = numbers.by_path.get(self._speed_path, 1.0)
         self._drawn: list[tuple[int, Callable[[float], float], bool, str, float, float]] = []
         first = 0
         for path in sorted(spread):
@@ -246,7 +231,7 @@ class Scatter:
             # Factors of a number multiply: of all mounts, and of one of them.
             parameters[path] = quantile(point[column]) * (parameters.get(path, nominal) if is_factor else share)
         if speed != 1.0:
-            parameters[DRIVE_SPEED] = parameters.get(DRIVE_SPEED, self._speed) * speed
+            parameters[self._speed_path] = parameters.get(self._speed_path, self._speed) * speed
         return parameters
 
 

@@ -13,12 +13,13 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtri
 
+from jointplay.catalogue.plans.driving import EFFORT_FACTOR, driver_link, has_motor, load_scale, speed_path
 from jointplay.catalogue.plans.variants import LawChoice, output_load
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
 from jointplay.solver.machines.joints import WearingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Damper, Mount, Part, RotationDrive, Spring
+from jointplay.solver.machines.parts import Damper, ForceDrive, Mount, Part, Spring, TorqueDrive
 from jointplay.solver.machines.units import FREQUENCY, LENGTH, RATIO
 
 #: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
@@ -251,12 +252,16 @@ VISCOSITY_RANGE = (0.3, 3.0)
 RIPPLE = (1e-4, 1e-2)
 RIPPLE_ORDERS = (1, 2, 3, 4, 6, 12)
 
+#: Factors on drive speeds, and on those of a motor's curve.
+SPEED = (0.97, 1.03)
+#: Factors on a motor's torque at each speed and on the inertia of the link that it drives: what IEC 60034-1 allows of
+#: slip (a fifth either way) and inertia (a tenth); and where the machine's data cannot be trusted.
+EFFORT, DRIVER_INERTIA, WIDE_EFFORT = (0.8, 1.25), (0.9, 1.1), (0.7, 1.4)
+
 #: Process load, as a part of the weight and the inertia of the moving links; and orders of what comes and goes with a
 #: turn, each as a part of that: a force on one of two strokes is 1/2, 0.64, 0 and 0.21 of itself in orders 0 to 3.
 LOAD = (0.01, 1.0)
 LOAD_ORDERS = {1: 0.6, 2: 0.3, 3: 0.2}
-#: Acceleration of gravity [m/s2] that weights are meant with, also where a machine lies flat.
-WEIGHT = 9.81
 
 
 def default_laws(machine: Machine) -> dict[LawChoice, float]:
@@ -282,8 +287,10 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     filed = [machine.joints[joint].contact for joint in machine.wearing_joints]
     contacts = filed if "own" in laws else []  # any other law takes the place of the file's in every joint
     known = {contact.law for contact in contacts} | set(laws)
+    fast = speed_path(machine)
     found = {
-        "drive.speed": Distribution(factor_uniform=(0.97, 1.03)),
+        **({fast: Distribution(factor_uniform=SPEED)} if fast else {}),
+        **(_motor(machine, EFFORT, DRIVER_INERTIA) if has_motor(machine) else {}),
         "contact.friction": Distribution(uniform=(0.01, 0.15)),
         "contact.stiffness": Distribution(lognormal=STIFFNESS_SCATTER),
     }
@@ -332,14 +339,26 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         found[path] = wide or Distribution(factor_uniform=(0.9, 1.1))
     load = output_load(machine)
     if load is not None:
-        scale = _weight_and_inertia(machine) * (load.arm or 1.0)
+        scale = load_scale(machine) * (load.arm or 1.0)
         found["load"] = _either(LOAD, scale)
-        for order, share in LOAD_ORDERS.items():
+        for order, share in LOAD_ORDERS.items() if not isinstance(machine.drive, ForceDrive) else ():
             spread = _either(LOAD, share * scale)
             found |= {f"load.{order}.sin": spread, f"load.{order}.cos": spread}
+    if has_motor(machine):  # it ripples as torque and inertia have it
+        return found | _motor(machine, WIDE_EFFORT, WIDE_EFFORT)
     for order in RIPPLE_ORDERS:
         spread = _either(RIPPLE, 1.0 / order)
         found |= {f"ripple.{order}.sin": spread, f"ripple.{order}.cos": spread}
+    return found
+
+
+def _motor(machine: Machine, effort: tuple[float, float], inertia: tuple[float, float]) -> dict[str, Distribution]:
+    """Factors on a motor's torque or force, and on the inertia of the link that it turns, by path."""
+    # Without a curve the speed follows the torque as steeply as the resistance falls short of it.
+    found = {EFFORT_FACTOR: Distribution(factor_uniform=effort if speed_path(machine) else SPEED)}
+    driver = driver_link(machine)
+    if isinstance(machine.drive, TorqueDrive) and driver and machine.links[driver].inertia:
+        found[f"links.{driver}.inertia"] = Distribution(factor_uniform=inertia)
     return found
 
 
@@ -372,14 +391,3 @@ def _modes(machine: Machine) -> dict[str, float]:
 def _either(bounds: tuple[float, float], scale: float) -> Distribution:
     low, high = (float(f"{scale * bound:.3g}") for bound in bounds)
     return Distribution(either_loguniform=(low, high))
-
-
-def _weight_and_inertia(machine: Machine) -> float:
-    """Force [N] of the moving links' weight, and of their mass on the way of the driven link's end."""
-    moving = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
-    drive = machine.drive
-    joint = machine.joints.get(str(getattr(drive, "joint", "")))
-    speed = drive.speed if isinstance(drive, RotationDrive) and isinstance(drive.speed, float) else 0.0
-    driven = [name for name in joint.links if name != machine.frame] if joint else []
-    ends = [math.dist(joint.at, end.at) for end in machine.joints.values() if joint and {*driven} & {*end.links}]
-    return moving * (WEIGHT + max(ends, default=0.0) * speed**2)

@@ -13,7 +13,7 @@ from jointplay.catalogue.measurements.drivespeed import SEARCH_RANGE, SpeedEstim
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.tacho import track_of, usual_speed
-from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
@@ -69,6 +69,7 @@ def prepare(
     mapping: Mapping[str, str] | None = None,
     speed: float | None = None,
     scheme: BandScheme | None = None,
+    nominal: float | None = None,
 ) -> PreparedMeasurement:
     """Make a recording ready to be compared.
 
@@ -82,6 +83,8 @@ def prepare(
         Mean drive speed [rad/s] where it is known; estimated otherwise.
     scheme : BandScheme, optional
         The catalogue's; the default is that of the machine's nominal speed.
+    nominal : float, optional
+        Nominal drive speed [rad/s] of the catalogue; the default is the machine's, which a motor has to be run for.
 
     Returns
     -------
@@ -94,8 +97,8 @@ def prepare(
         speed cannot be found.
     """
     if isinstance(measurement, MeasuredSpectrum):
-        return prepare_spectrum(measurement, machine, mapping, speed, scheme)
-    nominal = nominal_drive_speed(machine)
+        return prepare_spectrum(measurement, machine, mapping, speed, scheme, nominal)
+    nominal = nominal or nominal_drive_speed(machine)
     rate = measurement.sample_rate
     if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):
         raise MeasurementError(measurement.name, value=speed, rule="drive speed must be finite and not zero")

@@ -10,7 +10,7 @@ import numpy as np
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, SEARCH_RANGE, SpeedEstimate
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
-from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.signals.feature_bands import usable_cuts
 from jointplay.catalogue.signals.noise import FLOOR_FROM, FREQUENCY_QUANTILE, LINES_TOGETHER, NoiseFloor
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -33,11 +33,12 @@ def prepare_spectrum(
     mapping: Mapping[str, str] | None = None,
     speed: float | None = None,
     scheme: BandScheme | None = None,
+    nominal: float | None = None,
 ) -> PreparedMeasurement:
     """Make a spectrum ready to be compared; parameters and errors as for
     :func:`jointplay.catalogue.signals.features.prepare`.
     """
-    nominal = nominal_drive_speed(machine)
+    nominal = nominal or nominal_drive_speed(machine)
     if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):
         raise MeasurementError(spectrum.name, value=speed, rule="drive speed must be finite and not zero")
     sensing = sensors_one_by_one(map_sensors(spectrum, machine, mapping))

@@ -15,7 +15,7 @@ from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.bending import Bending, taken_for_rigid
 from jointplay.solver.cases.start import Start
 from jointplay.solver.cases.steps import STEP_RULES, Accuracy
-from jointplay.solver.cases.turning import Turning
+from jointplay.solver.cases.turning import Turning, even_angle
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
@@ -108,7 +108,8 @@ class Settings:
     settled : bool
         Start worn machines with the frame moving as the healthy machine's does after its transient, where there is
         such a steady state and no `duration` is given (:mod:`jointplay.solver.simulation.simulate`): the transient is
-        shorter.
+        shorter. Where the drive is a torque or a force, driver and frame start as they move in the limit cycle without
+        wear (:mod:`jointplay.solver.simulation.turning_starts`), and a case that reaches none has next to no record.
     repeating : bool
         End a run of ``adaptive`` without `motion` as soon as its revolutions, or pairs of them, are seen to repeat
         (:mod:`jointplay.solver.simulation.repeating`): a period then stands for `revolutions`.
@@ -310,6 +311,32 @@ class History:
             even, samples * abs(self.drive_speed) / (2 * math.pi), drive_speed=self.drive_speed, channels=MOTIONS,
             revolutions_per_window=WINDOW_REVOLUTIONS, transient=self.transient, point=point,
         )  # fmt: skip
+
+    def by_revolutions(self, signals: FloatArray) -> tuple[FloatArray, float, float]:
+        """Return signals (n, c) at t as what compares with recordings, which turn evenly within each revolution.
+
+        Returns
+        -------
+        signals : (m, c) array
+            After the transient; of a machine whose drive is a torque or a force at equal steps of its revolutions.
+        sample_rate : float
+            Hz, at the mean speed.
+        angle : float
+            Of the drive at the first sample, rad.
+
+        Raises
+        ------
+        SettingsError
+            Its driver reached no limit cycle.
+        """
+        steady = self.t >= self.transient
+        if self.turning is None:
+            return signals[steady], self.sample_rate, abs(self.drive_speed) * float(self.t[steady][0])
+        if not self.turning.is_steady:
+            raise SettingsError(f"not steady: {self.turning.reason}")
+        angle = even_angle(self.t[steady], self.turning.angle[steady])
+        even, samples = resample_by_angle(signals[steady], angle)
+        return even, samples * abs(self.drive_speed) / (2 * math.pi), abs(float(angle[0]))
 
     def at_sensors(self, machine: Machine, rows: slice = slice(None), *, instantaneous: bool = False) -> FloatArray:
         """Return what the sensors of a machine feel (n, s) [m/s2], in the order of its file.

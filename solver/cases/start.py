@@ -365,8 +365,9 @@ def _given_momentum(model: Model, t: float, p: Sequence[float], z: FloatArray) -
 
 
 def start_with_frame(
-    model: Model, p: Sequence[float], t: float, pose: FloatArray, displacement: FloatArray, velocity: FloatArray
-) -> Start:
+    model: Model, p: Sequence[float], t: float, pose: FloatArray, displacement: FloatArray, velocity: FloatArray,
+    rows: FloatArray | None = None, right: Sequence[float] = (),
+) -> Start:  # fmt: skip
     """The machine at a time of its drive with its frame moving as given, everything else following.
 
     Pins are concentric, and velocities the least mass-weighted that fulfil closures and drive.
@@ -382,6 +383,8 @@ def start_with_frame(
         Coordinates near the wanted ones.
     displacement, velocity : (k,) arrays
         Of :attr:`~jointplay.solver.equations.model.Model.frame_coordinates` (m, m, rad, m by the scale of a shape).
+    rows, right : (k, n) array and (k,) sequence, optional
+        What else velocities fulfil, see :func:`least_velocity`.
 
     Raises
     ------
@@ -395,4 +398,5 @@ def start_with_frame(
     if gap >= CLOSED:
         rule = f"does not close at the start by {gap * 1e3:.3g} mm"
         raise AssemblyError(model.machine.name, _place(model.machine, name), None, rule)
-    return Start(z, least_velocity(model, t, p, z, np.eye(model.size)[held], velocity), t)
+    all_rows = np.vstack([np.eye(model.size)[held], *([] if rows is None else [rows])])
+    return Start(z, least_velocity(model, t, p, z, all_rows, np.array([*velocity, *right])), t)

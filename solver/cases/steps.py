@@ -66,6 +66,9 @@ USUAL_FILM = 0.1
 RESIDUE = 0.01
 #: Revolutions dropped at least: the impacts take a few to settle.
 SETTLING_REVOLUTIONS = 2
+#: Part of the transient as drawn that is still dropped, in whole revolutions: what the wear itself adds to the motion
+#: of the frame decays as slowly as the suspension. Chosen from measured spectra, ``docs/measured/solver.md``.
+SETTLED_PART = 0.25
 #: Least part of its motion at a fast drive that a frame is taken to answer a slow one with.
 LEAST_RESPONSE = 1e-3
 #: A suspension that decays slower than this part of its frequency counts as undamped.

@@ -131,6 +131,24 @@ def _even(t: FloatArray, sections: FloatArray) -> FloatArray:
     return np.asarray(2 * math.pi * turns)
 
 
+def even_angle(t: FloatArray, angle: FloatArray) -> FloatArray:
+    """The angle (n,) of a driver, even within each of its revolutions: as a mark that passes once in each tells it.
+
+    Recordings know no more of how a machine turns within a revolution, so it is what compares with them.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    angle : (n,) array
+        rad, two whole turns at least.
+    """
+    sections, _ = cycles(t, angle, rotates=True)
+    turned = _even(t, sections)
+    first = 2 * math.pi * round(float(np.interp(sections[0], t, angle)) / (2 * math.pi))
+    return np.asarray(first + (turned if angle[-1] >= angle[0] else -turned))
+
+
 def why_unsteady(sections: FloatArray) -> str:
     """Why revolutions are no limit cycle; empty where they are.
 
@@ -143,7 +161,7 @@ def why_unsteady(sections: FloatArray) -> str:
     -----
     Of three successive thirds the mean speeds differ by d1 and d2. What decays by the ratio d2 / d1 from third to third
     will change by d2 r / (1 - r) yet (Aitken's process). Where revolutions scatter, both differences may be noise: then
-    they say nothing but that the means are known no better.
+    they say nothing but that the means are known no better; so do small ones of opposite signs.
     """
     speeds = 2 * math.pi / np.diff(sections)
     if len(speeds) < LEAST_REVOLUTIONS:
@@ -155,9 +173,11 @@ def why_unsteady(sections: FloatArray) -> str:
     at = np.arange(count) - 0.5 * (count - 1)
     slopes = thirds @ at / max(float(at @ at), 1.0)
     rest = thirds - thirds.mean(axis=1, keepdims=True) - slopes[:, None] * at
-    error = _ERRORS * float(np.sqrt(np.mean(rest**2))) / math.sqrt(count)
+    # Mean and slope of each third are taken out of its revolutions: two of them less to tell the scatter by.
+    error = _ERRORS * float(np.sqrt(np.sum(rest**2) / (3 * (count - 2)))) / math.sqrt(count)
     change = max(abs(first), abs(second))
-    if change <= _NOTHING * last or change <= error <= _KNOWN * last:
+    swings = first * second < 0 and change <= STEADY * last  # what runs up or down does not come back
+    if swings or change <= _NOTHING * last or change <= error <= _KNOWN * last:
         return ""
     ratio = abs(second) / abs(first) if first else math.inf
     yet = abs(second) * ratio / (1 - ratio) if ratio < 1 else math.inf

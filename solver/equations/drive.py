@@ -277,8 +277,12 @@ def travel_range(machine: Machine, values: Mapping[str, float], duration: float)
 def known_effort(machine: Machine, number: Numbers, rate: Number) -> ca.SX | None:
     """Torque (N m) or force (N) of the drive on links[0] at the relative `rate`; ``None`` for a prescribed motion."""
     drive = machine.drive
-    if isinstance(drive, TorqueDrive):
-        return interpolate(rate, drive.curve) if drive.curve else ca.SX(number("drive.torque", drive.torque or 0.0))
-    if isinstance(drive, ForceDrive):
-        return interpolate(rate, drive.curve) if drive.curve else ca.SX(number("drive.force", drive.force or 0.0))
-    return None
+    if not isinstance(drive, TorqueDrive | ForceDrive):
+        return None
+    if drive.curve:
+        effort: Number = interpolate(rate / number("drive.speed_factor", drive.speed_factor), drive.curve)
+    elif isinstance(drive, TorqueDrive):
+        effort = number("drive.torque", drive.torque or 0.0)
+    else:
+        effort = number("drive.force", drive.force or 0.0)
+    return ca.SX(number("drive.effort_factor", drive.effort_factor) * effort)

@@ -250,22 +250,35 @@ class PositionDrive(Part):
     harmonics: tuple[Harmonic, ...] = ()
 
 
+Factor = Annotated[float, QuantityField(units.RATIO, above=0)]
+
+
 class TorqueDrive(Part):
-    """Known torque [N m] on links[0] of a turning joint: constant, or a curve over its speed [rad/s]."""
+    """Known torque [N m] on links[0] of a turning joint: constant, or a curve over its speed [rad/s].
+
+    ``effort_factor`` is on the torque, ``speed_factor`` on the speeds of the curve.
+    """
 
     kind: Literal["torque"] = "torque"
     joint: Name
     torque: Torque | None = None
     curve: Annotated[Curve, Table((units.ANGULAR_SPEED, units.TORQUE))] | None = None
+    effort_factor: Factor = 1.0
+    speed_factor: Factor = 1.0
 
 
 class ForceDrive(Part):
-    """Known force [N] on links[0] along a sliding joint: constant, or a curve over its speed [m/s]."""
+    """Known force [N] on links[0] along a sliding joint: constant, or a curve over its speed [m/s].
+
+    Factors as of :class:`TorqueDrive`.
+    """
 
     kind: Literal["force"] = "force"
     joint: Name
     force: Annotated[float, QuantityField(units.FORCE)] | None = None
     curve: Annotated[Curve, Table((units.SPEED, units.FORCE))] | None = None
+    effort_factor: Factor = 1.0
+    speed_factor: Factor = 1.0
 
 
 #: Drives that prescribe a travel, of a slide or of a link; and all those that prescribe a motion.

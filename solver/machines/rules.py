@@ -195,6 +195,8 @@ def _drive(machine: MachineContent) -> Iterator[Breach]:
     if isinstance(drive, (TorqueDrive, ForceDrive)):
         given = drive.torque if isinstance(drive, TorqueDrive) else drive.force
         yield from _one_of("drive", {drive.kind: given, "curve": drive.curve})
+        if drive.speed_factor != 1.0 and not drive.curve:
+            yield Breach("drive.speed_factor", drive.speed_factor, "is of the speeds of a curve, and there is none")
 
 
 def _driven_link(machine: MachineContent, drive: PositionDrive) -> Iterator[Breach]:

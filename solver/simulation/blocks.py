@@ -15,9 +15,11 @@ from jointplay.solver.cases.start import Start
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.limit_cycle import has_known_effort
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme
+from jointplay.solver.spectra.by_angle import resample_by_angle
 from jointplay.solver.spectra.sampling import PASS
 from jointplay.solver.spectra.segments import revolution_segments
 from jointplay.solver.spectra.spectrum import frame_units
@@ -30,6 +32,8 @@ BLOCK, SEEN = 4, 6
 #: Windows may be a little longer than their revolutions:
 #: :data:`jointplay.solver.spectra.segments.LENGTH_TOLERANCE`.
 _SLACK = 0.02
+#: Members of a machine that finds its own speed may be slower than the mean by this part.
+_SLOWER = 0.01
 _WINDOW = 4.0
 #: Memory for histories at once and for the densities of one block, bytes: sums, spreads and the block that waits hold
 #: some six times the latter.
@@ -72,8 +76,9 @@ def check_memory(machine: Machine, starts: int, sample_rate: float, speed: float
 
 
 def _bytes_a_sample(machine: Machine) -> int:
-    # Sensors see where the frame stands; its centre of gravity needs accelerations only.
-    return 8 * (_WITH_MOTION if machine.sensors else _WITHOUT_MOTION) * (3 + len(machine.modes)) // 3
+    # Sensors see where the frame stands, and drivers where they stand; its centre of gravity needs accelerations only.
+    with_motion = machine.sensors or has_known_effort(machine)
+    return 8 * (_WITH_MOTION if with_motion else _WITHOUT_MOTION) * (3 + len(machine.modes)) // 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +113,8 @@ class Members:
     starts : sequence of Start
     speed : float
         Of the drive, rad/s.
+    by_angle : int, optional
+        Samples of a revolution, where orders are by each member's own angle of its driver.
 
     Attributes
     ----------
@@ -120,7 +127,10 @@ class Members:
         Processor time.
     """
 
-    def __init__(self, machine: Machine, case: Case, settings: Settings, starts: Sequence[Start], speed: float) -> None:
+    def __init__(
+        self, machine: Machine, case: Case, settings: Settings, starts: Sequence[Start], speed: float,
+        by_angle: int | None = None,
+    ) -> None:  # fmt: skip
         self.alive = list(range(len(starts)))
         self.failures: dict[int, History] = {}
         self.revolutions = 0.0
@@ -139,6 +149,7 @@ class Members:
         self._settings = replace(settings, links=False, motion=bool(machine.sensors))
         self._bytes = _bytes_a_sample(machine) * settings.sample_rate * 2 * math.pi / self.speed  # of a revolution
         self._states = list(starts)
+        self._by_angle = by_angle
 
     def blocks(self, skipped: float, count: int) -> list[BlockSpectra]:
         """Advance all members, leave out `skipped` revolutions, and give the spectra of `count` blocks.
@@ -175,7 +186,8 @@ class Members:
 
     def _advance(self, group: Sequence[int], revolutions: float) -> Iterator[History]:
         """Histories of those of the group that do not fail; where they stand then is kept."""
-        settings = replace(self._settings, duration=revolutions * 2 * math.pi / self.speed)
+        slack = 1.0 + _SLOWER * (self._by_angle is not None)
+        settings = replace(self._settings, duration=slack * revolutions * 2 * math.pi / self.speed)
         starts = [self._states[i] for i in group]
         found = simulate_batch(self._machine, [self._case] * len(group), settings, starts=starts)
         for member, history in zip(group, found, strict=True):
@@ -192,8 +204,17 @@ class Members:
         rate = self._settings.sample_rate
         samples = rate * 2 * math.pi / self.speed
         here = slice(round(first * samples), round((first + SEEN + _SLACK) * samples) + 1)
-        signal = self._signal(history, here)
-        bands = band_matrix(signal, rate, self.speed, self._scheme).auto_power
+        if self._by_angle is None:
+            signal = self._signal(history, here)
+            bands = band_matrix(signal, rate, self.speed, self._scheme).auto_power
+        else:
+            assert history.turning is not None
+            angle = np.abs(history.turning.angle - history.turning.angle[0])
+            begin, end = np.searchsorted(angle / (2 * math.pi), [first, first + SEEN + _SLACK])
+            here = slice(max(0, int(begin) - 1), int(end) + 1)
+            signal = self._signal(history, here)
+            even, count = resample_by_angle(signal, angle[here], self._by_angle)
+            bands = band_matrix(even, count * self.speed / (2 * math.pi), self.speed, self._scheme).auto_power
         windows = revolution_segments(len(signal), rate, self.speed, _WINDOW, _WINDOW / 2)
         self.frequency = windows.frequency[windows.frequency <= PASS * rate]
         lines = windows.coefficients(signal, len(self.frequency))

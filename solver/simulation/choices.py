@@ -132,7 +132,7 @@ def _shortened(
     count: int, bench: Bench, finest: Sequence[History], cost: float, reference: FloatArray, chaotic: bool
 ) -> ModelChoice:
     """The first revolutions of the record in place of all; what they would cost is in proportion."""
-    part = bench.transient + count / bench.frequency
+    part = bench.transient + (count + bench.spare) / bench.frequency
     samples = round(part * bench.sample_rate)
     cut = [replace(h, band_limited_acceleration=h.band_limited_acceleration[:samples]) for h in finest]
     levels = middle(bench.levels(cut, bands=chaotic), chaotic)

@@ -6,15 +6,15 @@ Impacts can make a response chaotic. Then no single spectrum is right; the avera
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start
@@ -33,6 +33,9 @@ from jointplay.solver.simulation.averages import (
     starts_at,
 )
 from jointplay.solver.simulation.blocks import BLOCK, MOTIONS, SEEN, Members, check_memory
+from jointplay.solver.simulation.limit_cycle import has_known_effort
+from jointplay.solver.simulation.steady_turning import find_limit_cycle, samples_of_angle, starts_in
+from jointplay.solver.simulation.tradeoff import CHAOTIC_DB
 
 EnsembleKind = Literal["perturbation", "phase"]
 #: Blocks that are the least to judge by.
@@ -131,6 +134,8 @@ class EnsembleResult:
         Whether members began in the healthy machine's steady state.
     seconds : float
         Processor time of the integration.
+    from_limit_cycle : bool
+        Whether members began in the limit cycle of a machine whose drive is a torque or a force.
     """
 
     case: Case
@@ -155,6 +160,7 @@ class EnsembleResult:
     sample_rate: float
     from_healthy: bool
     seconds: float
+    from_limit_cycle: bool = False
 
     @property
     def overall_spread(self) -> float:
@@ -193,8 +199,9 @@ def simulate_ensemble(
     Raises
     ------
     SettingsError
-        A drive without a constant speed or a load that does not repeat, so that there is no steady state; a frame that
-        cannot move; fewer revolutions allowed than the transient takes; spectra that no memory would hold.
+        A drive without a constant speed or limit cycle, or a load that does not repeat, so that there is no steady
+        state; a frame that cannot move; fewer revolutions allowed than the transient takes; spectra that no memory
+        would hold.
     AssemblyError, MachineError
         As :func:`jointplay.solver.simulation.simulate.start_of`.
     """
@@ -208,14 +215,23 @@ def simulate_ensemble(
     group = next(groups(machine, [case], settings))
     for _, error in group.failed:
         raise error
-    prepared = group.ready[0]
-    frequency = repeating_frequency(machine, prepared.speed)
-    if all(index is None for index in group.model.frame_indices):
+    prepared, speed, cycle = group.ready[0], group.ready[0].speed, None
+    coordinates = group.model.frame_indices
+    if has_known_effort(machine) and any(index is not None for index in coordinates):
+        cycle = find_limit_cycle(machine, case, settings)
+        speed = cycle.drive_speed
+    frequency = repeating_frequency(machine, speed)
+    if all(index is None for index in coordinates):
         raise SettingsError(f"{machine.name}: its frame is fixed: it has no spectrum")
-    check_memory(machine, ensemble.starts, settings.sample_rate, prepared.speed)
-    starts, angles, remark = _starts(machine, case, ensemble, settings)
-    from_healthy = ensemble.healthy_start and not remark
-    skipped = float(SETTLING_REVOLUTIONS) if from_healthy else float(round(prepared.transient * frequency))
+    check_memory(machine, ensemble.starts, settings.sample_rate, speed)
+    if cycle is not None:
+        starts, angles = _starts_in_cycle(machine, case, ensemble, settings, cycle, coordinates)
+        remark, from_healthy = cycle.message, False
+    else:
+        starts, angles, remark = _starts(machine, case, ensemble, settings)
+        from_healthy = ensemble.healthy_start and not remark
+    settled = from_healthy or cycle is not None
+    skipped = float(SETTLING_REVOLUTIONS) if settled else float(round(prepared.transient * frequency))
     fixed = None
     if ensemble.converged_db is None:
         span = settings.revolutions if settings.duration is None else settings.duration * frequency - skipped
@@ -224,7 +240,8 @@ def simulate_ensemble(
     elif ensemble.most_revolutions < skipped + SEEN:
         least = f"must be at least {skipped + SEEN:g} here, {skipped:g} of them the transient"
         raise SettingsError(f"most revolutions: {ensemble.most_revolutions:g}: {least}")
-    members = Members(machine, case, settings, starts, prepared.speed)
+    by_angle = None if cycle is None else samples_of_angle(cycle)
+    members = Members(machine, case, settings, starts, speed, by_angle)
     average = Average(ensemble.converged_db or _SETTLED_DB)
     left_out = skipped
     while True:
@@ -243,7 +260,17 @@ def simulate_ensemble(
         seconds = members.revolutions / frequency
         ran = f"ran {seconds:.3g} s for the {settings.duration:g} s asked for: blocks of {BLOCK} revolutions are whole"
     message = "; ".join(filter(None, (told, remark, reason, ran)))
-    return _result(asked, ensemble, members, average, angles, message, skipped, settings, from_healthy)
+    found = _result(asked, ensemble, members, average, angles, message, skipped, settings, from_healthy)
+    if cycle is None or found.status is not Status.OK:
+        return found
+    chaos = "" if ensemble.kind == "phase" else _say_chaos(found.overall_spread)
+    return replace(found, from_limit_cycle=True, message="; ".join(filter(None, (found.message, chaos))))
+
+
+def _say_chaos(spread: float) -> str:
+    """Whether members that started a little apart end in the same spectrum."""
+    told = "the response is chaotic" if spread > CHAOTIC_DB else "the response repeats"
+    return f"members that start {PERTURBATION:g} of the machine apart differ by {spread:.2g} dB: {told}"
 
 
 def _next(average: Average, members: Members, ensemble: Ensemble, fixed: int | None, skipped: float) -> tuple[int, str]:
@@ -302,6 +329,23 @@ def _starts(
             remark = f"started as drawn: the healthy machine has no steady state ({healthy.status}: {healthy.message})"
     angles = [2 * math.pi * phase / PHASES for phase in phases]
     return starts_at(machine, case, settings, phases, displacement, velocity), angles, remark
+
+
+def _starts_in_cycle(
+    machine: Machine, case: Case, ensemble: Ensemble, settings: Settings, cycle: History,
+    coordinates: Sequence[int | None],
+) -> tuple[list[Start], list[float]]:  # fmt: skip
+    """Where the members start in a limit cycle, and their drive angles (rad) from there on."""
+    generator, count = np.random.default_rng(ensemble.seed), ensemble.starts
+    phases, displacement = [0.0] * count, np.zeros((count, 3))
+    if ensemble.kind == "phase":
+        first = float(generator.random()) / count
+        phases = [first + i / count for i in range(count)]
+    else:
+        extent = extent_of(machine)
+        displacement += generator.normal(size=(count, 3)) * PERTURBATION * np.array([extent, extent, 1.0])
+    starts = starts_in(machine, case, settings, cycle, phases, displacement, coordinates)
+    return starts, [2 * math.pi * phase for phase in phases]
 
 
 def _result(

@@ -22,7 +22,7 @@ from jointplay.solver.cases.positions import mobility_of
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start, start_with_frame
-from jointplay.solver.cases.steps import Accuracy
+from jointplay.solver.cases.steps import SETTLED_PART, Accuracy
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.equations.links import link_motion
 from jointplay.solver.equations.model import Model
@@ -34,11 +34,8 @@ from jointplay.solver.simulation.limit_cycle import Driver, has_known_effort, re
 from jointplay.solver.simulation.methods import RUNS
 from jointplay.solver.simulation.repeating import periodic_acceleration, watch
 from jointplay.solver.simulation.runs import OVERSAMPLING, Run
+from jointplay.solver.simulation.turning_starts import start_turning
 from jointplay.solver.spectra import sampling
-
-#: Part of the transient as drawn that is still dropped, in whole revolutions: what the wear itself adds to the motion
-#: of the frame decays as slowly as the suspension. Chosen from measured spectra, ``docs/measured/solver.md``.
-SETTLED_PART = 0.25
 
 
 def settle(
@@ -250,22 +247,27 @@ def simulate_batch(
                 free.append(case)
             else:
                 ready.append(_start(case, start))
+        recorded = model.frame_coordinates
         driver = Driver(model) if has_known_effort(machine) else None
         if driver is not None and settings.integrator == "full":  # its coordinates are others
             driver = None
             free = [_told(case, "method full does not say whether this is a limit cycle") for case in free]
-        if driver is not None and settings.duration is None:
-            free = reach_limit_cycle(machine, model, group.varying, driver, free, settings, runs)
-        ready += settle(machine, model, cases, free, settings, runs) if settings.settled else free
-        if settings.repeating:
-            ready = [watch(case) if _has_period(machine, cases[case.index], case) else case for case in ready]
-        if not ready:
-            continue
-        recorded = model.frame_coordinates
         if settings.links:
             recorded = list(range(model.size))
         elif driver is not None:
             recorded += [i for i in driver.coordinates if i not in recorded]
+        if driver is not None and settings.duration is None:
+            if settings.settled:
+                healthy = [_healthy(cases[case.index]) for case in free]
+                free = start_turning(machine, model, driver, free, healthy, settings, runs)
+            free = reach_limit_cycle(machine, model, group.varying, driver, recorded, free, settings, runs)
+        elif settings.settled and driver is None:
+            free = settle(machine, model, cases, free, settings, runs)
+        ready += free
+        if settings.repeating:
+            ready = [watch(case) if _has_period(machine, cases[case.index], case) else case for case in ready]
+        if not ready:
+            continue
         full = settings if driver is None else replace(settings, motion=True)  # the driver's angle is part of it
         for run in runs(machine, model, group.varying, ready, recorded, full):
             index = run.case.index

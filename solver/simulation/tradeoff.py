@@ -156,7 +156,7 @@ def measure(
     Raises
     ------
     SettingsError
-        A frame that cannot move, or a drive without a constant speed: then there are no harmonics.
+        A frame that cannot move, or a drive without a constant speed or limit cycle: then there are no harmonics.
     AssemblyError, MachineError
         As :func:`jointplay.solver.simulation.simulate.simulate_batch`.
     """

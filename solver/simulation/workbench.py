@@ -17,12 +17,17 @@ from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start
+from jointplay.solver.cases.steps import SETTLING_REVOLUTIONS
+from jointplay.solver.cases.turning import even_angle
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.simulation.limit_cycle import has_known_effort
 from jointplay.solver.simulation.runs import TOLERANCES
 from jointplay.solver.simulation.simulate import simulate_batch, start_of
+from jointplay.solver.simulation.steady_turning import find_limit_cycle
+from jointplay.solver.spectra.by_angle import resample_by_angle
 from jointplay.solver.spectra.harmonics import (
     find_comparable,
     harmonic_levels,
@@ -42,6 +47,9 @@ ROUNDING = 1e-10
 REVOLUTIONS = 10.0
 MOTIONS = ("x", "y", "theta")
 _SAMPLE_RATE = 20_000.0
+#: Tolerance of the limit cycle that machines start in which find their own speed, and revolutions that a record is
+#: longer for them, so that slower runs have all those that are looked at.
+_CYCLE, _SPARE = 1e-8, 0.5
 _MOST_SAMPLES = 400_000
 #: The least of so many runs is the cost; no more runs once they took so long, s.
 _REPEATS = 3
@@ -106,7 +114,10 @@ def middle(levels: FloatArray, chaotic: bool) -> FloatArray:
 
 @dataclass(frozen=True)
 class Bench:
-    """Eight equal cases, a rounding apart, and what is looked at in their histories."""
+    """Eight equal cases, a rounding apart, and what is looked at in their histories.
+
+    Of a machine that finds its own speed `spare` revolutions are recorded beyond those that are looked at.
+    """
 
     machine: Machine
     case: Case
@@ -117,6 +128,7 @@ class Bench:
     duration: float
     sample_rate: float
     standard_step: float
+    spare: float = 0.0
 
     def rungs(self) -> list[Settings]:
         """The settings to measure, each method from coarse to fine."""
@@ -174,10 +186,19 @@ class Bench:
 
     def levels(self, histories: Sequence[History], *, bands: bool = False) -> FloatArray:
         """Levels of the harmonics, or of the one-order bands, after the transient, (lanes, k), dB."""
-        first = round(self.transient * self.sample_rate)
         estimate = order_band_levels if bands else harmonic_levels
-        steady = (history.band_limited_acceleration[first:, self.motion] for history in histories)
-        return np.array([estimate(signal, self.sample_rate, self.frequency) for signal in steady])
+        return np.array([estimate(self._steady(each), self.sample_rate, self.frequency) for each in histories])
+
+    def _steady(self, history: History) -> FloatArray:
+        """Acceleration after the transient; of a machine that finds its own speed as if it had turned evenly at it."""
+        first = round(self.transient * self.sample_rate)
+        steady = slice(first, len(history.band_limited_acceleration))
+        signal = history.band_limited_acceleration[steady, self.motion]
+        if history.turning is None:
+            return signal
+        angle = even_angle(history.t[steady], history.turning.angle[steady])
+        samples = round(self.sample_rate / self.frequency)
+        return resample_by_angle(signal[:, None], angle, samples)[0][:, 0]
 
     def growth(self, histories: Sequence[History]) -> float:
         """Distance of the runs in the last revolution over that at the start, median."""
@@ -197,16 +218,22 @@ def bench_of(machine: Machine, case: Case) -> tuple[Bench, float]:
         simulate_batch(machine, [case], Settings(duration=0.01, method=method))[0] for method in ("adaptive", "gill")
     ]
     preparation = time.process_time() - began
-    frequency = repeating_frequency(machine, short[0].drive_speed)
+    speed, transient, spare = short[0].drive_speed, short[0].transient, 0.0
     frame = model_of(machine, case.fault.joints, ()).frame_indices
     motion = next((motion for motion in (1, 0, 2) if frame[motion] is not None), None)
     if motion is None:
         raise SettingsError(f"{machine.name}: its frame is fixed: it has no vibration to compare")
+    if has_known_effort(machine):
+        cycle = find_limit_cycle(machine, case, Settings(rtol=_CYCLE))
+        assert cycle.end is not None
+        start, speed, spare = cycle.end, cycle.drive_speed, _SPARE
+        transient = SETTLING_REVOLUTIONS * 2 * math.pi / abs(speed)
+    frequency = repeating_frequency(machine, speed)
     away = np.zeros_like(start.z)
     away[frame[motion]] = ROUNDING * (1.0 if MOTIONS[motion] == "theta" else extent_of(machine))
-    starts = [Start(start.z + lane * away, start.v) for lane in range(LANES)]
-    transient = short[0].transient
-    duration = transient + REVOLUTIONS / frequency
+    starts = [replace(start, z=start.z + lane * away) for lane in range(LANES)]
+    duration = transient + (REVOLUTIONS + spare) / frequency
     # A slow drive needs few samples a second for its harmonics, and records must fit into memory.
     rate = whole_rate(frequency, min(_SAMPLE_RATE, max(_MOST_SAMPLES / duration, 1000 * frequency)))
-    return Bench(machine, case, starts, motion, frequency, transient, duration, rate, short[1].step), preparation
+    bench = Bench(machine, case, starts, motion, frequency, transient, duration, rate, short[1].step, spare)
+    return bench, preparation

@@ -29,7 +29,7 @@ WINDOW, HOP, MOST_WINDOWS = 4.0, 2.0, 400
 HIGHEST_ORDER = 100
 
 
-def resample_by_angle(signal: FloatArray, angle: FloatArray) -> tuple[FloatArray, int]:
+def resample_by_angle(signal: FloatArray, angle: FloatArray, samples: int | None = None) -> tuple[FloatArray, int]:
     """A signal at equal steps of an angle.
 
     Parameters
@@ -38,6 +38,8 @@ def resample_by_angle(signal: FloatArray, angle: FloatArray) -> tuple[FloatArray
         At equal steps of time.
     angle : (n,) array
         rad, growing or falling throughout.
+    samples : int, optional
+        In a revolution; by default as dense as the signal where the angle changes slowest.
 
     Returns
     -------
@@ -60,7 +62,7 @@ def resample_by_angle(signal: FloatArray, angle: FloatArray) -> tuple[FloatArray
         turns = turned[-1] / (2 * math.pi) if len(turned) else 0.0
         raise SettingsError(f"drive: {turns:.3g} revolutions, or not all in one direction: no spectra by angle")
     mean = turned[-1] / (len(turned) - 1)
-    samples = math.ceil(2 * math.pi / max(float(steps.min()), mean / _DENSEST))
+    samples = samples or math.ceil(2 * math.pi / max(float(steps.min()), mean / _DENSEST))
     where = interpolate.CubicSpline(turned, np.arange(len(turned), dtype=np.float64))
     wanted = np.arange(math.floor(turned[-1] / (2 * math.pi) * samples) + 1) * (2 * math.pi / samples)
     at = np.clip(where(wanted), 0.0, len(turned) - 1)

@@ -29,8 +29,8 @@ from jointplay.catalogue.evaluation.study import Setup, evaluate, setups_of
 from jointplay.catalogue.evaluation.sweep import trade_off
 from jointplay.catalogue.evaluation.truth import Response, Truth
 from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.plans.entry import Hypothesis
-from jointplay.catalogue.plans.parameters import nominal_drive_speed
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.variants import output_load
 from jointplay.catalogue.signals.features import prepare

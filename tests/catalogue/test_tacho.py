@@ -10,7 +10,7 @@ from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, Tacho
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.measurements.tacho import pulses, track_of, turns_of
-from jointplay.catalogue.plans.parameters import nominal_drive_speed
+from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.signals.features import prepare
 from jointplay.solver.machines.machine import shipped_machine
 

@@ -299,7 +299,8 @@ class _System:
         drive = self.machine.drive
         if isinstance(drive, TorqueDrive | ForceDrive):
             given = drive.torque if isinstance(drive, TorqueDrive) else drive.force
-            self.known_effort(table(drive.curve, self.state.drive_motion()[1]) if drive.curve else float(given or 0.0))
+            rate = self.state.drive_motion()[1] / drive.speed_factor
+            self.known_effort(drive.effort_factor * (table(drive.curve, rate) if drive.curve else float(given or 0.0)))
         elif drive is not None:
             self.known_motion(drive)
 

@@ -177,7 +177,8 @@ class _Draft:
             strength = 20.0 if kind == "torque" else 300.0
             values = self.rng.uniform(-strength, strength, 3)
             curve = [[-5.0, values[0]], [1.0, values[1]], [6.0, values[2]]]
-            data |= {"curve": curve} if ramped else {kind: float(values[0])}
+            factors = {"effort_factor": 1.5, "speed_factor": 0.8}
+            data |= {"curve": curve, **factors} if ramped else {kind: float(values[0])}
         return data
 
     def shift(self, kind: str) -> dict[str, Any]:

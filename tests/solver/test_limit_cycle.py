@@ -12,10 +12,10 @@ from laws import Array, Tree, tree_of
 from jointplay.app.figures.simulation_file import record
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.turning import cycles, turning_of, why_unsteady
-from jointplay.solver.errors import SettingsError
+from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
-from jointplay.solver.machines.parts import RotationDrive
+from jointplay.solver.machines.parts import RotationDrive, TorqueDrive
 from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.spectra.spectrum import order_levels
 
@@ -56,6 +56,29 @@ def test_a_rotor_reaches_the_speed_at_which_torque_and_loss_are_equal(viscous: f
     assert running.turning is not None and not running.turning.is_steady
     t, tau = running.t, inertia / slope
     assert running.turning.angle == pytest.approx(final * (t - tau * (1 - np.exp(-t / tau))), abs=1e-4)
+
+
+def test_factors_on_torque_and_speeds_make_another_motor() -> None:
+    """f T0 (1 - w / (s w0)) = c w, of the rotor; of a constant torque f T = c w."""
+    f, s, viscous = 1.5, 0.8, 0.05
+    machine = rotor(0.2, viscous)
+    drive = machine.drive.model_copy(update={"effort_factor": f, "speed_factor": s})  # type: ignore[union-attr]
+    final = f * STALL / (f * STALL / (s * NO_LOAD) + viscous)
+    filed = simulate(machine.model_copy(update={"drive": drive}))
+    assert filed.drive_speed == pytest.approx(final, rel=1e-3)
+    drawn = simulate(machine, Case(parameters={"drive.effort_factor": f, "drive.speed_factor": s}))
+    assert drawn.drive_speed == pytest.approx(final, rel=1e-3)
+    constant = machine.model_copy(update={"drive": TorqueDrive(joint="O", torque=2.0, effort_factor=f)})
+    assert simulate(constant).drive_speed == pytest.approx(f * 2.0 / viscous, rel=1e-3)
+
+
+def test_factors_on_speeds_need_a_curve() -> None:
+    with pytest.raises(MachineError, match="factor: 2: is of the speeds of a curve, and there is none"):
+        motor(0.0, torque=1.0, speed_factor=2.0)
+    with pytest.raises(MachineError, match="effort_factor: 0: must be greater than 0"):
+        motor(0.0, torque=1.0, effort_factor=0)
+    with pytest.raises(MachineError, match="effort_factor: -1"):
+        simulate(motor(0.0), Case(parameters={"drive.effort_factor": -1.0}))
 
 
 def test_the_mean_speed_of_a_linkage_follows_from_its_energy() -> None:
