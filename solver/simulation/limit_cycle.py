@@ -153,7 +153,7 @@ def reach_limit_cycle(
             up.add(run, driver, recorded, rate)
             case = _next(up, run, driver, settings)
             if case is not None:
-                ended.append(replace(case, spent=up.seconds))
+                ended.append(replace(case, spent=up.drawn.spent + up.seconds))
                 del waiting[run.case.index]
     return ended
 
