@@ -20,11 +20,12 @@ from jointplay.catalogue.matching.matcher import NORMAL_90, ClearanceEstimate, H
 from jointplay.catalogue.matching.modes import Mode
 from jointplay.catalogue.matching.observation import Sensing, group
 from jointplay.catalogue.matching.population import Population, weigh
-from jointplay.catalogue.plans.driving import DRIVE_SPEED, has_motor
+from jointplay.catalogue.plans.driving import DRIVE_SPEED
 from jointplay.catalogue.plans.entry import Entry, Stratum, seed_from
 from jointplay.catalogue.storage.cross_power import pack
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
+from jointplay.solver.machines.machine import has_known_effort
 
 CERTAIN = 0.9
 """Nothing is simulated where one hypothesis alone is in the candidate set and has more probability than this."""
@@ -207,7 +208,7 @@ def _simulate(recorded: Recorded, catalogue: Catalogue, searches: Sequence[_Sear
         for parent, clearances, parameters, importance in search.population.draw(elite, SIZE, search.generator):
             speed = float(np.copysign(recorded.drive_speed, catalogue.recipe.nominal_drive_speed))
             # What a motor turns at follows from its numbers, which are drawn.
-            turned = {} if has_motor(catalogue.machine) else {DRIVE_SPEED: speed}
+            turned = {} if has_known_effort(catalogue.machine) else {DRIVE_SPEED: speed}
             case = Entry.of(
                 catalogue.machine,
                 catalogue.recipe,

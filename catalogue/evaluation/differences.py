@@ -14,12 +14,12 @@ import numpy as np
 from jointplay.catalogue.diagnosing.frame_forces import Revolution
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.truth import Response, Truth, draw_contacts
-from jointplay.catalogue.plans.driving import has_motor, nominal_drive_speed
+from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.plans.entry import seed_from
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
-from jointplay.solver.machines.machine import Machine, parse_machine
+from jointplay.solver.machines.machine import Machine, has_known_effort, parse_machine
 
 Difference = Callable[[Truth, np.random.Generator], Truth]
 """Draws what differs, and returns the machine with it."""
@@ -221,7 +221,7 @@ def _stroke(machine: Machine, stroke: float) -> tuple[float, dict[str, float]]:
 
 def _motor_ripple(truth: Truth, draws: np.random.Generator) -> Truth:
     """Ripple of a motor with three phases: up to 1 % of the speed at order 6, up to 0.5 % at order 12."""
-    if has_motor(truth.machine):  # ripples as its own curve and inertia have it
+    if has_known_effort(truth.machine):  # ripples as its own curve and inertia have it
         return truth
     shares = {6: float(draws.uniform(0.0, 0.01)), 12: float(draws.uniform(0.0, 0.005))}
     return _with_ripple(truth, tuple(shares), shares, draws)
@@ -229,7 +229,7 @@ def _motor_ripple(truth: Truth, draws: np.random.Generator) -> Truth:
 
 def _ripple(truth: Truth, draws: np.random.Generator) -> Truth:
     """Ripple of the drive at one order, of 0.5 to 1.5 % of its speed."""
-    if has_motor(truth.machine):
+    if has_known_effort(truth.machine):
         raise DiagnosisError(f"machine {truth.machine.name}: the motion of its drive is not prescribed, nor is ripple")
     order = int(draws.choice(RIPPLE_ORDERS))
     return _with_ripple(truth, RIPPLE_ORDERS, {order: float(draws.uniform(0.005, 0.015))}, draws)

@@ -13,7 +13,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import PlanError
 from jointplay.solver.machines.fault import HEALTHY
-from jointplay.solver.machines.machine import Machine, keep_by_machine
+from jointplay.solver.machines.machine import Machine, has_known_effort, keep_by_machine
 from jointplay.solver.machines.parts import ForceDrive, RotationDrive, TorqueDrive
 
 DRIVE_SPEED = "drive.speed"
@@ -26,11 +26,6 @@ BORNE = 0.05
 WEIGHT = 9.81
 
 
-def has_motor(machine: Machine) -> bool:
-    """Whether torque or force of the drive are known, and its motion is not."""
-    return isinstance(machine.drive, TorqueDrive | ForceDrive)
-
-
 def nominal_drive_speed(machine: Machine) -> float:
     """Drive speed of the machine file [rad/s]; of a motor the mean of the machine without play in its limit cycle.
 
@@ -40,7 +35,7 @@ def nominal_drive_speed(machine: Machine) -> float:
         The drive does not turn, or not at one speed, so spectra cannot be compared by order.
     """
     drive = machine.drive
-    if has_motor(machine):
+    if has_known_effort(machine):
         return _found_speed(machine)
     speed = drive.speed if isinstance(drive, RotationDrive) else None
     if isinstance(speed, float) and speed != 0.0:
@@ -85,7 +80,7 @@ def at_speed(machine: Machine, speed: float) -> dict[str, float]:
 
 def speed_of(machine: Machine, parameters: Mapping[str, float]) -> float:
     """Drive speed [rad/s] of a case as far as its numbers say it."""
-    if not has_motor(machine):
+    if not has_known_effort(machine):
         return parameters[DRIVE_SPEED]
     assert isinstance(machine.drive, TorqueDrive | ForceDrive)
     factor = parameters.get(SPEED_FACTOR, machine.drive.speed_factor) / machine.drive.speed_factor
@@ -109,7 +104,7 @@ def load_scale(machine: Machine) -> float:
     drive = machine.drive
     joint = machine.joints.get(str(getattr(drive, "joint", "")))
     speed = drive.speed if isinstance(drive, RotationDrive) and isinstance(drive.speed, float) else 0.0
-    speed = nominal_drive_speed(machine) if has_motor(machine) else speed
+    speed = nominal_drive_speed(machine) if has_known_effort(machine) else speed
     driven = [name for name in joint.links if name != machine.frame] if joint else []
     ends = [math.dist(joint.at, end.at) for end in machine.joints.values() if joint and {*driven} & {*end.links}]
     reach = max(ends, default=0.0)

@@ -13,12 +13,12 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtri
 
-from jointplay.catalogue.plans.driving import EFFORT_FACTOR, driver_link, has_motor, load_scale, speed_path
+from jointplay.catalogue.plans.driving import EFFORT_FACTOR, driver_link, load_scale, speed_path
 from jointplay.catalogue.plans.variants import LawChoice, output_load
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.fields import QuantityField, RuleError, VectorField
 from jointplay.solver.machines.joints import WearingJoint
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.machines.parts import Damper, ForceDrive, Mount, Part, Spring, TorqueDrive
 from jointplay.solver.machines.units import FREQUENCY, LENGTH, RATIO
 
@@ -290,7 +290,7 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     fast = speed_path(machine)
     found = {
         **({fast: Distribution(factor_uniform=SPEED)} if fast else {}),
-        **(_motor(machine, EFFORT, DRIVER_INERTIA) if has_motor(machine) else {}),
+        **(_motor(machine, EFFORT, DRIVER_INERTIA) if has_known_effort(machine) else {}),
         "contact.friction": Distribution(uniform=(0.01, 0.15)),
         "contact.stiffness": Distribution(lognormal=STIFFNESS_SCATTER),
     }
@@ -344,7 +344,7 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         for order, share in LOAD_ORDERS.items() if not isinstance(machine.drive, ForceDrive) else ():
             spread = _either(LOAD, share * scale)
             found |= {f"load.{order}.sin": spread, f"load.{order}.cos": spread}
-    if has_motor(machine):  # it ripples as torque and inertia have it
+    if has_known_effort(machine):  # it ripples as torque and inertia have it
         return found | _motor(machine, WIDE_EFFORT, WIDE_EFFORT)
     for order in RIPPLE_ORDERS:
         spread = _either(RIPPLE, 1.0 / order)

@@ -22,7 +22,7 @@ from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.matrix import read_matrix_form
-from jointplay.solver.machines.parts import Spring, Support
+from jointplay.solver.machines.parts import ForceDrive, Spring, Support, TorqueDrive
 from jointplay.solver.machines.refusals import first_error
 from jointplay.solver.machines.yamlfile import read_text, read_tree
 
@@ -79,6 +79,11 @@ class Machine(MachineContent):
 
     def __hash__(self) -> int:
         return hash(self.content_key)
+
+
+def has_known_effort(machine: Machine) -> bool:
+    """Whether torque or force of the drive are given, and its motion is not."""
+    return isinstance(machine.drive, TorqueDrive | ForceDrive)
 
 
 def _complete_support(support: Support) -> Support:

@@ -14,8 +14,7 @@ from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.start import Start
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation.limit_cycle import has_known_effort
+from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import band_matrix
 from jointplay.solver.spectra.bands import BandScheme

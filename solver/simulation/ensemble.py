@@ -22,7 +22,7 @@ from jointplay.solver.cases.steps import SETTLING_REVOLUTIONS
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.simulation.averages import (
     PHASES,
     Average,
@@ -33,7 +33,6 @@ from jointplay.solver.simulation.averages import (
     starts_at,
 )
 from jointplay.solver.simulation.blocks import BLOCK, MOTIONS, SEEN, Members, check_memory
-from jointplay.solver.simulation.limit_cycle import has_known_effort
 from jointplay.solver.simulation.steady_turning import find_limit_cycle, samples_of_angle, starts_in
 from jointplay.solver.simulation.tradeoff import CHAOTIC_DB
 

@@ -22,7 +22,6 @@ from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import ForceDrive, TorqueDrive
 from jointplay.solver.simulation.runs import Run
 
 #: The longest run-up, s, and the most revolutions of one.
@@ -35,11 +34,6 @@ _NEAR_REVOLUTIONS, _NEAR_PART = 16, 1 / 3
 _LEFT = 0.01
 #: Sample rate of the run-up, Hz: the driver's angle is a coordinate and needs few samples.
 _COARSE = 2000.0
-
-
-def has_known_effort(machine: Machine) -> bool:
-    """Whether torque or force of the drive are given, and its motion is not."""
-    return isinstance(machine.drive, TorqueDrive | ForceDrive)
 
 
 class Driver:
@@ -152,7 +146,7 @@ def reach_limit_cycle(
             up.add(run, driver, recorded, rate)
             case = _next(up, run, driver, settings)
             if case is not None:
-                ended.append(replace(case, spent=up.seconds))
+                ended.append(replace(case, spent=up.drawn.spent + up.seconds))
                 del waiting[run.case.index]
     return ended
 

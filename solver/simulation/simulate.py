@@ -28,9 +28,9 @@ from jointplay.solver.equations.links import link_motion
 from jointplay.solver.equations.model import Model
 from jointplay.solver.errors import AssemblyError, SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.machines.parts import RotationDrive
-from jointplay.solver.simulation.limit_cycle import Driver, has_known_effort, reach_limit_cycle, turning_in
+from jointplay.solver.simulation.limit_cycle import Driver, reach_limit_cycle, turning_in
 from jointplay.solver.simulation.methods import RUNS
 from jointplay.solver.simulation.repeating import periodic_acceleration, watch
 from jointplay.solver.simulation.runs import OVERSAMPLING, Run

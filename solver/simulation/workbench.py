@@ -22,8 +22,7 @@ from jointplay.solver.cases.turning import even_angle
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import SettingsError
-from jointplay.solver.machines.machine import Machine
-from jointplay.solver.simulation.limit_cycle import has_known_effort
+from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.simulation.runs import TOLERANCES
 from jointplay.solver.simulation.simulate import simulate_batch, start_of
 from jointplay.solver.simulation.steady_turning import find_limit_cycle
