@@ -49,8 +49,11 @@ def worn_of(draws: TrainingSet) -> FloatArray:
 def of_product(catalogue: Catalogue, sensing: Sensing, watched: NDArray[np.bool_], held: TrainingSet) -> FloatArray:
     """Return the product's P(worn) (m, joints)."""
     learning = Learning.of("trusted")
-    network = NetworkShelf.of(catalogue).get(sensing, learning, None)
-    model = library_of(catalogue).fit(Observed(sensing, np.empty(0), watched), learning, network)
+    speed = catalogue.matrix.nominal_speed
+    network = NetworkShelf.of(catalogue).get(sensing, learning, speed)
+    if network is None:
+        raise SystemExit(f"{catalogue.path}: has no network: build it again, which trains what is missing")
+    model = library_of(catalogue).fit(Observed(sensing, np.empty(0), watched, speed), learning, network)
     prior = np.array([draws.prior for draws in held.hypotheses])
     posterior = model.posterior(held.stack()[0]) / prior
     member = np.array([[joint in known.joints for joint in held.joints] for known in held.hypotheses], np.float64)

@@ -8,7 +8,7 @@ with the steps that recordings go through, with what sensors are taken to see of
 from other features are not used. Frozen cases in ``tests/catalogue/test_versions.py`` say when that is.
 """
 
-MATCHER_VERSION = 2
+MATCHER_VERSION = 3
 """Of what is answered. It changes when, and only when, the same features may have another answer by
 the curves of :mod:`jointplay.catalogue.matching.gaussian` or their networks; frozen as the features are.
 """

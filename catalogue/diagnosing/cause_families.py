@@ -13,6 +13,7 @@ from functools import partial
 from typing import Protocol, Self
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf
 
 from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, GAIN_SCATTER, LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Wrench, family_wrenches
@@ -335,10 +336,22 @@ class Misfit:
         spread[:, np.arange(size), np.arange(size)] += more
         spread[:, size, :size] = spread[:, :size, size] = left
         spread[:, size, size] = 1.0 + np.sum(left**2, axis=1) / self.known.error_variance[used].min()
-        root = np.linalg.cholesky(spread)
+        root = _decompose(spread)
         determinant = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)[:, :size]), axis=1)
         own = float(np.linalg.slogdet(self.covariance)[1])
         return np.asarray(np.sum(root[:, size, :size] ** 2, axis=1) + determinant - own)
+
+
+def _decompose(matrices: FloatArray) -> FloatArray:
+    """Lower triangles (n, k, k) of Cholesky's decomposition in the place of matrices; what is above them stays.
+
+    As :func:`numpy.linalg.cholesky` to the last digits, in half the time: LAPACK reads rows as columns.
+    """
+    for matrix in matrices:
+        _, info = dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
+        if info:
+            raise np.linalg.LinAlgError("covariance of levels: not positive definite")
+    return matrices
 
 
 def _observe(levels: OrderLevels, power: AnyComplexArray) -> FloatArray:

@@ -68,8 +68,8 @@ class Question:
     ----------
     effort : {"fast", "standard", "thorough"}
         ``fast`` looks the answer up in a model for about this noise, ``standard`` refits what that leaves open to the
-        noise of the recording, and looks for causes other than play where none is needed, too; ``thorough`` also
-        simulates anew around the most probable hypotheses where that can change the answer.
+        noise of the recording where no network knows it, and looks for causes other than play where none is needed,
+        too; ``thorough`` also simulates anew around the most probable hypotheses where that can change the answer.
     mode : {"auto", "trusted", "robust"}
         Whether the machine is taken to be as simulated, or to differ from it in whatever the catalogue varies;
         ``auto`` trusts the model unless it does not explain the recording.

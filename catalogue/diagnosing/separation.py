@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 import scipy.spatial
-import scipy.stats
+from scipy.special import ndtr, ndtri
 
 from jointplay.catalogue.diagnosing.answer import Suggestion
 from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
@@ -127,10 +127,10 @@ class _Separation:
     def rows(self, match: HypothesisMatch, speed: float) -> IntArray:
         """Entries of a hypothesis whose clearances lie within its intervals, or nearest to them."""
         rows = np.asarray(self.matrix.rows(match.label, speed=speed), dtype=np.int64)
-        table = self.matrix.table(rows)
+        clearances = self.matrix.clearance(rows)
         away = np.zeros(len(rows))
         for estimate in match.clearances:
-            clearance = np.maximum(table.clearance[:, table.joints.index(estimate.joint)], 1e-12)
+            clearance = np.maximum(clearances[:, self.matrix.joints.index(estimate.joint)], 1e-12)
             half = max(0.5 * math.log(estimate.high / estimate.low), 1e-3)
             away = np.maximum(away, np.abs(np.log(clearance / estimate.median)) / half)
         order = np.argsort(away, kind="stable")
@@ -153,12 +153,12 @@ class _Separation:
         """Share of machines taken for another one, pairs weighed by how likely both of them are."""
         probability = [max(match.probability, LEAST_PROBABILITY) for match in self.contenders]
         weights = np.array([p * q for p, q in itertools.combinations(probability, 2)])
-        return float(weights @ scipy.stats.norm.sf(0.5 * np.sqrt(squared)) / weights.sum())
+        return float(weights @ ndtr(-0.5 * np.sqrt(squared)) / weights.sum())
 
     def suggestion(
         self, kind: Literal["sensor", "direction", "speed"], what: str, error_now: float, error: float
     ) -> Suggestion:
-        apart = [float(2.0 * scipy.stats.norm.isf(value)) for value in (error_now, error)]
+        apart = [float(-2.0 * ndtri(value)) for value in (error_now, error)]
         labels = tuple(match.label for match in self.contenders)
         return Suggestion(
             kind=kind,
@@ -187,9 +187,9 @@ def _separate_held_out(first: FloatArray, first_case: IntArray, second: FloatArr
             border = 0.5 * float((first[one] @ direction).mean() + (second[two] @ direction).mean())
             a, b = border - first[~one] @ direction, second[~two] @ direction - border
             blur = BLUR * math.sqrt(max(0.5 * (a.var() + b.var()), 1e-300))
-            found += [scipy.stats.norm.sf(a / blur).mean(), scipy.stats.norm.sf(b / blur).mean()]
+            found += [ndtr(-a / blur).mean(), ndtr(-b / blur).mean()]
     error = float(np.clip(np.mean(found), 1e-12, 0.5))
-    return float(2.0 * scipy.stats.norm.isf(error)) ** 2
+    return float(2.0 * ndtri(error)) ** 2
 
 
 def _half(case: IntArray, generator: np.random.Generator) -> BoolArray:

@@ -17,6 +17,7 @@ from jointplay.catalogue.matching.calibration import (
     probabilities,
     row_weights,
 )
+from jointplay.catalogue.matching.clearances import Ranks, laws_of
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.curves import CurveModel, average
 from jointplay.catalogue.matching.matcher import TrainingSet
@@ -35,6 +36,8 @@ class Calibration:
         Of the hypothesis probabilities.
     clearance_temperatures : tuple of float
         Of the clearance posteriors of hypotheses with one, two, ... clearances.
+    clearance_ranks : tuple of Ranks
+        Of true clearances in these, likewise.
     distances, orders : tuple of Tail
         Per hypothesis: full-space distance, and mean of the largest watched z.
     conformal : Conformal
@@ -48,6 +51,7 @@ class Calibration:
 
     temperature: float
     clearance_temperatures: tuple[float, ...]
+    clearance_ranks: tuple[Ranks, ...]
     distances: tuple[Tail, ...]
     orders: tuple[Tail, ...]
     conformal: Conformal
@@ -70,7 +74,7 @@ def calibrate(
     distances: list[list[FloatArray]] = []
     orders: list[list[FloatArray]] = []
     doubts: list[list[FloatArray]] = []
-    own: dict[int, list[tuple[FloatArray, IntArray]]] = {}
+    own: dict[int, list[_Held]] = {}
     for model, held in pairs:
         features, index = held.stack()
         whitened = features @ model.projection
@@ -91,7 +95,10 @@ def calibrate(
                 doubts[h].append(witness.doubts(draws.features))
             if draws.log_clearance.shape[1]:
                 place = model.curves[h].grid.index(draws.log_clearance)
-                own.setdefault(draws.log_clearance.shape[1], []).append((curve, place))
+                rows = np.flatnonzero(index == h) + sum(map(len, truth))
+                own.setdefault(draws.log_clearance.shape[1], []).append(
+                    _Held(curve, place, model.curves[h].grid.axes, draws.log_clearance, rows)
+                )
         evidence.append(np.stack(columns, axis=1))
         if opinion is not None:
             opinions.append(opinion.log_evidences(features, held.labels))
@@ -108,9 +115,12 @@ def calibrate(
         temperature, share = fit_temperature(joined, stacked, weights), 0.0
         scaled = joined / temperature
     posterior = probabilities(scaled + np.log([draws.prior for draws in held.hypotheses]))
+    named = posterior[np.arange(len(stacked)), stacked]
+    temperatures = tuple(_clearance_temperature(own.get(k + 1, [])) for k in range(max(own, default=0)))
     return Calibration(
         temperature,
-        tuple(_clearance_temperature(own.get(k + 1, [])) for k in range(max(own, default=0))),
+        temperatures,
+        tuple(_clearance_ranks(own.get(k + 1, []), each, named) for k, each in enumerate(temperatures)),
         tuple(Tail.of(np.concatenate(values)) for values in distances),
         tuple(Tail.of(np.concatenate(values)) for values in orders),
         Conformal.fit(posterior, stacked, weights),
@@ -122,7 +132,32 @@ def calibrate(
     )
 
 
-def _clearance_temperature(own: Sequence[tuple[FloatArray, IntArray]]) -> float:
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """Held-out draws of a hypothesis: likelihood (m, f) along its curve, the point (m,) next to the true clearances.
+
+    `rows` are theirs among all draws.
+    """
+
+    curve: FloatArray
+    place: IntArray
+    axes: tuple[FloatArray, ...]
+    log_clearance: FloatArray
+    rows: IntArray
+
+
+def _clearance_ranks(own: Sequence[_Held], temperature: float, named: FloatArray) -> Ranks:
+    """Ranks of the true clearances of held-out draws whose hypotheses were given the probabilities `named`."""
+    return Ranks.of(
+        [
+            (laws, true, named[held.rows])
+            for held in own
+            for laws, true in zip(laws_of(held.curve, held.axes, temperature), held.log_clearance.T, strict=True)
+        ]
+    )
+
+
+def _clearance_temperature(own: Sequence[_Held]) -> float:
     """Return the temperature with the least mean -ln density at the true clearance of held-out draws."""
     if not own:
         return 1.0
@@ -130,9 +165,9 @@ def _clearance_temperature(own: Sequence[tuple[FloatArray, IntArray]]) -> float:
     def loss(log_temperature: float) -> float:
         scale = float(np.exp(-log_temperature))
         total = 0.0
-        for curve, place in own:
-            scaled = curve * scale
-            total += float(np.sum(logsumexp(scaled, axis=1) - scaled[np.arange(len(place)), place]))
+        for held in own:
+            scaled = held.curve * scale
+            total += float(np.sum(logsumexp(scaled, axis=1) - scaled[np.arange(len(held.place)), held.place]))
         return total
 
     low, high = np.log(TEMPERATURES)

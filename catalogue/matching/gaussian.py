@@ -14,8 +14,9 @@ from scipy.linalg import eigh
 
 from jointplay.catalogue.errors import MatchingError
 from jointplay.catalogue.matching.calibration import combine, folds, probabilities, row_weights, split_held_out
+from jointplay.catalogue.matching.clearances import laws_of
 from jointplay.catalogue.matching.curve_calibration import Calibration, calibrate
-from jointplay.catalogue.matching.curves import ClearanceGrid, Curve, CurveModel, average, fit_tube, log_sum_exp
+from jointplay.catalogue.matching.curves import ClearanceGrid, Curve, CurveModel, average, fit_tube
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult, TrainingSet, rank
 from jointplay.catalogue.matching.network import Opinion
 from jointplay.solver.arrays import FloatArray, IntArray
@@ -197,20 +198,6 @@ def _bins(log_clearance: FloatArray, bins: tuple[int, ...]) -> IntArray:
     return label
 
 
-def _estimate(joint: str, axis: FloatArray, density: FloatArray) -> ClearanceEstimate:
-    """Return median and central 90 % interval of a posterior given at evenly spaced points of ln(clearance)."""
-    if len(axis) == 1:
-        value = float(np.exp(axis[0]))
-        return ClearanceEstimate(joint, value, value, value)
-    # Each point stands for the cell around it, halves at the ends.
-    step = axis[1] - axis[0]
-    edges = np.clip(np.r_[axis - 0.5 * step, axis[-1] + 0.5 * step], axis[0], axis[-1])
-    cumulated = np.r_[0.0, np.cumsum(density)]
-    cumulated /= cumulated[-1]
-    low, median, high = np.exp(np.interp([0.05, 0.5, 0.95], cumulated, edges))
-    return ClearanceEstimate(joint, float(median), float(low), float(high), (edges, cumulated))
-
-
 @dataclass(frozen=True)
 class FittedGaussian:
     """A learned training set; answers one feature vector or a block of them."""
@@ -280,13 +267,16 @@ class FittedGaussian:
         return rank(matches, self.calibration.conformal, self.calibration.sightings)
 
     def _clearances(self, curve: Curve, likelihood: FloatArray) -> tuple[ClearanceEstimate, ...]:
+        """Return medians and central 90 % intervals from the log likelihood (f,) along a curve."""
         axes = curve.grid.axes
         if not axes:
             return ()
-        scaled = likelihood / self.calibration.clearance_temperatures[len(axes) - 1]
-        density = np.exp(scaled - log_sum_exp(scaled)).reshape([len(axis) for axis in axes])
-        estimates = []
-        for j, axis in enumerate(axes):
-            others = tuple(k for k in range(len(axes)) if k != j)
-            estimates.append(_estimate(curve.joints[j], axis, density.sum(axis=others)))
-        return tuple(estimates)
+        count = len(axes) - 1
+        ranks = self.calibration.clearance_ranks[count]
+        found = []
+        laws = laws_of(likelihood[None, :], axes, self.calibration.clearance_temperatures[count])
+        for joint, law in zip(curve.joints, laws, strict=True):
+            below = ranks.corrected(law.below[0], float(law.quantile(0.5)[0]))
+            low, median, high = np.exp(np.interp([0.05, 0.5, 0.95], below, law.edges)).tolist()
+            found.append(ClearanceEstimate(joint, median, low, high, (law.edges, below)))
+        return tuple(found)

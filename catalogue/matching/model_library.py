@@ -101,7 +101,8 @@ class ModelLibrary:
             Levels checked one by one.
         effort : {"fast", "standard", "thorough"}
             ``fast`` looks up the model of the next higher noise step. ``standard`` refits the hypotheses it leaves open
-            to the recording's noise; ``thorough`` does the same here (what it does beyond is no matter of models).
+            to the recording's noise where no network knows that, or where there are more entries than the model has
+            learned from; ``thorough`` does the same here (what it does beyond is no matter of models).
         mode : {"auto", "trusted", "robust"}
             ``auto`` trusts the model unless the recording then has a p-value below 0.05; both modes are then heard.
         speed : float, optional
@@ -218,11 +219,12 @@ class ModelLibrary:
         model = self.fit(coarse, learning, network, strata)
         asked = model.opinion.network.digest if model.opinion else None
         looked_up = replace(model.match(coarse.feature), mode=learning.mode, notes=notes, network=asked)
-        if effort == "fast":
-            return looked_up
         refit = Refit(
             self._matrix, model, learning, speed, weights, network if asked else None, strata if model.witness else None
         )
+        # A network knows any noise: beside it a refit tells more only where there is more to learn from.
+        if effort == "fast" or (asked and not refit.has_more_entries(looked_up)):
+            return looked_up
         return merge(looked_up, refit.match(sensing, observed.feature, observed.watched, looked_up))
 
     def coarse(self, observed: Observed) -> Observed:

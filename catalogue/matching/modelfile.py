@@ -13,6 +13,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.calibration import Tail
+from jointplay.catalogue.matching.clearances import Ranks
 from jointplay.catalogue.matching.conformal import Conformal
 from jointplay.catalogue.matching.curve_calibration import Calibration
 from jointplay.catalogue.matching.curves import ClearanceGrid, Curve, CurveModel, Tube
@@ -29,8 +30,8 @@ KEPT = 16
 
 _TYPES = {
     kind.__name__: kind
-    for kind in (FittedGaussian, CurveModel, Curve, ClearanceGrid, Tube, Calibration, Tail, Conformal, Sightings)
-} | {kind.__name__: kind for kind in (Network, Opinion)}
+    for kind in (FittedGaussian, CurveModel, Curve, ClearanceGrid, Tube, Calibration, Tail, Conformal, Ranks)
+} | {kind.__name__: kind for kind in (Sightings, Network, Opinion)}
 
 
 def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:

@@ -57,14 +57,22 @@ class Refit:
 
     def match(self, sensing: Sensing, feature: FloatArray, watched: BoolArray, first: MatchResult) -> MatchResult:
         """Return the answer among the hypotheses that `first` leaves open."""
-        chosen = [match for match in first.hypotheses[:MOST_OPEN] if match.probability > OPEN_ABOVE]
-        rows = {match.label: self._rows(match) for match in chosen}
+        rows = {match.label: self._rows(match) for match in _open(first)}
         training = training_set(self.matrix, sensing, watched, self.learning, rows=rows, weights=self.weights)
         widths = band_widths(self.matrix)
         opinion, witness = (
             None if network is None else network.opinion(sensing, widths) for network in (self.network, self.strata)
         )
         return fit_gaussian(training, self.model.model.projection, opinion, witness).match(feature)
+
+    def has_more_entries(self, first: MatchResult) -> bool:
+        """Whether there are more entries of a hypothesis that `first` leaves open than its model has learned from."""
+        more = replace(self.learning, most=self.learning.reach)
+        return any(
+            len(rows_of(self.matrix, match.label, more, self.speed))
+            > len(rows_of(self.matrix, match.label, self.learning, self.speed))
+            for match in _open(first)
+        )
 
     def _rows(self, match: HypothesisMatch) -> IntArray:
         if not match.clearances:
@@ -81,6 +89,11 @@ class Refit:
         distance[:SPREAD] = -1.0
         order = np.argsort(distance, kind="stable")[: NEAR + SPREAD]
         return rows[np.sort(order)]
+
+
+def _open(first: MatchResult) -> list[HypothesisMatch]:
+    """Hypotheses that an answer leaves open."""
+    return [match for match in first.hypotheses[:MOST_OPEN] if match.probability > OPEN_ABOVE]
 
 
 def merge(first: MatchResult, refitted: MatchResult) -> MatchResult:

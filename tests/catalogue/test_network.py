@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -30,6 +31,15 @@ from jointplay.catalogue.storage.store import Catalogue
 MODEL = SpectraModel(300, wide=200)
 SMALL = NetworkTraining(rows=6000, blocks=10, layers=(32,), epochs=(4, 2), least_cases=256)
 TRUSTED = Learning.of("trusted")
+
+
+class OneNetwork(NetworkShelf):
+    """Has one network of hypotheses, whatever is asked, or none."""
+
+    network: Network | None = None
+
+    def get(self, sensing: Sensing, learning: Learning, speed: float | None) -> Network | None:
+        return self.network if learning.subject == "hypotheses" else None
 
 
 @pytest.fixture(scope="module")
@@ -336,13 +346,7 @@ def test_its_opinion_counts_in_both_efforts(trained: Network) -> None:
     feature = held_rows().hypotheses[1].features[0]
     wrong = replace(trained, biases=(*trained.biases[:-1], trained.biases[-1] + np.array([0.0, 0.0, 500.0, 0.0])))
 
-    class Shelf(NetworkShelf):
-        def get(self, sensing: Sensing, learning: Learning, speed: float | None) -> Network | None:
-            return self.network if learning.subject == "hypotheses" else None
-
-        network: Network | None = None
-
-    networks = Shelf(MODEL, sensing(), None, SMALL)
+    networks = OneNetwork(MODEL, sensing(), None, SMALL)
     for effort in ("fast", "standard"):
         answers = []
         for network in (None, trained, wrong):
@@ -354,6 +358,31 @@ def test_its_opinion_counts_in_both_efforts(trained: Network) -> None:
         assert right.best.probability != none.best.probability
         # What always says the same tells nothing, and held-out draws show it: it has no share, or next to none.
         assert misled.best.probability > 0.9
+
+
+def test_beside_a_network_a_refit_is_made_only_of_more_entries_than_the_model_has(
+    trained: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feature = held_rows().hypotheses[1].features[0]
+
+    refits: list[tuple[str, ...]] = []
+
+    def spied(*arguments: Any, rows: Mapping[str, np.ndarray], **settings: Any) -> TrainingSet:
+        refits.append(tuple(rows))
+        return training_set(*arguments, rows=rows, **settings)
+
+    monkeypatch.setattr("jointplay.catalogue.matching.refit.training_set", spied)
+    networks = OneNetwork(MODEL, sensing(), None, SMALL)
+    library = ModelLibrary(MODEL, networks=networks)
+    library.answer(sensing(), feature, WATCHED, "standard", "trusted")
+    assert len(refits) == 1, "without a network"
+    networks.network = trained
+    library.answer(sensing(), feature, WATCHED, "standard", "trusted")
+    assert len(refits) == 1, "the model has learned from all entries"
+    of = Learning.of
+    monkeypatch.setattr(Learning, "of", lambda mode, **asked: replace(of(mode, **asked), most=200))
+    library.answer(sensing(), feature, WATCHED, "standard", "trusted")
+    assert len(refits) == 2, "it has not"
 
 
 def test_an_opinion_is_of_the_hypotheses_it_is_asked_of(trained: Network) -> None:
