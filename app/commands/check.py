@@ -45,7 +45,7 @@ def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None,
 
         save_drawing(found, state.joints, drawing)
     matrix = matrix_of(found, state)
-    notes = find_remarks(found)
+    notes = find_remarks(found, state)
     if as_json:
         print_json(document(found, state, sizes, matrix, arrays, drawing) | {"notes": notes})
     else:

@@ -45,9 +45,10 @@ if TYPE_CHECKING:
 @click.option("--rtol", type=click.FloatRange(1e-12, 1e-2), help="Scaled error of a step, in place of --accuracy.")
 @click.option(
     "--method",
-    type=click.Choice(["adaptive", "gill", "gill-variable", "full"]),
-    help="Error-controlled steps [default], or Runge-Kutta-Gill with fixed ones; for cross-checks Gill's with steps "
-    "halved by their error, or fixed in the whole system of 3N + 2J equations.",
+    type=click.Choice(["adaptive", "rosenbrock", "gill", "gill-variable", "full"]),
+    help="Error-controlled steps, explicit (adaptive) or implicit (rosenbrock) [default: by what is stiff], or "
+    "Runge-Kutta-Gill with fixed ones; for cross-checks Gill's with steps halved by their error, or fixed in the whole "
+    "system of 3N + 2J equations.",
 )
 @click.option("--step", type=QuantityOption("TIME"), help="Longest step of gill and full, in place of --accuracy.")
 @click.option("--starts", type=click.IntRange(2, 1000), help="Average over so many starts; spectra only (.h5, .npz).")

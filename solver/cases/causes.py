@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.positions import grips_of
 from jointplay.solver.cases.rates import ContactRates, extent_of
-from jointplay.solver.cases.steps import FILM, StepRule
+from jointplay.solver.cases.steps import BETWEEN_IMPACTS, FILM, StepRule
+from jointplay.solver.equations.drive import prescribes_motion
+from jointplay.solver.equations.model import MODELS_KEPT
 from jointplay.solver.equations.numbers import contact_path
-from jointplay.solver.errors import MachineError, SettingsError
-from jointplay.solver.machines.joints import TurningJoint
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.errors import AssemblyError, MachineError, SettingsError
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import Support
+from jointplay.solver.machines.restitution import HYSTERESIS
 
 #: Longest run, steps or samples of one case: refused beyond, so that a mistyped number does not run for days.
 MOST_STEPS = 2_000_000_000
 #: A part is to blame where so many steps of it do not make up so many seconds; else the run is too long.
 _ORDINARY_RUN = 100.0
+#: Explicit steps that are shorter than both, s and in parts of the time between samples, give way to implicit ones,
+#: which cost as much as ten. What rings there is slow enough to be followed, and explicit steps follow it better.
+_SHORT, _SHORT_PART = 2.5e-7, 0.005
+#: What explicit steps keep to under error control, where they are stable.
+EXPLICIT = replace(BETWEEN_IMPACTS, decay=2.0)
 #: A link lighter than its neighbour by this factor is to blame, not the contact between them.
 _LIGHT = 1e-3
 #: A pin larger than the machine by this factor is a mistyped one.
@@ -33,6 +43,11 @@ class Cause:
     path: str
     value: float | None
     why: str
+
+    def __str__(self) -> str:
+        """In one line, without advice."""
+        value = "" if self.value is None else f" {self.value:g}:"
+        return f"{self.path}:{value} {self.why.partition(';')[0]}"
 
 
 def refuse_too_many_steps(source: str, duration: float, step: float, causes: Iterator[Cause]) -> None:
@@ -60,6 +75,48 @@ def refuse_too_many_steps(source: str, duration: float, step: float, causes: Ite
         raise SettingsError(f"duration: {duration:g} s: needs more than {MOST_STEPS:.0e} steps of {step:.3g} s")
     rule = f"{cause.why}: {duration:g} s need more than {MOST_STEPS:.0e} steps of {step:.3g} s"
     raise MachineError(source, cause.path, cause.value, rule)
+
+
+def stiff_part(
+    machine: Machine, contacts: Mapping[str, ContactRates], mobility: Mapping[str, float], eigenvalues: FloatArray,
+    values: Mapping[str, float], sample_rate: float,
+) -> Cause | None:  # fmt: skip
+    """What settles or swings so far above the band of the results that steps had better be implicit; mostly nothing.
+
+    A guide that wedges is one: where a drive prescribes a motion, its friction beside worn joints grows without bound,
+    and with it the rate at which it settles. Contacts that swing are none, because their impacts are to be followed.
+    Nor are laws of a restitution and films of oil, whose rates are those at the worst, which hardly a step meets.
+    """
+    for name, grip in (_grips(machine) if contacts else {}).items():
+        path, guide = f"joints.{name}.friction", machine.joints[name]
+        if not isinstance(guide, SlidingJoint):
+            continue
+        now = values.get(path, guide.friction)
+        if guide.friction and grip * now >= guide.friction:
+            wedge = grip * now / guide.friction
+            return Cause(0.0, path, now, f"times its leverage on the normal force is {wedge:.3g}: the guide wedges")
+    lasting = {
+        joint: replace(found, film=0.0, decay=0.0 if machine.joints[joint].contact.law in HYSTERESIS else found.decay)
+        for joint, found in contacts.items()
+    }
+    causes = chain(
+        contact_causes(machine, EXPLICIT, lasting, mobility, values),
+        support_causes(machine, EXPLICIT, eigenvalues, values),
+    )
+    part = min(causes, key=lambda cause: cause.step, default=None)
+    return part if part is not None and part.step < min(_SHORT, _SHORT_PART / sample_rate) else None
+
+
+@keep_by_machine(MODELS_KEPT)
+def _grips(machine: Machine) -> Mapping[str, float]:
+    """Friction times leverage of guides that a drive can push without bound; of the ideal machine, if there is one."""
+    rubbing = any(isinstance(joint, SlidingJoint) and joint.friction for joint in machine.joints.values())
+    if not (rubbing and prescribes_motion(machine)):
+        return {}
+    try:
+        return {name: grip for name, (grip, _) in grips_of(machine).items()}
+    except (MachineError, AssemblyError):
+        return {}
 
 
 def contact_causes(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-Method = Literal["adaptive", "gill", "gill-variable", "full"]
+Method = Literal["adaptive", "rosenbrock", "gill", "gill-variable", "full"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 MOTIONS = ("x", "y", "theta")
@@ -89,11 +89,13 @@ class Settings:
     accuracy : str
         ``draft``, ``standard`` or ``reference``: how finely contacts, suspension and drive are resolved.
     method : str or None
-        ``adaptive`` (error-controlled, contacts located) or ``gill`` (Runge-Kutta-Gill, fixed steps); by default
-        ``adaptive``, or ``gill`` where a step is given. For teaching and cross-checks ``gill-variable`` (Gill's steps,
-        halved by their error) and ``full`` (fixed steps of the paper's whole system of equations).
+        ``adaptive`` (error-controlled, contacts located), ``rosenbrock`` (the same, implicit) or ``gill``
+        (Runge-Kutta-Gill, fixed steps); by default ``gill`` where a step is given, else ``adaptive``, or ``rosenbrock``
+        for the cases that are far too stiff for it, whose messages say why. For teaching and cross-checks
+        ``gill-variable`` (Gill's steps, halved by their error) and ``full`` (fixed steps of the paper's whole system of
+        equations).
     rtol : float or None
-        Scaled error of a step of ``adaptive`` and ``gill-variable``, in place of what `accuracy` gives.
+        Scaled error of a step of ``adaptive``, ``rosenbrock`` and ``gill-variable``, in place of what `accuracy` gives.
     step : float or None
         Longest step of ``gill`` and ``full``, s, in place of what `accuracy` gives.
     revolutions : float
@@ -117,7 +119,7 @@ class Settings:
         Model everything that the machine file has, also what its frame cannot feel
         (:mod:`jointplay.solver.cases.reach`); `links` implies it.
     most_trials : int or None
-        Trial steps of ``adaptive`` after which a case counts as stalled, in place of what its driver allows.
+        Trial steps under error control after which a case counts as stalled, in place of what its driver allows.
     """
 
     duration: float | None = None
@@ -147,7 +149,7 @@ class Settings:
         if self.rtol is not None and not 1e-12 <= self.rtol <= 1e-2:
             raise SettingsError(f"rtol: {self.rtol:g}: must be between 1e-12 and 1e-2")
         if self.rtol is not None and self.fixed_step:
-            rule = f"only adaptive and gill-variable have a tolerance; {self.integrator} has a step"
+            rule = f"only adaptive, rosenbrock and gill-variable have a tolerance; {self.integrator} has a step"
             raise SettingsError(f"rtol: {self.rtol:g}: {rule}")
         if self.step is not None and not self.fixed_step:
             raise SettingsError(

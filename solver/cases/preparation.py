@@ -15,6 +15,7 @@ from jointplay.solver.cases.causes import (
     contact_causes,
     drive_cause,
     refuse_too_many_steps,
+    stiff_part,
     support_causes,
 )
 from jointplay.solver.cases.history import Settings
@@ -23,6 +24,7 @@ from jointplay.solver.cases.rates import contact_rates, pace_of, without_dry_fri
 from jointplay.solver.cases.start import find_repeat, start_pose, start_velocity
 from jointplay.solver.cases.steps import (
     BETWEEN_IMPACTS,
+    LEAST_RESPONSE,
     STEP_RULES,
     USUAL_FILM,
     Accuracy,
@@ -36,7 +38,9 @@ from jointplay.solver.cases.steps import (
 from jointplay.solver.equations.anchors import fastest_anchor
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
+from jointplay.solver.equations.numbers import contact_path
 from jointplay.solver.errors import MachineError, SettingsError
+from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TravelDrive
 from jointplay.solver.machines.remarks import film_remarks, restitution_remarks
@@ -98,6 +102,8 @@ class Prepared:
         Of a machine with a known effort: why it is in no limit cycle, empty where it is; None where that is not known.
     look : int
         Recorded samples after which it is first looked whether the motion repeats.
+    implicit : str or None
+        ``None`` where error-controlled steps are explicit; else why they are not, empty where that was asked for.
     """
 
     index: int
@@ -122,6 +128,7 @@ class Prepared:
     before: float = 0.0
     unsteady: str | None = None
     look: int = NEVER
+    implicit: str | None = None
 
 
 @keep_by_machine(MODELS_KEPT)
@@ -217,10 +224,17 @@ def prepare(
     rule = STEP_RULES[settings.accuracy]
     rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.fixed_step else 0.0
     contacts = contact_rates(machine, mobility, complete, fastest, 0.0 if settings.fixed_step else USUAL_FILM)
+    implicit = "" if settings.method == "rosenbrock" else None
+    if settings.integrator == "adaptive" and settings.method is None:
+        part = stiff_part(machine, contacts, mobility, motions.eigenvalues, complete, settings.sample_rate)
+        implicit = None if part is None else f"implicit steps (rosenbrock), because of {part}"
+    remarks += [implicit or ""]
+    # Implicit steps are as long as what is slow lets them be.
+    resolved, eigenvalues = (contacts, motions.eigenvalues) if implicit is None else ({}, np.zeros(0))
     shaken, shaking = fastest_anchor(machine, speed)
     moved = max(abs(fastest), shaken)
-    longest = settings.step or largest_step(rule, contacts.values(), motions.eigenvalues, moved, rubbing)
-    smooth = largest_step(BETWEEN_IMPACTS, (), motions.eigenvalues, moved)
+    longest = settings.step or largest_step(rule, resolved.values(), eigenvalues, moved, rubbing)
+    smooth = largest_step(BETWEEN_IMPACTS, (), eigenvalues, moved)
     recorded = model.size if settings.links else 3
     if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
         too_much = f"{duration * settings.sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
@@ -235,10 +249,22 @@ def prepare(
     remark = "; ".join(filter(None, remarks))
     memory = np.zeros(model.memory.shape[0])
     small, pace = response(motions.suspension, speed), pace_of(machine, complete)
+    if implicit is not None and abs(speed) < LEAST_RESPONSE * np.abs(motions.eigenvalues).max(initial=0.0):
+        small = LEAST_RESPONSE  # dampers hold the frame, too
     return Prepared(
         index, vector, z, v, memory, 0.0, settings.sample_rate, speed, transient, remark, duration, sprung, small, pace,
-        settings.accuracy, longest, smooth, motions.suspension,
+        settings.accuracy, longest, smooth, motions.suspension, implicit=implicit,
     )  # fmt: skip
+
+
+def find_stiff_part(machine: Machine, fault: Fault, sample_rate: float) -> str:
+    """What makes the steps of a fault implicit, empty where they are not; parameters as of a case and its settings."""
+    joints = fault.joints
+    values = model_of(machine, joints, ()).nominal | {contact_path(name, "clearance"): c for name, c in fault.items()}
+    mobility = mobility_of(machine, joints, {})
+    contacts = contact_rates(machine, mobility, values, drive_rates(machine, values)[1], USUAL_FILM)
+    part = stiff_part(machine, contacts, mobility, _smooth(machine, ()).eigenvalues, values, sample_rate)
+    return "" if part is None else str(part)
 
 
 @keep_by_machine(1024)

@@ -217,6 +217,27 @@ def error_scales(machine: Machine, model: Model) -> list[float]:
     return [1.0 if name.startswith("theta(") else sizes.get(name, extent) for name in model.kinematics.names]
 
 
+#: A coordinate that carries less than this part of the inertia of the heaviest is light: its velocity counts by the
+#: momentum that it has, which is all that the others feel of it, but for so much at least.
+_LIGHT, _LEAST_WEIGHT = 1e-3, 1e-4
+
+
+def velocity_scales(model: Model, scales: Sequence[float]) -> list[float]:
+    """Sizes that implicit steps compare errors of velocities with: those of the coordinates, more where one is light.
+
+    A link of next to no mass in the play of its pin, which is pressed on it, swings there without end and ever faster
+    the lighter it is. Where it is, it has to be followed; how it swings has not.
+    """
+    rest = np.zeros(model.size)
+    (mass,) = evaluate(model.mass_matrix, 0.0, rest, rest, model.vector({}))
+    inertia = np.diag(mass) * np.square(scales)
+    inner = model.inner_indices
+    heaviest = max(inertia[inner], default=0.0)
+    weights = np.ones(model.size)
+    weights[inner] = np.clip(inertia[inner] / (_LIGHT * heaviest), _LEAST_WEIGHT, 1.0)
+    return [float(size) for size in scales / weights]
+
+
 def pace_of(machine: Machine, values: Mapping[str, float]) -> float:
     """Time in which the machine moves by its own size, s: by its drive, or by falling; a second at most."""
     extent = extent_of(machine)

@@ -11,12 +11,14 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import linalg
 
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.positions import change_point_remarks, grips_of
-from jointplay.solver.cases.preparation import standing_model
+from jointplay.solver.cases.preparation import find_stiff_part, standing_model
 from jointplay.solver.cases.rates import without_dry_friction
 from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.steps import RESIDUE, Suspension, suspension_of
 from jointplay.solver.equations.drive import drive_rates
+from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive
@@ -33,20 +35,24 @@ NO_PEAK = math.sin(math.pi / 8)
 _HELD = 1e-12
 
 
-def find_remarks(machine: Machine) -> list[str]:
-    """Find what is implausible in a machine, one line each; nothing in most.
+def find_remarks(machine: Machine, fault: Fault = HEALTHY) -> list[str]:
+    """Find what is implausible in a machine, or makes it stiff, one line each; nothing in most.
 
     Parameters
     ----------
     machine : Machine
         That can be assembled.
+    fault : Fault
+        Clearances with which it is to run.
 
     Raises
     ------
     AssemblyError
         It cannot, at some angle of its drive.
     """
-    felt = reach_of(machine).machine
+    reach = reach_of(machine)
+    felt, worn = reach.machine, reach.case(Case(fault)).fault
+    stiff = find_stiff_part(felt, worn, Settings().sample_rate)
     return [
         *drawing_remarks(machine),
         *change_point_remarks(machine, (), {}),
@@ -54,6 +60,7 @@ def find_remarks(machine: Machine) -> list[str]:
         *_wedging_remarks(felt),
         *restitution_remarks(machine, machine.wearing_joints),
         *film_remarks(machine, machine.turning_joints),
+        *([f"{stiff}: steps are implicit; `--method adaptive` keeps explicit ones"] if stiff else []),
     ]
 
 

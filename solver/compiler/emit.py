@@ -132,6 +132,13 @@ def arctangent(block: Block, x: str) -> str:
     return block.select(block.compare("olt", x, block.constant(0.0)), block.neg(value), value)
 
 
+def sign(block: Block, x: str) -> str:
+    """1, -1 or 0: the slope of a size."""
+    zero = block.constant(0.0)
+    below = block.select(block.compare("olt", x, zero), block.constant(-1.0), zero)
+    return block.select(block.compare("ogt", x, zero), block.constant(1.0), below)
+
+
 _ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul"}
 _COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "one"}
 _LOGIC = {ca.OP_AND: "and", ca.OP_OR: "or"}
@@ -140,6 +147,7 @@ _UNARY: dict[int, Callable[[Block, str], str]] = {
     ca.OP_NEG: lambda block, a: block.neg(a),
     ca.OP_SQ: lambda block, a: block.mul(a, a),
     ca.OP_TWICE: lambda block, a: block.add(a, a),
+    ca.OP_SIGN: sign,
     ca.OP_TANH: hyperbolic_tangent,
     ca.OP_ATAN: arctangent,
     ca.OP_EXP: exponential,

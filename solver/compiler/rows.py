@@ -48,6 +48,8 @@ class WorkRows(NamedTuple, Generic[Each]):
         state evaluated last; of all stages, those at the start of the step first.
     kept_bristles
         Deflections of bristles at the start of the step, k rows; Gill's running correction of them.
+    jacobian
+        Of the implicit step, column by column (:mod:`jointplay.solver.integrators.rosenbrock`).
     dense
         Dense output: four rows for each recorded coordinate, then for its velocity.
     jam
@@ -84,6 +86,7 @@ class WorkRows(NamedTuple, Generic[Each]):
     pull: Each
     stage_pulls: Each
     kept_bristles: Each
+    jacobian: Each
     dense: Each
     jam: Each
     parameters: Each

@@ -54,7 +54,8 @@ def adaptive_rows(model: Model, recorded: int) -> WorkRows[range]:
     )  # fmt: skip
 
 
-def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) -> str:
+def combination(block: Block, weights: Sequence[float], values: Sequence[str]) -> str:
+    """Sum of the values with weights."""
     total = ""
     for weight, value in zip(weights, values, strict=True):
         if weight:
@@ -63,7 +64,7 @@ def _combination(block: Block, weights: Sequence[float], values: Sequence[str]) 
     return total
 
 
-def _growth(block: Block, error: str) -> tuple[str, str]:
+def growth_of(block: Block, error: str) -> tuple[str, str]:
     """SAFETY error^(-3/16), and error^(1/16): roots are single instructions, and 3/16 is near enough to 1/5."""
     root = block.call("maxnum", error, block.constant(_LEAST_ERROR))
     for _ in range(4):
@@ -107,12 +108,12 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
     for stage in range(1, _COUNT):
         weights = _STAGES[stage]
         for k in range(sticking):
-            pull = _combination(block, weights, [block.load(rows.stage_pulls[sticking * j + k]) for j in range(stage)])
+            pull = combination(block, weights, [block.load(rows.stage_pulls[sticking * j + k]) for j in range(stage)])
             rate = deflection_rate(block, block.load(rows.slips[k]), pull)
             block.store(rows.bristles[k], block.fma(h, rate, block.load(rows.kept_bristles[k])))
         for i in range(n):
-            rate = _combination(block, weights, [block.load(slopes[j][i]) for j in range(stage)])
-            travel = _combination(block, weights, [block.load(speeds[j][i]) for j in range(stage)])
+            rate = combination(block, weights, [block.load(slopes[j][i]) for j in range(stage)])
+            travel = combination(block, weights, [block.load(speeds[j][i]) for j in range(stage)])
             speed = block.fma(h, rate, block.load(kept[n + i]))
             block.store(z[i], block.fma(h, travel, block.load(kept[i])))
             block.store(v[i], speed)
@@ -129,14 +130,14 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
     for stages in (speeds, slopes):
         found = block.constant(0.0)
         for i in range(n):
-            error = _combination(block, _ERROR, [block.load(stages[j][i]) for j in range(_COUNT)])
+            error = combination(block, _ERROR, [block.load(stages[j][i]) for j in range(_COUNT)])
             scaled = block.mul(block.call("fabs", error), block.constant(1 / scales[i]))
             found = block.call("maxnum", found, scaled)
         largest.append(found)
     error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace[0])))
     error = block.mul(block.mul(error, h), block.load(rows.strictness[0]))
     block.store(rows.error[0], error)
-    growth, root = _growth(block, error)
+    growth, root = growth_of(block, error)
     block.store(rows.growth[0], growth)
     block.store(rows.root[0], root)
     size = block.constant(0.0)
@@ -150,7 +151,7 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
             change = block.sub(block.load(ends[i]), block.load(kept[k * n + i]))
             bend = block.sub(block.mul(h, values[0]), change)
             last = block.sub(block.sub(change, block.mul(h, values[-1])), bend)
-            quartic = block.mul(h, _combination(block, _DENSE, values))
+            quartic = block.mul(h, combination(block, _DENSE, values))
             for coefficient in (change, bend, last, quartic):
                 block.store(next(dense), coefficient)
     return block.function("dopri")

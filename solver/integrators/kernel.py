@@ -16,6 +16,7 @@ from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.gill import gill_rows, gill_step
+from jointplay.solver.integrators.rosenbrock import jacobian_of, rosenbrock_rows, rosenbrock_step
 
 _ALIGNMENT = 64  # bytes: a row never straddles two cache lines
 
@@ -79,8 +80,9 @@ def _printed(name: str, reads: Placed, writes: Placed, hoist_at: int) -> Program
 
 
 def _code(
-    model: Model, rows: WorkRows[range], name: str, reads: Placed, writes: Placed, jam: ca.SX, step: str
-) -> KernelCode:
+    model: Model, rows: WorkRows[range], name: str, reads: Placed, writes: Placed, jam: ca.SX, step: str,
+    jacobian: ca.SX | None = None,
+) -> KernelCode:  # fmt: skip
     """Right-hand side `name`, projection, ``prepare`` and one step of a method; `reads` beside the state."""
     state = [(rows.time, model.t), (rows.z, model.z), (rows.v, model.v), (rows.parameters, model.p)]
     remembered = range(rows.memory.start, rows.slips.stop)
@@ -103,6 +105,11 @@ def _code(
         functions.append(project.body.function("project"))
         prepare.lines += project.hoisted.lines
         slots += project.hoist_slots
+    if jacobian is not None:
+        derived = _printed("jacobian", state + reads, [(rows.jacobian, jacobian)], rows.hoisted.start + slots)
+        functions.append(derived.body.function("jacobian"))
+        prepare.lines += derived.hoisted.lines
+        slots += derived.hoist_slots
     functions += [prepare.function("prepare"), step]
     hoisted = range(rows.hoisted.start, rows.hoisted.start + slots)
     text = "\n".join([DECLARATIONS, *functions])
@@ -127,7 +134,9 @@ def kernel_code(model: Model) -> KernelCode:
     return _code(model, rows, "rhs", [], writes, model.jam, gill_step(rows))
 
 
-def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> KernelCode:
+def adaptive_code(
+    model: Model, scales: Sequence[float], recorded: tuple[int, ...], rates: Sequence[float] | None = None
+) -> KernelCode:
     """Print a model for error-controlled steps: ``prepare``, ``held``, ``dopri`` and ``project``.
 
     Parameters
@@ -137,8 +146,10 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
         Sizes of the coordinates that errors are compared with; n numbers.
     recorded : tuple of int
         Coordinates with dense output.
+    rates : sequence of float, optional
+        Those of the velocities, of implicit steps: ``rosenbrock`` in place of ``dopri``, and ``jacobian``.
     """
-    rows = adaptive_rows(model, len(recorded))
+    rows = (adaptive_rows if rates is None else rosenbrock_rows)(model, len(recorded))
     reads = [(rows.touching, model.touching)]
     writes = [(rows.a, model.held_acceleration)]
     if model.contacts:
@@ -147,7 +158,10 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
         ):  # fmt: skip
             writes.append((place, _of_contacts(model, name, range(len(model.contacts)))))
     jam = ca.SX(0) if model.rubbing is None else model.rubbing.jam
-    return _code(model, rows, "held", reads, writes, jam, dopri_step(rows, recorded, scales))
+    if rates is None:
+        return _code(model, rows, "held", reads, writes, jam, dopri_step(rows, recorded, scales))
+    step = rosenbrock_step(rows, recorded, scales, rates)
+    return _code(model, rows, "held", reads, writes, jam, step, jacobian_of(model))
 
 
 def _compile(code: KernelCode, names: tuple[str, str]) -> Kernel:
@@ -168,7 +182,9 @@ def compile_model(model: Model) -> Kernel:
     return _compile(kernel_code(model), ("rhs", "gill"))
 
 
-def compile_adaptive(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> Kernel:
+def compile_adaptive(
+    model: Model, scales: Sequence[float], recorded: tuple[int, ...], rates: Sequence[float] | None = None
+) -> Kernel:
     """Compile a model for error-controlled steps, see :func:`adaptive_code`.
 
     Raises
@@ -176,4 +192,5 @@ def compile_adaptive(model: Model, scales: Sequence[float], recorded: tuple[int,
     SettingsError
         The cache directory cannot be used.
     """
-    return _compile(adaptive_code(model, scales, recorded), ("held", "dopri"))
+    names = ("held", "dopri" if rates is None else "rosenbrock")
+    return _compile(adaptive_code(model, scales, recorded, rates), names)

@@ -157,6 +157,7 @@ def halved_runs(
 
 RUNS: dict[Method, Callable[..., Iterator[Run]]] = {
     "adaptive": adaptive_runs,
+    "rosenbrock": adaptive_runs,
     "gill": gill_runs,
     "gill-variable": halved_runs,
     "full": full_runs,

@@ -13,7 +13,7 @@ import numpy as np
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.history import Settings, Status
 from jointplay.solver.cases.preparation import NEVER, Prepared, model_of
-from jointplay.solver.cases.rates import error_scales
+from jointplay.solver.cases.rates import error_scales, velocity_scales
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.anchors import row_times
 from jointplay.solver.equations.model import MODELS_KEPT, Model
@@ -112,6 +112,8 @@ _LONGEST_STEP = 0.1
 #: of steps), and no case may hold up the others for days, however stiff it is (some ten minutes to two hours).
 _PATIENCE = 10
 _LEAST_PATIENCE, _MOST_PATIENCE = 2e7, 2e8
+#: The same for implicit steps: fixed ones are counted by what is slow then, and these are not so many, but dearer.
+_EASE = 0.05
 #: What an error-controlled run can end with.
 _STATUSES = {
     control.OK: Status.OK,
@@ -123,24 +125,33 @@ _STATUSES = {
 
 @keep_by_machine(MODELS_KEPT)
 def _adaptive_kernel(
-    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]
+    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...], implicit: bool
 ) -> Kernel:
     model = model_of(machine, joints, varying)
-    return compile_adaptive(model, error_scales(machine, model), recorded)
+    scales = error_scales(machine, model)
+    return compile_adaptive(model, scales, recorded, velocity_scales(model, scales) if implicit else None)
 
 
 def adaptive_runs(
     machine: Machine, model: Model, varying: tuple[str, ...], prepared: Sequence[Prepared], recorded: Sequence[int],
     settings: Settings,
 ) -> Iterator[Run]:  # fmt: skip
-    """Dormand-Prince steps under error control, contacts located; parameters as :func:`gill_runs`.
+    """Steps under error control, contacts located; parameters as :func:`gill_runs`.
 
-    What a run holds is a view of records that the next run may overwrite: take what is needed of one run before asking
-    for another.
+    Of Dormand and Prince, and of Rosenbrock's kind for the cases that are to be implicit. What a run holds is a view of
+    records that the next run may overwrite: take what is needed of one run before asking for another.
     """
-    if not prepared:
-        return
-    kernel = _adaptive_kernel(machine, model.clearance_joints, varying, tuple(recorded))
+    for implicit in (False, True):
+        same = [case for case in prepared if (case.implicit is not None) == implicit]
+        if same:
+            kernel = _adaptive_kernel(machine, model.clearance_joints, varying, tuple(recorded), implicit)
+            yield from _controlled_runs(machine, model, kernel, same, recorded, settings)
+
+
+def _controlled_runs(
+    machine: Machine, model: Model, kernel: Kernel, prepared: Sequence[Prepared], recorded: Sequence[int],
+    settings: Settings,
+) -> Iterator[Run]:  # fmt: skip
     # The longest first, so that they end together; a step is about as long as the fifth root of its error.
     waiting = sorted(prepared, key=lambda case: -case.duration / tolerance_of(case, settings) ** 0.2)
     queue = queue_of(machine, model, waiting, settings)
@@ -215,8 +226,9 @@ def queue_of(machine: Machine, model: Model, waiting: Sequence[Prepared], settin
     cases["look"] = [case.look for case in waiting]
     cases["longest_step"] = [min(case.smooth_step, _LONGEST_STEP) for case in waiting]
     cases["first_step"] = np.minimum(cases["longest_step"], [case.longest_step for case in waiting])
-    needed = [_PATIENCE * case.duration / case.longest_step for case in waiting]
-    patience = np.clip(needed, _LEAST_PATIENCE, _MOST_PATIENCE).astype(np.int64)
+    ease = np.array([1.0 if case.implicit is None else _EASE for case in waiting])
+    needed = [_PATIENCE * case.duration / case.longest_step for case in waiting] / ease
+    patience = np.clip(needed, _LEAST_PATIENCE * ease, _MOST_PATIENCE).astype(np.int64)
     cases["most_trials"] = patience if settings.most_trials is None else settings.most_trials
     starts = np.array([np.concatenate([case.z, case.v, case.memory]) for case in waiting])
     vectors = np.array([case.vector for case in waiting]).reshape(len(waiting), -1)
@@ -252,7 +264,7 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: FloatArray, 
     reached : float
         Time that it has samples of, s.
     """
-    status = _STATUSES[outcome]
+    status, how = _STATUSES[outcome], f" with {case.implicit}" if case.implicit else ""
     end = (model, final[0], *np.split(final[1 : 1 + 2 * model.size], 2), case.vector)
     if status is Status.OK:
         return status, hold_remark(*end)
@@ -260,7 +272,7 @@ def how_it_ended(model: Model, case: Prepared, outcome: int, final: FloatArray, 
         return status, jam_message(*end)
     what = "left all bounds" if status is Status.DIVERGED else "no step was small enough, or too many were needed,"
     return status, describe_failure(
-        f"{what} at {reached:.6g} s",
+        f"{what} at {reached:.6g} s{how}",
         failure_remark(*end),
         f"{'a larger presliding, ' if model.bristles.contacts else ''}another tolerance, or `gill` with a small step",
     )

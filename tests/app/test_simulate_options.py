@@ -101,7 +101,7 @@ def test_methods_for_cross_checks_give_what_the_usual_one_gives(method: str, tmp
     [
         (("--speed", "0.1 m/s"), "must be a speed of rotation"),
         (("--step", "1 us", "--method", "adaptive"), "only gill and full have a fixed step; adaptive has rtol"),
-        (("--method", "gill", "--rtol", "1e-6"), "only adaptive and gill-variable have a tolerance; gill has a step"),
+        (("--method", "gill", "--rtol", "1e-6"), "rosenbrock and gill-variable have a tolerance; gill has a step"),
         (("--method", "full", "--links"), "links: method full gives the motion of the frame"),
         (("--method", "gill-variable", "--starts", "2"), "several starts are run by adaptive or gill"),
         (("--method", "euler"), "euler"),

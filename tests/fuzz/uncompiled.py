@@ -17,13 +17,14 @@ from fuzz.scalar_block import HEAD, ScalarBlock
 from numpy.typing import NDArray
 
 from jointplay.solver.cases.preparation import model_of
-from jointplay.solver.cases.rates import error_scales
+from jointplay.solver.cases.rates import error_scales, velocity_scales
 from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
-from jointplay.solver.integrators import adaptive, dense, dopri, lanes
+from jointplay.solver.integrators import adaptive, dense, dopri, lanes, rosenbrock
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.kernel import Kernel
 from jointplay.solver.integrators.lanes import GROUP, Lanes, Queue
+from jointplay.solver.integrators.rosenbrock import jacobian_of, rosenbrock_rows, rosenbrock_step
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation import runs
 
@@ -38,14 +39,21 @@ class _Kernel(Kernel):
         return np.zeros((self.rows[-1].stop, 1))
 
 
-def _kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...]) -> _Kernel:
+def _kernel(
+    machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...], recorded: tuple[int, ...], implicit: bool
+) -> _Kernel:
     model = model_of(machine, joints, varying)
-    rows = adaptive_rows(model, len(recorded))
+    scales = error_scales(machine, model)
+    rows = (rosenbrock_rows if implicit else adaptive_rows)(model, len(recorded))
     held = _held(model, rows)
-    space: dict[str, Any] = {"held": held}
-    exec(HEAD + dopri_step(rows, recorded, error_scales(machine, model)), space)
+    space: dict[str, Any] = {"held": held, "jacobian": _jacobian(model, rows)}
+    if implicit:
+        exec(HEAD + rosenbrock_step(rows, recorded, scales, velocity_scales(model, scales)), space)
+    else:
+        exec(HEAD + dopri_step(rows, recorded, scales), space)
     project: Any = _in_place(_project(model, rows)) if model.kinematics.closures else 0
-    functions: Any = (_nothing, _in_place(held), _in_place(space["dopri"]), project)
+    step = _in_place(space["rosenbrock" if implicit else "dopri"])
+    functions: Any = (_nothing, _in_place(held), step, project)
     return _Kernel(rows, functions, 0, "")
 
 
@@ -67,24 +75,34 @@ def _in_place(function: Callable[[Values], None]) -> Callable[[Work], None]:
     return call
 
 
+def _inputs(model: Model, rows: WorkRows[range]) -> tuple[ca.SX, list[int]]:
+    """What right-hand side and Jacobian depend on, and its rows."""
+    state = ca.vertcat(model.t, model.z, model.v, model.p, model.touching, model.memory)
+    remembered = range(rows.memory.start, rows.slips.stop)
+    return state, [*rows.time, *rows.z, *rows.v, *rows.parameters, *rows.touching, *remembered]
+
+
+def _jacobian(model: Model, rows: WorkRows[range]) -> Callable[[Values], None]:
+    state, given = _inputs(model, rows)
+    evaluate = ca.Function("jacobian", [state], [jacobian_of(model)])
+
+    def jacobian(w: Values) -> None:
+        found = evaluate([w[i] for i in given]).full()[:, 0].tolist()
+        w[rows.jacobian.start : rows.jacobian.stop] = found
+
+    return jacobian
+
+
 def _held(model: Model, rows: WorkRows[range]) -> Callable[[Values], None]:
     outputs = [model.held_acceleration]
     outputs += [
         ca.vertcat(*(getattr(c, name) for c in model.contacts)) for name in ("switch", "penetration", "approach")
     ]
     outputs += [model.bristles.pull, ca.SX(0) if model.rubbing is None else model.rubbing.jam]
-    state = ca.vertcat(model.t, model.z, model.v, model.p, model.touching, model.memory)
+    state, given = _inputs(model, rows)
     evaluate = ca.Function("held", [state], [ca.vertcat(*ca.cse(outputs))])
 
     def held(w: Values) -> None:
-        given = (
-            *rows.time,
-            *rows.z,
-            *rows.v,
-            *rows.parameters,
-            *rows.touching,
-            *range(rows.memory.start, rows.slips.stop),
-        )
         *found, jam = evaluate([w[i] for i in given]).full()[:, 0].tolist()
         for i, value in zip((*rows.a, *rows.switch, *rows.penetration, *rows.approach, *rows.pull), found, strict=True):
             w[i] = value
@@ -161,7 +179,8 @@ def uncompiled(trials: int) -> Iterator[None]:
                     put(module, name, value.py_func)
         for module in (adaptive, lanes, dense):
             put(module, "LANES", 1)
-        put(dopri, "Block", ScalarBlock)
+        for module in (dopri, rosenbrock):
+            put(module, "Block", ScalarBlock)
         put(adaptive, "call", _call)
         put(dense, "_write_values", _write_values)
         put(dense, "_write_in_turn", _write_in_turn)
@@ -171,4 +190,5 @@ def uncompiled(trials: int) -> Iterator[None]:
         put(runs, "idle_lanes", _lanes)
         put(runs, "_LEAST_PATIENCE", trials)
         put(runs, "_PATIENCE", 0)
+        put(runs, "_EASE", 1.0)
         yield

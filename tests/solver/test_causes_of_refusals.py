@@ -1,4 +1,4 @@
-"""Refusals name the link, joint, mount or setting that asks for steps without number."""
+"""Refusals name the link, joint, mount or setting that asks for explicit steps without number."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jointplay.solver.simulation.simulate import simulate
 def refusal(tree: Tree, settings: Settings | None = None, **numbers: float) -> str:
     case = Case(Fault({"B": 2e-4}), {path.replace("__", "."): value for path, value in numbers.items()})
     with pytest.raises((MachineError, SettingsError)) as refused:
-        simulate(parse_machine(tree), case, settings or Settings(duration=0.3))
+        simulate(parse_machine(tree), case, settings or Settings(duration=0.3, method="adaptive"))
     return str(refused.value)
 
 

@@ -80,10 +80,10 @@ def test_no_step_small_enough_is_a_status(monkeypatch: pytest.MonkeyPatch) -> No
     ("given", "line"),
     [
         ({"method": "full", "links": True}, "links: method full gives the motion of the frame; take adaptive or gill"),
-        ({"method": "full", "rtol": 1e-6}, "rtol: 1e-06: only adaptive and gill-variable have a tolerance; full has a"),
-        ({"method": "gill", "rtol": 1e-6}, "rtol: 1e-06: only adaptive and gill-variable have a tolerance; gill has a"),
+        ({"method": "full", "rtol": 1e-6}, "rtol: 1e-06: only adaptive, rosenbrock and gill-variable have a tolerance"),
+        ({"method": "gill", "rtol": 1e-6}, "rtol: 1e-06: only adaptive, rosenbrock and gill-variable have a tolerance"),
         ({"method": "gill-variable", "step": 1e-6}, "step: 1e-06: only gill and full have a fixed step; gill-variable"),
-        ({"method": "rk4"}, "method: rk4: must be one of adaptive, gill, gill-variable, full"),
+        ({"method": "rk4"}, "method: rk4: must be one of adaptive, rosenbrock, gill, gill-variable, full"),
     ],
 )
 def test_what_makes_no_sense_is_refused(given: dict[str, object], line: str) -> None:
