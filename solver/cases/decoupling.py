@@ -3,7 +3,8 @@
 An estimate of it: where the frame's acceleration is A w by the wrench w, its motion a moves the links' mass dM with it,
 which answers with dM a and so changes a by A dM a. The norm of A dM at an order of the drive, weighted with the mass
 matrix, is the mass ratio times what the suspension amplifies. Amplitudes of orders change by up to
-:data:`SENSITIVITY` times that, in parts of the strongest, ``docs/measured/solver.md``.
+:data:`SENSITIVITY` times that, in parts of the strongest, ``docs/measured/solver.md``. That holds after the transient:
+while a frame falls from its drawn pose onto its springs, however heavy it is, it takes the weight from its machine.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import numpy as np
 from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.preparation import standing_model
 from jointplay.solver.cases.steps import suspension_modes, suspension_of
-from jointplay.solver.equations.decoupled import hold_frame
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine, keep_by_machine
@@ -70,10 +70,14 @@ def decoupling_of(machine: Machine, speed: float | None = None) -> Decoupling:
     Raises
     ------
     MachineError
-        As :func:`jointplay.solver.equations.decoupled.hold_frame`.
+        As :func:`jointplay.solver.equations.decoupled.hold_frame`; supports do not hold it in all its motions, so that
+        it falls together with its machine, unless its frequency response says how it answers.
     """
     model = standing_model(machine.model_copy(update={"decoupled": True}), (), ())
     found = suspension_of(model, model.vector({}))
+    if machine.response is None and np.linalg.matrix_rank(found.gradients[0]) < len(found.motions):
+        rule = f"cannot be: {machine.frame} is not held by springs in all its motions"
+        raise MachineError(machine.name, "decoupled", None, rule)
     frame = machine.links[machine.frame]
     alone = {"x": frame.mass or 0.0, "y": frame.mass or 0.0, "theta": frame.inertia or 0.0}
     weight = np.linalg.inv(np.linalg.cholesky(found.mass))
@@ -92,9 +96,9 @@ def decoupling_of(machine: Machine, speed: float | None = None) -> Decoupling:
 
 
 def can_be_decoupled(machine: Machine) -> bool:
-    """Whether its frame moves as a rigid body on its supports that nothing else holds."""
+    """Whether its frame moves as a rigid body on its supports, and nothing else holds it."""
     try:
-        hold_frame(machine)
+        decoupling_of(machine)
     except MachineError:
         return False
     return True
@@ -113,13 +117,14 @@ def _is_negligible(machine: Machine, cases: Sequence[Case]) -> bool:
 def decouple(machine: Machine, settings: Settings, cases: Sequence[Case] | None = None) -> tuple[Machine, str]:
     """The machine as it is run, without what its frame does not feel, and a remark where its frame is decoupled.
 
-    It is where the file or the settings say so, and where it makes no difference, if there are cases and none of them
-    changes a link.
+    It is where the file or the settings say so, and where it makes no difference: there are cases and none of them
+    changes a link; and the run is not one of given length from the drawn pose, with a fall onto the springs in it that
+    the machine would feel.
 
     Raises
     ------
     MachineError
-        As :func:`jointplay.solver.equations.decoupled.hold_frame`.
+        As :func:`decoupling_of`.
     SettingsError
         Both the whole machine and a decoupled frame, or one with a frequency response.
     """
@@ -129,7 +134,9 @@ def decouple(machine: Machine, settings: Settings, cases: Sequence[Case] | None 
         raise SettingsError("whole: a decoupled frame does not act back; take either")
     if settings.whole:
         return machine.model_copy(update={"decoupled": False}) if machine.decoupled else machine, ""
-    if not (machine.decoupled or settings.decoupled or (cases is not None and _is_negligible(machine, cases))):
+    at_rest = settings.duration is None or machine.initial.pose == "equilibrium"
+    by_itself = cases is not None and at_rest and _is_negligible(machine, cases)
+    if not (machine.decoupled or settings.decoupled or by_itself):
         return machine, ""
     speed = cases[0].parameters.get("drive.speed") if cases else None
     alone = machine if machine.decoupled else machine.model_copy(update={"decoupled": True})

@@ -3,8 +3,8 @@
 What a machine on a frame at rest exerts on it is what its links' momentum changes by, less weight and other external
 forces: with linear momentum P and angular momentum L about the frame's centre of gravity, w = W - (P', L'). Contacts,
 reactions and the drive's effort are internal and need not be known. By it the frame with all links on it, as drawn,
-moves on its supports, as drawn: M q'' + C q' + K q = w. What is left out, the links' answer to the frame's motion, is
-of the order of their mass over the frame's.
+moves on its supports, linearised where it stands: M q'' + C q' + K q = w. What is left out, the links' answer to the
+frame's motion, is of the order of their mass over the frame's.
 """
 
 from __future__ import annotations

@@ -243,14 +243,34 @@ def test_methods_agree() -> None:
 
 def test_a_frame_without_end_is_decoupled_by_itself() -> None:
     heavy = heavier(shipped_machine("slider-crank"), 1e8)
-    fault, settings = {"B": 2e-4}, Settings(duration=0.05)
+    fault, settings = {"B": 2e-4}, Settings(revolutions=1, rtol=1e-11)
     found, whole = simulate(heavy, fault, settings), simulate(heavy, fault, replace(settings, whole=True))
     assert "frame decoupled" in found.message and not whole.message
-    scale = np.abs(whole.displacement).max(axis=0)
-    assert np.abs(found.displacement - whole.displacement).max(axis=0) == pytest.approx(0, abs=1e-4 * scale.max())
+    late = whole.t >= whole.transient
+    scale = np.abs(whole.displacement[late]).max(axis=0)
+    assert np.abs(found.displacement - whole.displacement)[late].max() < 1e-4 * scale.max()
+    assert not simulate(heavy, fault, Settings(duration=0.01)).message  # the fall onto its springs is part of it
     assert account(heavy, Fault(fault)).decoupled and not account(shipped_machine("slider-crank"), HEALTHY).decoupled
     # What a case changes may not be so heavy; without worn joints nothing more is to be said of it.
     assert not simulate(heavy, Case(parameters={"links.frame.mass": 1e9}), settings).message
+
+
+@pytest.mark.parametrize("scene", ["two guides", "oil", "locked"])
+def test_scenes_on_a_heavy_frame(scene: str) -> None:
+    """After its fall onto the springs, links 1e-5 of it; measured 3e-4 of the whole machine's at most."""
+    tree: Any = shipped_machine("slider-crank").model_dump()
+    if scene == "two guides":
+        tree["joints"]["G2"] = {**tree["joints"]["G1"], "at": [0.24, 0.05]}
+    elif scene == "oil":
+        tree["joints"]["A"] |= {"film": {"viscosity": 0.05, "length": 0.02}}
+    else:
+        tree["links"]["frame"]["locked"] = ["x"]
+    machine = heavier(parse_machine(tree), 1e4)
+    settings = Settings(duration=1.5, rtol=1e-9)
+    whole, alone = (simulate(m, {"A": 1e-4}, settings).band_limited_acceleration for m in (machine, decoupled(machine)))
+    late = slice(len(whole) * 4 // 5, None)
+    size = np.sqrt(np.mean(whole[late] ** 2, axis=0))
+    assert (np.sqrt(np.mean((alone - whole)[late] ** 2, axis=0)) <= 1e-3 * size).all()
 
 
 @pytest.mark.parametrize(
@@ -260,6 +280,7 @@ def test_a_frame_without_end_is_decoupled_by_itself() -> None:
         ({"links": {**ROTOR["links"], "wall": {"fixed": True}},
           "joints": {**ROTOR["joints"], "W": {"kind": "turning", "links": ["rotor", "wall"], "at": [0.1, 0.04]}}},
          "wall, fixed or locked, holds"),
+        ({"supports": ROTOR["supports"][:0]}, "bed is not held by springs in all"),
         ({"modes": [{"frequency": 100, "damping": 0.01, "shape": [
             {"at": at, "displacement": [0, 1]} for at in ([0.1, 0.04], [-0.2, -0.1], [0.25, -0.1], [0.2, 0])]}]},
          "bed has modes"),
