@@ -51,10 +51,9 @@ class Decoupling:
     def say(self) -> str:
         """What a reader should know."""
         amplified = f", {self.amplified:.2g} where the suspension amplifies it" if self.amplified > self.ratio else ""
-        return (
-            f"links are {self.ratio:.2g} of the machine's inertia{amplified}: "
-            f"orders differ from the whole machine's by {self.change:.2g} of the strongest at most"
-        )
+        differ = f"by {self.change:.2g} of the strongest at most" if self.change < 1 else "by as much as themselves"
+        ratio = f"links are {self.ratio:.2g} of the machine's inertia{amplified}"
+        return f"{ratio}: orders differ from the whole machine's {differ}"
 
 
 @keep_by_machine(256)
