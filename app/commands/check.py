@@ -110,6 +110,8 @@ def document(
         "left_out": [{"what": out.what, "why": out.why, "unknowns": out.unknowns} for out in sizes.left_out],
         "added": list(sizes.added),
         "open_reactions": list(sizes.open_reactions),
+        "decoupled": sizes.decoupled,
+        "decoupling": sizes.decoupling and {"inertia_ratio": sizes.decoupling.ratio, "change": sizes.decoupling.change},
         "mechanism_matrix": None,
         "drawing": None if drawing is None else str(drawing),
     }
@@ -150,6 +152,7 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
             if sizes.open_reactions
             else []
         ),
+        *([f"{decoupled_of(sizes)}: {sizes.decoupling.say()}"] if sizes.decoupling else []),
         "",
         "mechanism matrix:",
     ]
@@ -161,6 +164,11 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
     else:
         parts.append(f"  none: {matrix}")
     return "\n".join(parts)
+
+
+def decoupled_of(sizes: Account) -> str:
+    """Return what is said of a frame's decoupling."""
+    return "frame decoupled, nothing of it acts back" if sizes.decoupled else "were the frame decoupled"
 
 
 def links_of(machine: Machine) -> str:

@@ -78,6 +78,7 @@ if TYPE_CHECKING:
 )
 @click.option("--links", is_flag=True, help="Also every link's motion and every reaction (.h5 and .npz).")
 @click.option("--whole", is_flag=True, help="Model all of the machine, also what its frame cannot feel.")
+@click.option("--decoupled", is_flag=True, help="Run the machine on a frame at rest; move the frame by what that does.")
 @click.option(
     "-o",
     "--output",
@@ -107,6 +108,7 @@ def command(
     scaling: Scaling | None,
     links: bool,
     whole: bool,
+    decoupled: bool,
     output: Path,
     plot: Path | None,
     as_json: bool,
@@ -147,6 +149,7 @@ def command(
         step=step,
         links=links,
         whole=whole,
+        decoupled=decoupled,
     )
     spectra = None
     if quantities or scaling:

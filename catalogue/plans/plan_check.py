@@ -6,7 +6,10 @@ from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import DrawCounts
+from jointplay.solver.cases.answers import check_band
+from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 
 _ONCE = DrawCounts(healthy=1, single=1, pair=1, larger=1)
 
@@ -28,10 +31,30 @@ def check_plan(plan: Plan, machine: Machine, source: str = "plan") -> None:
         stands there, rule.
     """
     plan = plan.resolve(machine)
+    _check_response(plan, machine)
     try:
         entries_of(plan.model_copy(update={"draws": _ONCE}), machine)
     except PlanError as error:
         raise _place(error, plan, source) from None
+
+
+def _check_response(plan: Plan, machine: Machine) -> None:
+    """Refuse a frequency response that says less than the plan's entries hold."""
+    if machine.response is None:
+        return
+    transform = sensor_transform(
+        [sensor.at for sensor in machine.sensors], [sensor.direction for sensor in machine.sensors],
+        machine.links[machine.frame].cg,
+    )  # fmt: skip
+    if not rigid_body(transform).observable:
+        rule = "a catalogue needs three sensors or more, from which x, y and theta of the frame follow"
+        raise PlanError(machine.name, "response.sensors", ", ".join(machine.response.sensors), rule)
+    recipe = plan.recipe(machine)
+    try:
+        for speed in plan.speeds:
+            check_band(machine, recipe.sample_rate, speed * recipe.nominal_drive_speed)
+    except SolverError as error:
+        raise PlanError(machine.name, "response.frequency", None, str(error)) from None
 
 
 def _place(error: PlanError, plan: Plan, source: str) -> PlanError:

@@ -36,13 +36,18 @@ class Bending:
         return self.displacement[rows], self.velocity[rows], acceleration[rows]
 
 
-def taken_for_rigid(machine: Machine) -> FloatArray:
-    """Motion [x, y, theta] of a rigid frame by which its sensors explain a unit of each mode, (3, m): least squares."""
+def seen_as_rigid(machine: Machine) -> FloatArray:
+    """Motion [x, y, theta] of a rigid frame by which its sensors explain what they see, (3, s): least squares."""
     points, directions = ([getattr(sensor, name) for sensor in machine.sensors] for name in ("at", "direction"))
     frame = machine.links[machine.frame]
     free = [column for column, motion in enumerate(("x", "y", "theta")) if motion not in frame.locked]
-    transform = sensor_transform(points, directions, frame.cg)[:, free]
+    seen = np.zeros((3, len(points)))
+    seen[free] = np.linalg.pinv(sensor_transform(points, directions, frame.cg)[:, free])
+    return seen
+
+
+def taken_for_rigid(machine: Machine) -> FloatArray:
+    """Motion [x, y, theta] of a rigid frame by which its sensors explain a unit of each mode, (3, m): least squares."""
+    points, directions = ([getattr(sensor, name) for sensor in machine.sensors] for name in ("at", "direction"))
     along = np.einsum("smk,sk->sm", shapes_at(machine.modes, points), np.asarray(directions))
-    taken = np.zeros((3, len(machine.modes)))
-    taken[free] = np.linalg.pinv(transform) @ along
-    return taken
+    return np.asarray(seen_as_rigid(machine) @ along)

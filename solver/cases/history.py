@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.bending import Bending, taken_for_rigid
+from jointplay.solver.cases.answers import answers_of, wrench_on_frame
+from jointplay.solver.cases.bending import Bending, seen_as_rigid, taken_for_rigid
 from jointplay.solver.cases.start import Start
-from jointplay.solver.cases.steps import STEP_RULES, Accuracy
+from jointplay.solver.cases.steps import STEP_RULES, Accuracy, Suspension
 from jointplay.solver.cases.turning import Turning, even_angle
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import SettingsError
@@ -118,6 +119,8 @@ class Settings:
     whole : bool
         Model everything that the machine file has, also what its frame cannot feel
         (:mod:`jointplay.solver.cases.reach`); `links` implies it.
+    decoupled : bool
+        Run the machine on a frame at rest, then move that (:mod:`jointplay.solver.cases.decoupling`).
     most_trials : int or None
         Trial steps under error control after which a case counts as stalled, in place of what its driver allows.
     """
@@ -135,6 +138,7 @@ class Settings:
     settled: bool = False
     repeating: bool = False
     whole: bool = False
+    decoupled: bool = False
     most_trials: int | None = None
 
     def __post_init__(self) -> None:
@@ -207,10 +211,9 @@ class History:
     turning : Turning or None
         How the driver turned, of a machine whose drive is a torque or a force.
     period : int
-        Revolutions after which the motion repeats, where the run was ended for that: it then is one such period. 0
-        where it does not, or where nobody looked.
-    modes : Bending or None
-        Of a frame with modes.
+        Revolutions after which the motion repeats, where the run was ended for that: it then is one of it; else 0.
+    modes, suspension : Bending or None, Suspension or None
+        Of a frame with modes; by what one with a frequency response was moved.
     """
 
     case: Case
@@ -231,6 +234,7 @@ class History:
     turning: Turning | None = None
     period: int = 0
     modes: Bending | None = None
+    suspension: Suspension | None = None
 
     def __repr__(self) -> str:
         told = f"{self.t[-1]:.4g} s at {self.sample_rate:g} Hz" if len(self.t) else "no samples"
@@ -294,10 +298,9 @@ class History:
         return rescale(replace(found, frequency=found.frequency[flat], values=found.values[flat]), scaling)
 
     def order_spectrum(self, point: str) -> Spectrum:
-        """Return the density of the frame's acceleration to take orders from.
+        """Return the density of the frame's acceleration to take orders from, that of :meth:`spectrum`.
 
-        That of :meth:`spectrum`; of a machine whose drive is a torque or a force that over the driver's angle, as if it
-        had turned at its mean speed all the time.
+        Of a machine whose drive is a torque or a force over the driver's angle, as if it turned at its mean speed.
 
         Raises
         ------
@@ -346,14 +349,18 @@ class History:
         Parameters
         ----------
         machine : Machine
-            The one that was simulated, with its motion.
+            The one that was simulated, with motion.
         rows : slice
             Samples that are wanted.
         instantaneous : bool
-            Of the acceleration at t, not of the band-limited one.
+            Of the acceleration at t, not the band-limited one, which is all that a frequency response answers to.
         """
         if not machine.sensors:
             return np.empty((len(self.t[rows]), 0))
+        if self.suspension is not None:
+            motion = (self.displacement, self.velocity, self.band_limited_acceleration, self.sample_rate)
+            wrench, early = wrench_on_frame(self.suspension, *motion), int((self.t < self.transient - 1e-9).sum())
+            return answers_of(machine, wrench, self.sample_rate, steady=early, speed=self.drive_speed)[rows]
         quantity = "acceleration" if instantaneous else "band_limited_acceleration"
         points = [sensor.at for sensor in machine.sensors]
         bending = None
@@ -372,13 +379,14 @@ class History:
     def as_rigid(self, machine: Machine) -> FloatArray:
         """Return the band-limited acceleration (n, 3) of the rigid frame that a machine's sensors would take it for.
 
-        That of the frame itself, and of its modes the least squares of what they add at the sensors, each along its
-        direction: exact for three sensors and for fewer, and for more as far as least squares are what is compared.
+        That of the frame itself, and the least squares of what modes add at the sensors, or of all by a frequency
+        response: exact for three sensors and for fewer, and for more as far as least squares are what is compared.
         """
+        if self.suspension is not None:
+            return np.asarray(self.at_sensors(machine) @ seen_as_rigid(machine).T)
         if self.modes is None or not machine.sensors:
             return self.band_limited_acceleration
-        taken = self.modes.band_limited_acceleration @ taken_for_rigid(machine).T
-        return np.asarray(self.band_limited_acceleration + taken)
+        return self.band_limited_acceleration + self.modes.band_limited_acceleration @ taken_for_rigid(machine).T
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the motion of the frame as a table over time, m and rad, ``acceleration_theta`` ...; needs pandas."""

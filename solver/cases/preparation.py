@@ -9,6 +9,7 @@ from itertools import chain
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.answers import check_band, spacing_of
 from jointplay.solver.cases.causes import (
     check_pins,
     check_sample_rate,
@@ -209,6 +210,11 @@ def prepare(
     motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
     speed, fastest = drive_rates(machine, complete)
     transient, *remarks = transient_time(motions.suspension, speed)
+    if machine.response is not None:
+        check_band(machine, settings.sample_rate, speed)
+        if not speed and not settings.transient:
+            raise SettingsError(f"transient: {machine.name}: what never repeats is answered to from its beginning on")
+        transient = transient if speed else max(transient, 1 / spacing_of(machine.response))
     free = len(model.frame_coordinates)
     sprung = len(motions.suspension) == free > 0 and not any(remarks)
     remarks += restitution_remarks(machine, joints, complete) + film_remarks(machine, joints)

@@ -204,6 +204,8 @@ def suspension_of(model: Model, p: Sequence[float]) -> Suspension:
     rigid = np.zeros((model.size, 3))
     for row, name in enumerate(names):
         kind, link = name[:-1].split("(")
+        if model.kinematics.apart and link != frame:
+            continue  # what a decoupled frame weighs has the links in it
         if kind == "theta":
             rigid[row, 2] = 1.0
         elif kind in ("x", "y"):

@@ -121,3 +121,10 @@ class Surfaces:
         rubbing = self.friction * pushing * self.sign(slip)
         rubbing += ca.if_else(self.touching > 0, self.viscous * slip, 0)
         return ContactForce(pushing, rubbing, penetration, approach, normal_force.switch)
+
+
+def with_contacts_decided(touching: ca.SX, switch: ca.SX, expressions: list[ca.SX]) -> list[ca.SX]:
+    """The expressions with surfaces pushing where their switch function is positive."""
+    if touching.shape[0] == 0:
+        return expressions
+    return list(ca.substitute(expressions, [touching], [ca.if_else(switch > 0, 1, 0)]))

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from jointplay.solver.equations.forces import Scene
-from jointplay.solver.equations.geometry import GROUND, ONE, Complex, Terms
+from jointplay.solver.equations.geometry import GROUND, ONE, Complex, Kinematics, Terms
+from jointplay.solver.machines.machine import Machine
 
 #: Part of its diagonal that is added to the Schur complement of closures of which some follow from others, and how
 #: often what that takes from the reactions is given back: the rest is its power of one more.
@@ -63,6 +64,11 @@ class ConstrainedSolver:
     spread: ca.SX
     schur: Factors | None
     grip: ca.SX | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of accelerations n."""
+        return int(self.jacobian.shape[1])
 
     @classmethod
     def of(cls, mass: ca.SX, jacobian: ca.SX, *, shared: bool = False) -> ConstrainedSolver:
@@ -122,6 +128,11 @@ class BorderedSolver:
     reactions: ca.SX
     core: Factors
 
+    @property
+    def size(self) -> int:
+        """Number of accelerations n."""
+        return len(self.inside) + len(self.border)
+
     @classmethod
     def of(cls, mass: ca.SX, jacobian: ca.SX, border: list[int], *, shared: bool = False) -> BorderedSolver:
         """Factorise once, the coordinates `border` last."""
@@ -144,6 +155,20 @@ class BorderedSolver:
 
 
 Solver = ConstrainedSolver | BorderedSolver
+
+
+def border_of(machine: Machine, kin: Kinematics) -> list[int]:
+    """Coordinates of the frame, where closures keep their rank without them.
+
+    They do where the whole machine can move as one body: what the frame's motion opens, the other links' can open, too.
+    A link that is tied to the ground, or driven in space, takes that away. What modes open is as little as those of a
+    rigid frame need.
+    """
+    if machine.driven_link:
+        return []
+    if any(link.fixed or link.locked for name, link in machine.links.items() if name != machine.frame):
+        return []
+    return [*(i for i in kin.indices_of(machine.frame) if i is not None), *kin.modes]
 
 
 def constrained_solver(mass: ca.SX, jacobian: ca.SX, frame: list[int], *, shared: bool = False) -> Solver:

@@ -274,6 +274,8 @@ class Kinematics:
     closures : tuple of Closure
     eliminated : tuple of str
         Joints solved by the choice of coordinates: they need no equation.
+    apart : dict of str to casadi.SX
+        x, y, theta (3, 1) of a frame that moves without acting back; `poses` have it at rest.
     """
 
     names: tuple[str, ...]
@@ -284,6 +286,14 @@ class Kinematics:
     poses: Poses
     closures: tuple[Closure, ...]
     eliminated: tuple[str, ...]
+    apart: dict[str, ca.SX] = field(default_factory=dict)
+
+    def placed(self, link: str) -> ca.SX:
+        """x, y (global axes) and theta of a link, (3, 1)."""
+        if link in self.apart:
+            return self.apart[link]
+        pose = self.poses[link]
+        return ca.vertcat(self.terms.value(pose.centre, ground=True).column, pose.theta)
 
     def indices_of(self, link: str) -> tuple[int | None, int | None, int | None]:
         """Where x, y, theta of a link are among the coordinates; ``None`` for a motion that is none of them."""

@@ -57,9 +57,7 @@ def expand(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...]) 
 def _link_state(reduced: Model) -> tuple[ca.SX, ca.SX]:
     """Displacements from the drawn pose and velocities of all links, then of the frame's modes, (3N + m, 1)."""
     kin, names = reduced.kinematics, reduced.machine.links
-    pose = ca.vertcat(*(
-        ca.vertcat(kin.terms.value(kin.poses[k].centre, ground=True).column, kin.poses[k].theta) for k in names
-    ))  # fmt: skip
+    pose = ca.vertcat(*map(kin.placed, names))
     pose = ca.vertcat(pose, kin.z[kin.modes]) if kin.modes else pose
     drawn = ca.vertcat(*(ca.DM([*link.cg, 0.0]) for link in names.values()), ca.DM.zeros(len(kin.modes)))
     return pose - drawn, ca.jtimes(pose, reduced.z, reduced.v) + ca.jacobian(pose, reduced.t)

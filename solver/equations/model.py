@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 
 from jointplay.solver.equations import drive, forces
-from jointplay.solver.equations.contact import ContactForce
-from jointplay.solver.equations.dynamics import Solver, constrained_solver, inertia
+from jointplay.solver.equations.contact import ContactForce, with_contacts_decided
+from jointplay.solver.equations.decoupled import HeldSolver, OwnMotion, hold_frame, own_motion
+from jointplay.solver.equations.dynamics import Solver, border_of, constrained_solver, inertia
 from jointplay.solver.equations.friction import Bristles
 from jointplay.solver.equations.geometry import Kinematics
 from jointplay.solver.equations.kinematics import kinematics
@@ -44,7 +45,7 @@ class ModelFunctions:
     kinematics: Kinematics
     mass: ca.SX
     force: ca.SX
-    solution: Solver
+    solution: Solver | HeldSolver
     phi: ca.SX
     phi_rate: ca.SX
     acceleration: ca.SX
@@ -166,16 +167,8 @@ class ModelFunctions:
     def link_rates(self) -> ca.Function:
         """(t, z, v, p) -> Jacobian (3N, n) of x, y, theta of every link in file order, and their rate at v = 0."""
         kin = self.kinematics
-        poses = (kin.poses[name] for name in self.machine.links)
-        pose = ca.vertcat(*(ca.vertcat(kin.terms.value(k.centre, ground=True).column, k.theta) for k in poses))
+        pose = ca.vertcat(*map(kin.placed, self.machine.links))
         return self.function("link_rates", ca.jacobian(pose, self.z), ca.jacobian(pose, self.t))
-
-
-def with_contacts_decided(touching: ca.SX, switch: ca.SX, expressions: list[ca.SX]) -> list[ca.SX]:
-    """The expressions with surfaces pushing where their switch function is positive."""
-    if touching.shape[0] == 0:
-        return expressions
-    return list(ca.substitute(expressions, [touching], [ca.if_else(switch > 0, 1, 0)]))
 
 
 #: Models that are kept, with what is made of each: a catalogue's pairs of joints under two contact laws, once more with
@@ -241,7 +234,7 @@ class Model(ModelFunctions):
     kinematics: Kinematics
     mass: ca.SX
     force: ca.SX
-    solution: Solver
+    solution: Solver | HeldSolver
     phi: ca.SX
     phi_rate: ca.SX
     acceleration: ca.SX
@@ -293,20 +286,6 @@ class Model(ModelFunctions):
         return [values.get(path, self.nominal[path]) for path in self.parameters]
 
 
-def _border(machine: Machine, kin: Kinematics) -> list[int]:
-    """Coordinates of the frame, where closures keep their rank without them.
-
-    They do where the whole machine can move as one body: what the frame's motion opens, the other links' can open, too.
-    A link that is tied to the ground, or driven in space, takes that away. What modes open is as little as those of a
-    rigid frame need.
-    """
-    if machine.driven_link:
-        return []
-    if any(link.fixed or link.locked for name, link in machine.links.items() if name != machine.frame):
-        return []
-    return [*(i for i in kin.indices_of(machine.frame) if i is not None), *kin.modes]
-
-
 def build_model(
     machine: Machine, clearance_joints: Iterable[str] = (), varying: Iterable[str] = (), *, expanded: bool = False
 ) -> Model:
@@ -333,6 +312,7 @@ def build_model(
         if name not in machine.wearing_joints:
             rule = f"cannot have clearance; that can {', '.join(machine.wearing_joints)}"
             raise MachineError(machine.name, f"joints.{name}", None, rule)
+    whole, machine = machine, hold_frame(machine) if machine.decoupled else machine
     open_joints = tuple(name for name in machine.wearing_joints if name in wanted)
     contacted = [path for name in open_joints for path in contact_paths(machine, name)]
     speed = ["drive.speed"] if isinstance(getattr(machine.drive, "speed", None), float) else []
@@ -343,12 +323,12 @@ def build_model(
     rubbing_names, turning = (find(machine, number, open_joints) for find in (rubbing_joints, journals))
     rubs, gravity = frozenset((*rubbing_names, *turning)), number("gravity", machine.gravity)
 
-    def moving(motion: drive.PrescribedMotion | None) -> Kinematics:
+    def moving(machine: Machine, motion: drive.PrescribedMotion | None) -> Kinematics:
         return kinematics(machine, frozenset(open_joints), motion, gravity, rubbing=rubs, expanded=expanded)
 
-    kin = moving(motion)
+    kin = moving(machine, motion)
     z, v = kin.z, kin.v
-    kin, repeats = without_repeats(machine, kin, t, number, lambda: moving(None), rubs)
+    kin, repeats = without_repeats(machine, kin, t, number, lambda: moving(machine, None), rubs)
     rubbing_names = tuple(name for name in rubbing_names if name not in repeats.joints)
     n = int(z.shape[0])
 
@@ -370,7 +350,7 @@ def build_model(
     jacobian = ca.mtimes(ca.jacobian(phi, z), kin.axes) if closed else ca.SX(0, n)
     phi_rate = rate(phi) if closed else ca.SX(0, 1)
     gamma = -rate(phi_rate) if closed else ca.SX(0, 1)
-    solution = constrained_solver(mass, jacobian, _border(machine, kin), shared=repeats.shared > 0)
+    solution = constrained_solver(mass, jacobian, border_of(machine, kin), shared=repeats.shared > 0)
     rubbing, held_jam = None, ca.SX(0)
     if rubbing_names or turning:
         held, reactions, rubbing = solve_with_friction(scene, rubbing_names, turning, solution, gamma)
@@ -382,12 +362,37 @@ def build_model(
         play.touching, play.switch,
         [scene.total, held, reactions, held_jam, *(joint.push for joint in play.joints.values())],
     )  # fmt: skip
+    own = own_motion(whole, moving(whole, motion), kin, number, t, gravity) if whole.decoupled else None
     unused = number.unused()
     if unused:
         raise MachineError(machine.name, unused[0], None, "no equation of this machine holds such a number")
-    return Model(
+    model = Model(
         machine, open_joints, number.paths, number.nominal, t, z, v, number.vector, kin, mass, force,
         solution, phi, phi_rate, acceleration, reactions, play.eccentricity,
         dict(zip(play.joints, pushes, strict=True)), play.contacts, play.touching, held,
         rubbing, jam, play.remembering, scene.bristles, ca.vertcat(play.memory, scene.bristles.memory), repeats,
+    )  # fmt: skip
+    return model if own is None else _with_frame(model, whole, own)
+
+
+def _with_frame(model: Model, machine: Machine, own: OwnMotion) -> Model:
+    """A model of a machine on a frame at rest, with the motion of its frame among its coordinates."""
+
+    def join(inner: ca.SX, frame: ca.SX) -> ca.SX:
+        return ca.vertcat(inner, frame)[own.order, :]
+
+    def blocks(inner: ca.SX, frame: ca.SX) -> ca.SX:
+        return ca.diagcat(inner, frame)[own.order, own.order]
+
+    kin, z, v = model.kinematics, join(model.z, own.z), join(model.v, own.v)
+    names = (*kin.names, *own.names)
+    kin = replace(
+        kin, names=tuple(names[i] for i in own.order), z=z, v=v, apart={machine.frame: own.pose},
+        axes=blocks(kin.axes, ca.SX.eye(len(own.names))),
+    )  # fmt: skip
+    return replace(
+        model, machine=machine, z=z, v=v, kinematics=kin, mass=blocks(model.mass, own.mass),
+        force=join(model.force, own.force(ca.SX.zeros(model.size))), solution=HeldSolver(model.solution, own.order),
+        acceleration=join(model.acceleration, own.acceleration(model.acceleration)),
+        held_acceleration=join(model.held_acceleration, own.acceleration(model.held_acceleration)),
     )  # fmt: skip

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, StrictBool, model_serializer
 
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import Name, QuantityField, Title, no_default
 from jointplay.solver.machines.joints import Defaults, Joint, SlidingJoint, TurningJoint
 from jointplay.solver.machines.modes import FrameMode
 from jointplay.solver.machines.parts import Drive, Initial, Link, Load, Mount, Part, PositionDrive, Sensor, Support
+from jointplay.solver.machines.response import FrequencyResponse
+
+_LATER = ("modes", "decoupled", "response")
 
 
 class MachineContent(Part):
@@ -29,11 +32,13 @@ class MachineContent(Part):
     loads: tuple[Load, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     modes: tuple[FrameMode, ...] = ()
+    decoupled: StrictBool = False
+    response: FrequencyResponse | None = None
 
     @model_serializer(mode="wrap")
     def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # Files could not say it once; machines that say nothing of it keep the content key they had then.
-        return {key: value for key, value in write(self).items() if key != "modes" or value}
+        return {key: value for key, value in write(self).items() if key not in _LATER or value}
 
     @property
     def turning_joints(self) -> tuple[str, ...]:

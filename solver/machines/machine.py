@@ -24,6 +24,7 @@ from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.matrix import read_matrix_form
 from jointplay.solver.machines.parts import ForceDrive, Spring, Support, TorqueDrive
 from jointplay.solver.machines.refusals import first_error
+from jointplay.solver.machines.response import with_response
 from jointplay.solver.machines.yamlfile import read_text, read_tree
 
 
@@ -47,6 +48,8 @@ class Machine(MachineContent):
         fill(joints={name: self._complete_joint(joint) for name, joint in self.joints.items()})
         rules.check(self, (info.context or {}).get("source", "machine"))
         fill(supports=tuple(map(_complete_support, self.supports)))
+        if self.response is not None:
+            fill(decoupled=True)
         return self
 
     def _complete_joint(self, joint: TurningJoint | SlidingJoint) -> TurningJoint | SlidingJoint:
@@ -93,7 +96,7 @@ def _complete_support(support: Support) -> Support:
     return support.model_copy(update={"free_length": free_length, "static_deflection": None})
 
 
-def parse_machine(content: str | Mapping[str, object], source: str = "machine") -> Machine:
+def parse_machine(content: str | Mapping[str, object], source: str = "machine", folder: Path | None = None) -> Machine:
     """Read a machine from text or from a tree that was read already.
 
     Parameters
@@ -102,6 +105,8 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine") 
         YAML 1.2 or JSON, or the mapping it stands for; a mechanism matrix with its data is a machine too.
     source : str
         What messages call it: a file's name.
+    folder : Path, optional
+        Where the table of a frequency response is looked for; without it, a machine has its numbers in it.
 
     Returns
     -------
@@ -115,6 +120,7 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine") 
         For the first thing that is wrong: file, dotted path, value, rule in one line.
     """
     tree = read_tree(content, source) if isinstance(content, str) else dict(content)
+    tree = with_response(tree, source, folder)
     form = read_matrix_form(tree, source) if "matrix" in tree else None
     if form is not None:
         tree = form.tree
@@ -173,7 +179,7 @@ def load_machine(name_or_path: str | Path) -> Machine:
     names, name = shipped_machine_names(), str(name_or_path)
     if name in names and not Path(name).is_file():
         return shipped_machine(name)
-    return parse_machine(read_text(name, "machine", names), name)
+    return parse_machine(read_text(name, "machine", names), name, Path(name).parent)
 
 
 def machine_json_schema() -> dict[str, Any]:

@@ -13,6 +13,7 @@ from jointplay.solver.machines.joints import LAW_NUMBERS, NORMAL_NUMBERS, Contac
 from jointplay.solver.machines.modes import MOST_MODES
 from jointplay.solver.machines.parts import AnchorMotion, ForceDrive, PositionDrive, RotationDrive, Support, TorqueDrive
 from jointplay.solver.machines.refusals import show_value
+from jointplay.solver.machines.response import FORCES, MOST_NUMBERS
 
 _Breach = tuple[str, object, str]
 
@@ -127,7 +128,19 @@ def check(machine: MachineContent, source: str) -> None:
     MachineError
         For the first rule that is broken, in the order in which a user would repair them.
     """
-    for rules in (_links, _joints, _contacts, _drive, _initial, _supports, _loads, _sensors, _modes, _connections):
+    for rules in (
+        _links,
+        _joints,
+        _contacts,
+        _drive,
+        _initial,
+        _supports,
+        _loads,
+        _sensors,
+        _modes,
+        _response,
+        _connections,
+    ):
         for breach in rules(machine):
             raise MachineError(source, breach.path, show_value(breach.value), breach.rule)
 
@@ -299,6 +312,28 @@ def _modes(machine: MachineContent) -> Iterator[Breach]:
         for what, at in machine.frame_points:
             if mode.find(at) is None:
                 yield Breach(path, None, f"needs the point {show_value(list(at))}: there is {what} of {machine.frame}")
+
+
+def _response(machine: MachineContent) -> Iterator[Breach]:
+    found = machine.response
+    if found is None:
+        return
+    if machine.modes:
+        yield Breach("response", None, "has the modes of the frame in it: give either it or modes")
+    lines, numbers = len(found.frequency), 6 * len(found.frequency) * len(found.sensors)
+    if numbers > MOST_NUMBERS:
+        yield Breach("response", f"{numbers} numbers", f"must not be more than {MOST_NUMBERS}: leave lines out")
+    names = [sensor.name for sensor in machine.sensors]
+    for name in names:
+        if name not in found.sensors:
+            yield Breach("response.sensors", None, f"misses {name}, a sensor of this machine")
+    for name, answers in found.sensors.items():
+        yield from _check_known(f"response.sensors.{name}", name, names, "sensor")
+        for force in FORCES:
+            count = len(getattr(answers, force))
+            if count != lines:
+                rule = f"must be as many as frequencies, {lines}"
+                yield Breach(f"response.sensors.{name}.{force}", f"{count} numbers", rule)
 
 
 def _connections(machine: MachineContent) -> Iterator[Breach]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from jointplay.solver.cases.history import Case
+from jointplay.solver.cases.decoupling import Decoupling, can_be_decoupled, decouple, decoupling_of
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.reach import Reach, reach_of
 from jointplay.solver.equations.drive import prescribes_motion
 from jointplay.solver.equations.model import Model, build_model
@@ -64,6 +65,10 @@ class Account:
     left_out : tuple of LeftOut
     open_reactions : tuple of str
         Joints that hold together more than there is to hold: how they share the load is open.
+    decoupling : Decoupling or None
+        What is left out where the frame is decoupled, or would be; None where it cannot be.
+    decoupled : bool
+        Whether it is.
     """
 
     links: int
@@ -78,6 +83,8 @@ class Account:
     added: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     open_reactions: tuple[str, ...] = ()
+    decoupling: Decoupling | None = None
+    decoupled: bool = False
 
 
 def account(machine: Machine, fault: Fault) -> Account:
@@ -96,7 +103,8 @@ def account(machine: Machine, fault: Fault) -> Account:
     check_fault(fault, machine)
     links, joints = len(machine.links), len(machine.joints)
     reach = reach_of(machine)
-    machine, fault = reach.machine, reach.case(Case(fault)).fault
+    case = reach.case(Case(fault))
+    machine, fault = decouple(reach.machine, Settings(), [case])[0], case.fault
     model = build_model(machine, fault.joints)
     driven = 1 if prescribes_motion(machine) else 0
     closures = tuple(closure.name for closure in model.kinematics.closures)
@@ -109,7 +117,7 @@ def account(machine: Machine, fault: Fault) -> Account:
             *(model.kinematics.names[i] for i in model.kinematics.modes),
         ),
         (*_out_of_reach(reach), *_unknowns_left_out(machine, model), *repeated, *_terms_left_out(machine, model)),
-        unsettled,
+        unsettled, decoupling_of(machine) if can_be_decoupled(machine) else None, machine.decoupled,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.decoupling import decouple
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.rates import extent_of
@@ -210,7 +211,16 @@ def simulate_ensemble(
         raise SettingsError(f"method: {settings.integrator}: several starts are run by adaptive or gill")
     reach = reach_of(machine, settings.whole)
     asked, told = case, reach.remark(case)
-    machine, case = reach.machine, reach.case(case)
+    case = reach.case(case)
+    machine, remark = decouple(reach.machine, settings)
+    if machine.response is not None:
+        raise SettingsError(f"{machine.name}: response: several starts are averaged of frames without one")
+    if not machine.decoupled:
+        settings = replace(settings, whole=True)  # negligible or not: members differ by where their frames are
+    elif ensemble.kind == "perturbation":
+        rule = "starts differ by where the frame is, which a decoupled frame's machine does not feel; take phase"
+        raise SettingsError(f"kind: perturbation: {rule}")
+    told = "; ".join(filter(None, (told, remark)))
     group = next(groups(machine, [case], settings))
     for _, error in group.failed:
         raise error

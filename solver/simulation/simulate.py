@@ -16,13 +16,14 @@ import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.bending import Bending
+from jointplay.solver.cases.decoupling import decouple
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
 from jointplay.solver.cases.positions import mobility_of
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start, start_with_frame
-from jointplay.solver.cases.steps import SETTLED_PART, Accuracy
+from jointplay.solver.cases.steps import SETTLED_PART, Accuracy, suspension_of
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.equations.links import link_motion
 from jointplay.solver.equations.model import Model
@@ -186,7 +187,7 @@ def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> 
     """
     settings = settings or Settings()
     reach = reach_of(machine, settings.whole or settings.links)
-    group = next(groups(reach.machine, [reach.case(case)], settings))
+    group = next(groups(decouple(reach.machine, settings, [case])[0], [reach.case(case)], settings))
     for _, error in group.failed:
         raise error
     return Start(group.ready[0].z, group.ready[0].v)
@@ -231,7 +232,8 @@ def simulate_batch(
             raise SettingsError(f"{name}: {len(given_each)} for {len(cases)} cases: must be one a case")
     runs = RUNS[settings.integrator]
     reach, asked = reach_of(machine, settings.whole or settings.links), cases
-    machine, cases = reach.machine, [reach.case(case) for case in asked]
+    cases = [reach.case(case) for case in asked]
+    machine, told = decouple(reach.machine, settings, cases)
     if has_known_effort(machine):
         settings = replace(settings, repeating=False)  # how it turns is judged by its motion
     results: dict[int, History] = {}
@@ -241,7 +243,7 @@ def simulate_batch(
             results[index] = _fail(asked[index], Status.CANNOT_ASSEMBLE, str(error), settings)
         ready, free = [], []
         for case in group.ready:
-            case = _told(case, reach.remark(asked[case.index]))
+            case = _told(_told(case, told), reach.remark(asked[case.index]))
             start = None if starts is None else starts[case.index]
             if start is None:
                 free.append(case)
@@ -363,4 +365,5 @@ def _history(
         case, run.status, message, t, z, v, a, band_limited, rate,
         run.case.before + (run.begin if run.period else run.case.transient), speed, run.step,
         run.case.spent + run.seconds, links, _end(run), turning, run.period, modes,
+        None if model.machine.response is None else suspension_of(model, run.case.vector),
     )  # fmt: skip

@@ -105,6 +105,7 @@ def test_methods_for_cross_checks_give_what_the_usual_one_gives(method: str, tmp
         (("--method", "full", "--links"), "links: method full gives the motion of the frame"),
         (("--method", "gill-variable", "--starts", "2"), "several starts are run by adaptive or gill"),
         (("--method", "euler"), "euler"),
+        (("--whole", "--decoupled"), "whole: a decoupled frame does not act back"),
         (("--step", "1 mm"), "must be a time"),
         (("--step", "0 s"), "0 s: must be greater than 0"),
         (("--step", "1 us", "--accuracy", "draft"), "not both"),
@@ -128,3 +129,9 @@ def test_the_method_is_the_one_asked_for(options: tuple[str, ...], settings: dic
     assert result.exit_code == 0, result.stderr
     asked = Settings(duration=0.02, sample_rate=5000, **settings)
     assert json.loads(result.stdout)["step_s"] == simulate(shipped_machine("slider-crank"), settings=asked).step
+
+
+def test_a_decoupled_frame_is_told(tmp_path: Path) -> None:
+    result = invoke("slider-crank", tmp_path / "o.npz", *SHORT, "--decoupled")
+    assert result.exit_code == 0, result.stderr
+    assert "note: frame decoupled: links are 0.091 of the machine's inertia" in result.stdout
