@@ -286,7 +286,7 @@ def test_scenes_on_a_heavy_frame(scene: str) -> None:
         ({"modes": [{"frequency": 100, "damping": 0.01, "shape": [
             {"at": at, "displacement": [0, 1]} for at in ([0.1, 0.04], [-0.2, -0.1], [0.25, -0.1], [0.2, 0])]}]},
          "bed has modes"),
-        ({"drive": {"kind": "position", "link": "rotor", "direction": "x", "speed": 0.0}}, "rotor is driven in space"),
+        ({"drive": {"kind": "position", "link": "rotor", "direction": [1, 0]}}, "rotor is driven in space"),
     ],
 )  # fmt: skip
 def test_refused(change: dict[str, Any], rule: str) -> None:
