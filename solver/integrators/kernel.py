@@ -14,6 +14,7 @@ from jointplay.solver.compiler.emit import Program, straight_line
 from jointplay.solver.compiler.ir import DECLARATIONS, LANES
 from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
+from jointplay.solver.integrators.between import advance_step, begin_step, suspect_step
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.gill import gill_rows, gill_step
 
@@ -31,7 +32,8 @@ class Kernel:
     functions : tuple of int
         Addresses of ``void f(double* work)``: ``prepare`` (what depends on the parameters alone), the right-hand side,
         one step of the method, and ``project``, the correction of coordinates and velocities that restores the
-        closures (0 where nothing is to close).
+        closures (0 where nothing is to close); error-controlled steps have ``begin`` in place of the right-hand side,
+        and ``suspect`` and ``advance`` besides (:mod:`jointplay.solver.integrators.between`).
     operations : int
         Vector operations of one right-hand side.
     key : str
@@ -39,7 +41,7 @@ class Kernel:
     """
 
     rows: WorkRows[range]
-    functions: tuple[int, int, int, int]
+    functions: tuple[int, ...]
     operations: int
     key: str
 
@@ -128,7 +130,7 @@ def kernel_code(model: Model) -> KernelCode:
 
 
 def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ...]) -> KernelCode:
-    """Print a model for error-controlled steps: ``prepare``, ``held``, ``dopri`` and ``project``.
+    """Print a model for error-controlled steps: ``prepare``, ``begin``, ``dopri``, ``project`` and others.
 
     Parameters
     ----------
@@ -147,13 +149,14 @@ def adaptive_code(model: Model, scales: Sequence[float], recorded: tuple[int, ..
         ):  # fmt: skip
             writes.append((place, _of_contacts(model, name, range(len(model.contacts)))))
     jam = ca.SX(0) if model.rubbing is None else model.rubbing.jam
-    return _code(model, rows, "held", reads, writes, jam, dopri_step(rows, recorded, scales))
+    steps = (begin_step(rows), dopri_step(rows, recorded, scales), suspect_step(rows), advance_step(rows))
+    return _code(model, rows, "held", reads, writes, jam, "\n".join(steps))
 
 
-def _compile(code: KernelCode, names: tuple[str, str]) -> Kernel:
+def _compile(code: KernelCode, names: tuple[str, ...]) -> Kernel:
     address = native.load(code.text)
     project = address("project") if code.constrained else 0
-    functions = (address("prepare"), address(names[0]), address(names[1]), project)
+    functions = (address("prepare"), *map(address, names[:2]), project, *map(address, names[2:]))
     return Kernel(code.rows, functions, code.operations, native.content_key(code.text))
 
 
@@ -176,4 +179,4 @@ def compile_adaptive(model: Model, scales: Sequence[float], recorded: tuple[int,
     SettingsError
         The cache directory cannot be used.
     """
-    return _compile(adaptive_code(model, scales, recorded), ("held", "dopri"))
+    return _compile(adaptive_code(model, scales, recorded), ("begin", "dopri", "suspect", "advance"))

@@ -20,12 +20,14 @@ from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
-from jointplay.solver.integrators import adaptive, dense, dopri, lanes
+from jointplay.solver.integrators import adaptive, between, dense, dopri, lanes
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.kernel import Kernel
 from jointplay.solver.integrators.lanes import GROUP, Lanes, Queue
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation import runs
+
+_BETWEEN = (between.begin_step, between.suspect_step, between.advance_step)
 
 Work = NDArray[np.float64]
 Values = list[float]
@@ -43,9 +45,11 @@ def _kernel(machine: Machine, joints: tuple[str, ...], varying: tuple[str, ...],
     rows = adaptive_rows(model, len(recorded))
     held = _held(model, rows)
     space: dict[str, Any] = {"held": held}
-    exec(HEAD + dopri_step(rows, recorded, error_scales(machine, model)), space)
+    steps = (dopri_step(rows, recorded, error_scales(machine, model)), *(step(rows) for step in _BETWEEN))
+    exec(HEAD + "\n".join(steps), space)
     project: Any = _in_place(_project(model, rows)) if model.kinematics.closures else 0
-    functions: Any = (_nothing, _in_place(held), _in_place(space["dopri"]), project)
+    begin, dopri, suspect, advance = (_in_place(space[name]) for name in ("begin", "dopri", "suspect", "advance"))
+    functions: Any = (_nothing, begin, dopri, project, suspect, advance)
     return _Kernel(rows, functions, 0, "")
 
 
@@ -161,7 +165,8 @@ def uncompiled(trials: int) -> Iterator[None]:
                     put(module, name, value.py_func)
         for module in (adaptive, lanes, dense):
             put(module, "LANES", 1)
-        put(dopri, "Block", ScalarBlock)
+        for module in (dopri, between):
+            put(module, "Block", ScalarBlock)
         put(adaptive, "call", _call)
         put(dense, "_write_values", _write_values)
         put(dense, "_write_in_turn", _write_in_turn)
