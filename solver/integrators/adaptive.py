@@ -24,6 +24,7 @@ from jointplay.solver.integrators.control import (
     accepts,
     after_switch,
     arrival,
+    is_met,
     next_step,
     refuse_step,
     remember,
@@ -145,11 +146,14 @@ def _first_switch(
     for j in range(contacts):
         begun = rows.begun + j
         pushing = w[rows.touching + j, lane] > 0.5
-        switch, approach = w[rows.switch + j, lane], w[rows.approach + j, lane]
-        where = switch_part(
-            pushing, w[begun, lane], switch, w[begun + contacts, lane], w[rows.penetration + j, lane],
-            w[begun + 2 * contacts, lane], approach, step,
-        )  # fmt: skip
+        before, switch, approach = w[begun, lane], w[rows.switch + j, lane], w[rows.approach + j, lane]
+        if is_met(pushing, switch, precision):
+            where = before / (before - switch) if (before > 0.0) != (switch > 0.0) else 0.0
+        else:
+            where = switch_part(
+                pushing, before, switch, w[begun + contacts, lane], w[rows.penetration + j, lane],
+                w[begun + 2 * contacts, lane], approach, step,
+            )  # fmt: skip
         if where <= 1.0:
             wanted = shorten(step, where, pushing, switch, approach, precision, shortest)
             if wanted > 0.0 and (shorter == 0.0 or wanted < shorter):
