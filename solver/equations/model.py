@@ -286,7 +286,8 @@ class Model(ModelFunctions):
     @property
     def inner_indices(self) -> list[int]:
         """Where the other coordinates are."""
-        return [i for i in range(self.size) if i not in self.frame_coordinates]
+        frame = self.frame_coordinates
+        return [i for i in range(self.size) if i not in frame]
 
     def vector(self, values: dict[str, float]) -> list[float]:
         """Lane parameters in kernel order: `values` where given, the machine file's numbers elsewhere."""
