@@ -258,7 +258,7 @@ class Model(ModelFunctions):
     memory: ca.SX
     repeats: Repeats
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of coordinates n."""
         return int(self.z.shape[0])
