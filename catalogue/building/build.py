@@ -25,7 +25,7 @@ from jointplay.catalogue.storage.shard import OK
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import check_assembly
 
-CHUNK_SIZE = 256
+CHUNK_SIZE = 512
 """Cases of a chunk: what a killed build loses at most for each worker, and what compiling a model is spread over."""
 
 LEASE = 60.0

@@ -16,7 +16,7 @@ from jointplay.solver.errors import AssemblyError, MachineError
 from jointplay.solver.machines.fault import check_fault
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import LEAST_RESTITUTION
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, keep_by_machine
 
 _OF_PINS = ("pin_radius", "film.viscosity")
 _CONTACT = [f"contact.{name}" for name in CONTACT_NUMBERS if name not in ("clearance", "pin_radius", "viscosity")]
@@ -56,6 +56,39 @@ def _check(machine: Machine, path: str, value: float) -> float:
     return float(value)
 
 
+@dataclass(frozen=True)
+class _Known:
+    """Numbers of a joint that can wear, by their paths from there.
+
+    Attributes
+    ----------
+    all, closed : tuple of str
+        Those that it has, and of these the ones that count while it has no clearance.
+    contact : frozenset of str
+        Names of the numbers of its contact law.
+    paths : frozenset of str
+        Full paths of those that are lane parameters in any case.
+    """
+
+    all: tuple[str, ...]
+    closed: tuple[str, ...]
+    contact: frozenset[str]
+    paths: frozenset[str]
+
+
+@keep_by_machine(64)
+def _known(machine: Machine) -> dict[str, _Known]:
+    """Numbers of all joints that can wear."""
+    found = {}
+    for name in machine.wearing_joints:
+        joint = machine.joints[name]
+        closed = _CLOSED[joint.kind]
+        numbers = [short for short in SHORTHANDS if short not in _OF_PINS or joint.kind == "turning"]
+        contact, paths = contact_numbers(joint), contact_paths(machine, name)
+        found[name] = _Known((*numbers, *closed), closed, frozenset(contact), frozenset(paths))
+    return found
+
+
 def full_paths(machine: Machine, case: Case) -> dict[str, float]:
     """Parameters of a case by full path, and its clearances.
 
@@ -73,28 +106,27 @@ def full_paths(machine: Machine, case: Case) -> dict[str, float]:
         An unknown path, or a value outside the bounds of the machine file.
     """
     values: dict[str, float] = {}
+    joints = _known(machine)
     for path, given in case.parameters.items():
         value = _check(machine, path, given)
         first, _, rest = path.partition(".")
         joint, _, number = rest.partition(".")
         if path in SHORTHANDS:
             name = path.rpartition(".")[2]
-            if value and not any(name in contact_numbers(machine.joints[joint]) for joint in machine.wearing_joints):
+            if value and not any(name in known.contact for known in joints.values()):
                 raise MachineError(machine.name, path, given, f"no contact law of this machine has a {name}")
             for worn in case.fault.joints:
-                if name in contact_numbers(machine.joints[worn]):
+                if name in joints[worn].contact:
                     values.setdefault(contact_path(worn, name), value)
-        elif first == "joints" and joint in machine.wearing_joints:
-            found = machine.joints[joint]
-            closed, name = _CLOSED[found.kind], number.rpartition(".")[2]
-            known = [*(short for short in SHORTHANDS if short not in _OF_PINS or found.kind == "turning"), *closed]
-            if number not in known:
-                raise MachineError(machine.name, path, given, f"no such number{nearest(number, known)}")
-            if number not in closed and name not in contact_numbers(found):
+        elif first == "joints" and joint in joints:
+            known, name = joints[joint], number.rpartition(".")[2]
+            if number not in known.all:
+                raise MachineError(machine.name, path, given, f"no such number{nearest(number, known.all)}")
+            if number not in known.closed and name not in known.contact:
                 # Nothing is what every law has of the numbers that it does not have.
                 if value:
                     raise MachineError(machine.name, path, given, f"the contact law of this joint has no {name}")
-            elif (joint in case.fault) != (number in closed):
+            elif (joint in case.fault) != (number in known.closed):
                 values[path] = value
         else:
             values[path] = value
@@ -142,7 +174,7 @@ def groups(
     for index, case in enumerate(cases):
         check_fault(case.fault, machine)
         values = full_paths(machine, case)
-        contact = {path for joint in case.fault.joints for path in contact_paths(machine, joint)}
+        contact = frozenset[str]().union(*(_known(machine)[joint].paths for joint in case.fault.joints))
         varying = tuple(sorted(path for path in values if path not in contact and path != "drive.speed"))
         members[case.fault.joints, varying].append((index, values))
     levels = {level: replace(settings, accuracy=level) for level in set(accuracies or ())}

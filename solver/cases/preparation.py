@@ -205,9 +205,9 @@ def prepare(
     joints = model.clearance_joints
     check_pins(machine, joints, complete)
     mobility = mobility_of(machine, joints, complete)
-    others = tuple((path, value) for path, value in complete.items() if not _is_contact(path, joints))
-    z, v = _start(machine, joints, varying, others)
-    motions = _smooth(machine, tuple((path, complete[path]) for path in varying if _is_smooth(machine, path, joints)))
+    others, smooth_ones = _kinds(machine, joints, model.parameters, varying)
+    z, v = _start(machine, joints, varying, tuple((path, complete[path]) for path in others))
+    motions = _smooth(machine, tuple((path, complete[path]) for path in smooth_ones))
     speed, fastest = drive_rates(machine, complete)
     transient, *remarks = transient_time(motions.suspension, speed)
     if machine.response is not None:
@@ -284,6 +284,15 @@ def _start(
     v = start_velocity(model, model.vector(dict(values)), z)
     z.flags.writeable = v.flags.writeable = False  # many cases share them
     return z, v
+
+
+@keep_by_machine(MODELS_KEPT)
+def _kinds(
+    machine: Machine, joints: tuple[str, ...], paths: tuple[str, ...], varying: tuple[str, ...]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Which of the paths are of no contact, and which varying ones have to do with the motions between impacts."""
+    others = tuple(path for path in paths if not _is_contact(path, joints))
+    return others, tuple(path for path in varying if _is_smooth(machine, path, joints))
 
 
 def _is_contact(path: str, joints: tuple[str, ...]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import casadi as ca
@@ -89,11 +90,12 @@ def contact_mobility(model: Model, poses: Sequence[tuple[float, FloatArray]], p:
     if not model.clearance_joints or not poses:
         return dict.fromkeys(model.clearance_joints, 0.0)
     closures = len(model.kinematics.closures)
-    # All poses in one call each, (n, poses): a call costs more than what it computes.
-    t, z = np.array([[t for t, _ in poses]]), np.array([z for _, z in poses]).T
-    rest, shared = np.zeros_like(z), np.repeat(np.reshape(p, (-1, 1)), len(poses), axis=1)
-    mass = _stack(model.mass_matrix(t, z, rest, shared), len(poses))
-    jacobian = _stack(model.constraint(t, z, rest, shared)[1], len(poses))
+    # All poses in one call each: a call costs more than what it computes.
+    count = len(poses)
+    t, z = np.array([t for t, _ in poses]), np.array([z for _, z in poses])
+    state = (t, z, np.zeros_like(z), np.tile(p, (count, 1)))
+    mass = _stack(evaluate(_for_all(model.mass_matrix, count), *state)[0], count)
+    jacobian = _stack(evaluate(_for_all(model.constraint, count), *state)[1], count)
     mobility = np.linalg.inv(mass)
     if closures:
         loops = jacobian[:, :closures]
@@ -107,9 +109,14 @@ def contact_mobility(model: Model, poses: Sequence[tuple[float, FloatArray]], p:
     return largest
 
 
-def _stack(columns: ca.DM, count: int) -> FloatArray:
+@lru_cache(maxsize=512)
+def _for_all(function: ca.Function, count: int) -> ca.Function:
+    """The function for so many arguments side by side."""
+    return function.map(count)
+
+
+def _stack(side_by_side: FloatArray, count: int) -> FloatArray:
     """Matrices that stand side by side as an array (count, rows, columns)."""
-    side_by_side = np.asarray(columns.full())
     return side_by_side.reshape(len(side_by_side), count, -1).swapaxes(0, 1)
 
 

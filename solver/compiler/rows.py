@@ -26,6 +26,10 @@ class WorkRows(NamedTuple, Generic[Each]):
     switch, penetration, approach
         Switch function of contacts at the end of the step, m, penetration, m, and its rate, m/s. Gill's method has the
         last two of the contacts that remember.
+    begun
+        The three of them at the start of the step.
+    suspect, taken
+        1 in lanes in which a contact may have switched within the step, and where it was taken; else 0.
     error
         Largest scaled error of the step in parts of what is allowed.
     growth
@@ -74,6 +78,9 @@ class WorkRows(NamedTuple, Generic[Each]):
     switch: Each
     penetration: Each
     approach: Each
+    begun: Each
+    suspect: Each
+    taken: Each
     error: Each
     growth: Each
     size: Each

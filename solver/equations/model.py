@@ -251,7 +251,7 @@ class Model(ModelFunctions):
     memory: ca.SX
     repeats: Repeats
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of coordinates n."""
         return int(self.z.shape[0])
@@ -279,7 +279,8 @@ class Model(ModelFunctions):
     @property
     def inner_indices(self) -> list[int]:
         """Where the other coordinates are."""
-        return [i for i in range(self.size) if i not in self.frame_coordinates]
+        frame = self.frame_coordinates
+        return [i for i in range(self.size) if i not in frame]
 
     def vector(self, values: dict[str, float]) -> list[float]:
         """Lane parameters in kernel order: `values` where given, the machine file's numbers elsewhere."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -89,6 +90,16 @@ class Numbers:
         return tuple(path for path in self._symbols if path not in self._nominal)
 
 
+@lru_cache(maxsize=1024)
+def _sizes(function: ca.Function) -> tuple[list[int], list[tuple[int, int]]]:
+    """How many numbers every argument of a function has, and the shapes of its results; asking takes 1 us each."""
+    shapes = [function.size_out(i) for i in range(function.n_out())]
+    for i, (rows, columns) in enumerate(shapes):
+        if function.nnz_out(i) != rows * columns:
+            raise ValueError(f"{function.name()}: output {i} is not dense")
+    return [function.nnz_in(i) for i in range(function.n_in())], shapes
+
+
 def evaluate(function: ca.Function, *arguments: ArrayLike) -> list[FloatArray]:
     """Call a function with dense arguments and outputs.
 
@@ -109,16 +120,15 @@ def evaluate(function: ca.Function, *arguments: ArrayLike) -> list[FloatArray]:
     """
     buffer: Any
     buffer, call = function.buffer()
+    needed, shapes = _sizes(function)
     given = [np.ascontiguousarray(argument, dtype=np.float64) for argument in arguments]
-    found = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
-    for i, argument in enumerate(given):
-        if argument.size != function.nnz_in(i):
-            raise ValueError(f"{function.name()}: argument {i} has {argument.size} numbers, not {function.nnz_in(i)}")
-        if argument.size:
+    found = [np.zeros(shape, order="F") for shape in shapes]
+    for i, (argument, count) in enumerate(zip(given, needed, strict=False)):
+        if argument.size != count:
+            raise ValueError(f"{function.name()}: argument {i} has {argument.size} numbers, not {count}")
+        if count:
             buffer.set_arg(i, argument.data)
     for i, result in enumerate(found):
-        if function.nnz_out(i) != result.size:
-            raise ValueError(f"{function.name()}: output {i} is not dense")
         if result.size:
             buffer.set_res(i, result.reshape(-1, order="F").data)
     call()

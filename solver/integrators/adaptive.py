@@ -25,6 +25,7 @@ from jointplay.solver.integrators.control import (
     after_switch,
     arrival,
     before_row,
+    is_met,
     next_step,
     refuse_step,
     remember,
@@ -134,30 +135,26 @@ def _remember_impacts(w: FloatArray, rows: WorkRows[int], remembering: IntArray,
 
 
 @inlined
-def _remember_contacts(w: FloatArray, rows: WorkRows[int], lane: int, old: FloatArray) -> None:
-    """Penetration, its rate and the switch function now are those at the start of the next step."""
-    for j in range(rows.switch - rows.touching):
-        old[0, j, lane] = w[rows.penetration + j, lane]
-        old[1, j, lane] = w[rows.approach + j, lane]
-        old[2, j, lane] = w[rows.switch + j, lane]
-
-
-@inlined
 def _first_switch(
-    w: FloatArray, rows: WorkRows[int], lane: int, step: float, precision: float, shortest: float, old: FloatArray
+    w: FloatArray, rows: WorkRows[int], lane: int, step: float, precision: float, shortest: float
 ) -> tuple[int, float]:
     """Contact that begins or ceases to push first within the step (-1 for none), and the shorter step to it, or 0.
 
     0 only where no contact needs a shorter one: what has switched by then has done so at the end of the step.
     """
     event, first, shorter = -1, 1.0, 0.0
-    for j in range(rows.switch - rows.touching):
+    contacts = rows.switch - rows.touching
+    for j in range(contacts):
+        begun = rows.begun + j
         pushing = w[rows.touching + j, lane] > 0.5
-        switch, approach = w[rows.switch + j, lane], w[rows.approach + j, lane]
-        where = switch_part(
-            pushing, old[2, j, lane], switch, old[0, j, lane], w[rows.penetration + j, lane],
-            old[1, j, lane], approach, step,
-        )  # fmt: skip
+        before, switch, approach = w[begun, lane], w[rows.switch + j, lane], w[rows.approach + j, lane]
+        if is_met(pushing, switch, precision):
+            where = before / (before - switch) if (before > 0.0) != (switch > 0.0) else 0.0
+        else:
+            where = switch_part(
+                pushing, before, switch, w[begun + contacts, lane], w[rows.penetration + j, lane],
+                w[begun + 2 * contacts, lane], approach, step,
+            )  # fmt: skip
         if where <= 1.0:
             wanted = shorten(step, where, pushing, switch, approach, precision, shortest)
             if wanted > 0.0 and (shorter == 0.0 or wanted < shorter):
@@ -208,7 +205,8 @@ def _heed_rows(
 
 @compiled
 def integrate(
-    kernel: tuple[int, int, int, int], w: FloatArray, rows: WorkRows[int], queue: Queue, records: Records, state: Lanes
+    kernel: tuple[int, int, int, int, int, int], w: FloatArray, rows: WorkRows[int], queue: Queue, records: Records,
+    state: Lanes,
 ) -> None:  # fmt: skip
     """Integrate a queue of cases of one model until all have ended, or a lane waits for room for its records.
 
@@ -218,7 +216,7 @@ def integrate(
     Parameters
     ----------
     kernel : tuple of int
-        Addresses of ``prepare``, ``held``, ``dopri`` and ``project`` (0 for none).
+        Addresses of ``prepare``, ``begin``, ``dopri``, ``project`` (0 for none), ``suspect`` and ``advance``.
     w : (rows, LANES) array
         Work array.
     rows : WorkRows of int
@@ -228,11 +226,11 @@ def integrate(
     state : Lanes
         Of the call before, or idle ones; its ended cases must have been taken, and their slots freed.
     """
-    prepare, held, dopri, project = kernel
+    prepare, begin, dopri, project, suspect, advance = kernel
     n, contacts = rows.v - rows.z, rows.switch - rows.touching
     # Taken out of their tuples once: compiled code counts references whenever an array is.
     cases, starts, parameters, table = queue.cases, queue.starts, queue.parameters, queue.rows
-    lanes, old, saved, cursor = state.lanes, state.old, state.saved, state.cursor
+    lanes, saved, cursor = state.lanes, state.saved, state.cursor
     free, ended, remembering, rubbing = state.free, state.ended, state.remembering, state.rubbing
     sticking = rubbing.size
     channels, velocities = records.channels, records.velocities
@@ -248,7 +246,7 @@ def integrate(
                 call(prepare, w)
                 for lane in range(LANES):
                     w[rows.time, lane] = lanes[lane].t
-                call(held, w)
+                call(begin, w)
                 # Whether a contact pushes at the start follows from the switch, which knows nothing of the assumption.
                 for lane in range(LANES):
                     mine = lanes[lane]
@@ -271,19 +269,14 @@ def integrate(
         if cursor[STALE] == 1:
             for lane in range(LANES):
                 w[rows.time, lane] = lanes[lane].t
-            call(held, w)
-            for i in range(n):
-                w[rows.slopes + i] = w[rows.a + i]
-            for j in range(sticking):
-                w[rows.stage_pulls + j] = w[rows.pull + j]
-            for lane in range(LANES):
-                _remember_contacts(w, rows, lane, old)
+            call(begin, w)
             cursor[STALE] = 0
         for lane in range(LANES):
             w[rows.time, lane] = lanes[lane].t
             w[rows.step, lane] = lanes[lane].h if lanes[lane].case >= 0 else 0.0
             w[rows.jam, lane] = 0.0
         call(dopri, w)
+        call(suspect, w)
         for lane in range(LANES):
             mine = lanes[lane]
             if mine.case < 0:
@@ -302,7 +295,9 @@ def integrate(
             mine.over = 0
             event = -1
             if accept:
-                event, shorter = _first_switch(w, rows, lane, step, case.precision, shortest, old)
+                shorter = 0.0
+                if w[rows.suspect, lane] > 0.5:
+                    event, shorter = _first_switch(w, rows, lane, step, case.precision, shortest)
                 if shorter > 0.0:
                     accept = False
                     mine.natural, mine.h = max(mine.natural, step), shorter
@@ -325,12 +320,11 @@ def integrate(
                 if restore:
                     mine.since = PROJECT_EVERY
             tired = mine.trials > case.most_trials
+            w[rows.taken, lane] = 1.0 if accept else 0.0
             if not accept:
-                for i in range(2 * n):
-                    w[rows.z + i, lane] = w[rows.kept + i, lane]
-                for j in range(sticking):
-                    w[rows.bristles + j, lane] = w[rows.kept_bristles + j, lane]
                 if mine.h < shortest or tired:
+                    for i in range(2 * n):
+                        w[rows.z + i, lane] = w[rows.kept + i, lane]
                     outcome = JAMMED if jammed else STALLED
                     put_away(w, rows, lane, outcome, mine.sample, cases, starts, lanes, ended, cursor)
                     loading = loading or cursor[NEXT] < cases.size
@@ -345,8 +339,8 @@ def integrate(
                 put_away(w, rows, lane, outcome, reached, cases, starts, lanes, ended, cursor)
                 loading = loading or cursor[NEXT] < cases.size
                 continue
-            last = samples_until(now, mine.begin, interval, mine.sample, case.samples)
-            if last > mine.sample:
+            if mine.begin + mine.sample * interval <= now:
+                last = samples_until(now, mine.begin, interval, mine.sample, case.samples)
                 record(
                     w, rows, lane, mine.begin, t, step, mine.sample, last, mine.slot, channels,
                     interval, records.head, velocities, coordinates, accelerations, memories,
@@ -357,20 +351,14 @@ def integrate(
                     loading = loading or cursor[NEXT] < cases.size
                     continue
                 looking = looking or last >= case.look
-            for i in range(n):
-                w[rows.slopes + i, lane] = w[rows.last_slopes + i, lane]
-            _remember_contacts(w, rows, lane, old)
             natural, longest = 0.0, case.longest_step
             if event >= 0:
                 natural, pushes = mine.natural, _switch(w, rows, lane, event, rubbing)
                 mine.pressed, longest = after_switch(natural, step, mine.pressed, longest, pushes)
                 cursor[STALE] = 1
-            if sticking > 0:
-                if change_all(w, rows, lane, step, rubbing):
-                    natural = max(natural, mine.natural)
-                    cursor[STALE] = 1
-                for j in range(sticking):
-                    w[rows.stage_pulls + j, lane] = w[rows.pull + j, lane]
+            if sticking > 0 and change_all(w, rows, lane, step, rubbing):
+                natural = max(natural, mine.natural)
+                cursor[STALE] = 1
             _remember_impacts(w, rows, remembering, lane)
             # Refusals in a contact say nothing of the closures.
             if mine.uncut > 0.0 and (step >= mine.uncut or _any_contact(w, rows, lane)):
@@ -382,5 +370,6 @@ def integrate(
             mine.root = w[rows.root, lane] if event < 0 else 1.0
             mine.h = next_step(step, case.first_step, growth, natural, longest, now, mine.end)
             mine.since += 1
+        call(advance, w)
         if project != 0 and restore_closures(project, w, rows, lanes, saved):
             cursor[STALE] = 1

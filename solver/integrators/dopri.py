@@ -47,8 +47,8 @@ def adaptive_rows(model: Model, recorded: int) -> WorkRows[range]:
     n, contacts, bristles = model.size, len(model.contacts), len(model.bristles.contacts)
     return work_rows(
         n, len(model.parameters), len(model.remembering), bristles,
-        touching=contacts, switch=contacts, penetration=contacts, approach=contacts,
-        error=1, growth=1, size=1, pace=1, strictness=1, root=1,
+        touching=contacts, switch=contacts, penetration=contacts, approach=contacts, begun=3 * contacts,
+        suspect=1, taken=1, error=1, growth=1, size=1, pace=1, strictness=1, root=1,
         stage_pulls=(_COUNT - 1) * bristles,
         slopes=(_COUNT - 1) * n, last_slopes=n, stage_velocities=(_COUNT - 2) * n, dense=2 * DENSE_ROWS * recorded,
     )  # fmt: skip

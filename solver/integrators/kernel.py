@@ -14,6 +14,7 @@ from jointplay.solver.compiler.emit import Program, straight_line
 from jointplay.solver.compiler.ir import DECLARATIONS, LANES
 from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
+from jointplay.solver.integrators.between import advance_step, begin_step, suspect_step
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.gill import gill_rows, gill_step
 from jointplay.solver.integrators.rosenbrock import jacobian_of, rosenbrock_rows, rosenbrock_step
@@ -32,7 +33,8 @@ class Kernel:
     functions : tuple of int
         Addresses of ``void f(double* work)``: ``prepare`` (what depends on the parameters alone), the right-hand side,
         one step of the method, and ``project``, the correction of coordinates and velocities that restores the
-        closures (0 where nothing is to close).
+        closures (0 where nothing is to close); error-controlled steps have ``begin`` in place of the right-hand side,
+        and ``suspect`` and ``advance`` besides (:mod:`jointplay.solver.integrators.between`).
     operations : int
         Vector operations of one right-hand side.
     key : str
@@ -40,7 +42,7 @@ class Kernel:
     """
 
     rows: WorkRows[range]
-    functions: tuple[int, int, int, int]
+    functions: tuple[int, ...]
     operations: int
     key: str
 
@@ -137,7 +139,7 @@ def kernel_code(model: Model) -> KernelCode:
 def adaptive_code(
     model: Model, scales: Sequence[float], recorded: tuple[int, ...], rates: Sequence[float] | None = None
 ) -> KernelCode:
-    """Print a model for error-controlled steps: ``prepare``, ``held``, ``dopri`` and ``project``.
+    """Print a model for error-controlled steps: ``prepare``, ``begin``, the step, ``project`` and others.
 
     Parameters
     ----------
@@ -159,15 +161,17 @@ def adaptive_code(
             writes.append((place, _of_contacts(model, name, range(len(model.contacts)))))
     jam = ca.SX(0) if model.rubbing is None else model.rubbing.jam
     if rates is None:
-        return _code(model, rows, "held", reads, writes, jam, dopri_step(rows, recorded, scales))
-    step = rosenbrock_step(rows, recorded, scales, rates)
-    return _code(model, rows, "held", reads, writes, jam, step, jacobian_of(model))
+        step, jacobian = dopri_step(rows, recorded, scales), None
+    else:
+        step, jacobian = rosenbrock_step(rows, recorded, scales, rates), jacobian_of(model)
+    steps = (begin_step(rows), step, suspect_step(rows), advance_step(rows))
+    return _code(model, rows, "held", reads, writes, jam, "\n".join(steps), jacobian)
 
 
-def _compile(code: KernelCode, names: tuple[str, str]) -> Kernel:
+def _compile(code: KernelCode, names: tuple[str, ...]) -> Kernel:
     address = native.load(code.text)
     project = address("project") if code.constrained else 0
-    functions = (address("prepare"), address(names[0]), address(names[1]), project)
+    functions = (address("prepare"), *map(address, names[:2]), project, *map(address, names[2:]))
     return Kernel(code.rows, functions, code.operations, native.content_key(code.text))
 
 
@@ -192,5 +196,5 @@ def compile_adaptive(
     SettingsError
         The cache directory cannot be used.
     """
-    names = ("held", "dopri" if rates is None else "rosenbrock")
+    names = ("begin", "dopri" if rates is None else "rosenbrock", "suspect", "advance")
     return _compile(adaptive_code(model, scales, recorded, rates), names)

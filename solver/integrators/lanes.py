@@ -102,8 +102,6 @@ class Lanes(NamedTuple):
     Attributes
     ----------
     lanes : (LANES,) array of LANE
-    old : (3, contacts, LANES) array
-        Penetration, its rate and the switch function at the start of the step.
     saved : (2 n, LANES) array
         Coordinates and velocities before a correction.
     remembering : (m,) array of int
@@ -120,7 +118,6 @@ class Lanes(NamedTuple):
     """
 
     lanes: StructuredArray
-    old: FloatArray
     saved: FloatArray
     remembering: IntArray
     rubbing: IntArray
@@ -133,13 +130,13 @@ class Lanes(NamedTuple):
 NEXT, BUSY, FREE, ENDED, STALE = range(5)
 
 
-def idle_lanes(n: int, contacts: int, remembering: IntArray, rubbing: IntArray, slots: int) -> Lanes:
+def idle_lanes(n: int, remembering: IntArray, rubbing: IntArray, slots: int) -> Lanes:
     """Lanes without work.
 
     Parameters
     ----------
-    n, contacts : int
-        Coordinates, contacts of joints with clearance.
+    n : int
+        Coordinates.
     remembering, rubbing : array of int
         See :class:`Lanes`.
     slots : int
@@ -150,7 +147,7 @@ def idle_lanes(n: int, contacts: int, remembering: IntArray, rubbing: IntArray, 
     cursor = np.zeros(5, dtype=np.int64)
     cursor[FREE], cursor[STALE] = slots, 1
     return Lanes(
-        lanes, np.zeros((3, max(1, contacts), LANES)), np.zeros((2 * n, LANES)), remembering, rubbing,
+        lanes, np.zeros((2 * n, LANES)), remembering, rubbing,
         np.arange(slots)[::-1].copy(),
         np.zeros((slots, 2), dtype=np.int64), cursor,
     )  # fmt: skip

@@ -90,7 +90,7 @@ class Repetition:
                 continue
             lines, before = (_amplitudes(fold(velocity, last, length), count) for last in (end, end - self.samples))
             # Seen from a revolution later, the same motion has turned on.
-            before *= np.exp(2j * np.pi / period * np.arange(count))
+            before *= _turn(period, count)
             if _difference(lines, before, period) <= self._agreement:
                 self.period = period
                 return True
@@ -160,6 +160,12 @@ def periodic_acceleration(velocity: FloatArray, rate: float) -> FloatArray:
 def _amplitudes(period: FloatArray, count: int) -> ComplexArray:
     """Lines 0 ... `count` - 1 of the acceleration of a period of velocities, (c, count), to any scale."""
     return np.asarray(np.fft.rfft(period)[:, :count] * np.arange(count))
+
+
+@lru_cache(maxsize=64)
+def _turn(period: int, count: int) -> ComplexArray:
+    """What a revolution later does to the lines of a period."""
+    return np.asarray(np.exp(2j * np.pi / period * np.arange(count)))
 
 
 def _difference(lines: ComplexArray, others: ComplexArray, period: int) -> float:

@@ -157,7 +157,7 @@ def _controlled_runs(
     queue = queue_of(machine, model, waiting, settings)
     slots = min(SLOTS, len(waiting))
     remembering, rubbing = (np.array(joints, dtype=np.int64) for joints in (model.remembering, model.bristles.contacts))
-    lanes = idle_lanes(model.size, len(model.contacts), remembering, rubbing, slots)
+    lanes = idle_lanes(model.size, remembering, rubbing, slots)
     channels = np.array(recorded, dtype=np.int64)
     head, most = sampling.head(OVERSAMPLING), int(queue.cases["samples"].max())
     motion = settings.motion or settings.links

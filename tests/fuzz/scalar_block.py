@@ -6,7 +6,7 @@ from jointplay.solver.compiler.ir import Block
 
 HEAD = "from math import sqrt\n"
 _OPERATORS = {"fadd": "+", "fsub": "-", "fmul": "*", "fdiv": "/"}
-_CONDITIONS = {"ogt": ">", "olt": "<"}
+_COMPARISONS = {"olt": "<", "ogt": ">", "one": "!="}
 _CALLS = {"fabs": "abs", "maxnum": "max", "minnum": "min"}
 
 
@@ -40,14 +40,20 @@ class ScalarBlock(Block):
             return self._new(f"{a} * {b} + {c}")
         return self._new(f"{_CALLS.get(intrinsic, intrinsic)}({', '.join(arguments)})")
 
+    def neg(self, a: str) -> str:
+        return self._new(f"-({a})")
+
     def compare(self, condition: str, a: str, b: str) -> str:
-        return self._new(f"{a} {_CONDITIONS[condition]} {b}")
+        return self._new(f"{a} {_COMPARISONS[condition]} {b}")
 
     def select(self, mask: str, a: str, b: str) -> str:
         return self._new(f"{a} if {mask} else {b}")
 
-    def neg(self, a: str) -> str:
-        return self._new(f"-({a})")
+    def combine(self, operation: str, a: str, b: str) -> str:
+        return self._new(f"{a} {operation} {b}")
+
+    def negate(self, mask: str) -> str:
+        return self._new(f"not {mask}")
 
     def function(self, name: str) -> str:
         body = "\n".join(f"    {line}" for line in self.lines)

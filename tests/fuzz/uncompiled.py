@@ -20,13 +20,15 @@ from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import error_scales, velocity_scales
 from jointplay.solver.compiler.rows import WorkRows
 from jointplay.solver.equations.model import Model
-from jointplay.solver.integrators import adaptive, dense, dopri, lanes, rosenbrock
+from jointplay.solver.integrators import adaptive, between, dense, dopri, lanes, rosenbrock
 from jointplay.solver.integrators.dopri import adaptive_rows, dopri_step
 from jointplay.solver.integrators.kernel import Kernel
 from jointplay.solver.integrators.lanes import GROUP, Lanes, Queue
 from jointplay.solver.integrators.rosenbrock import jacobian_of, rosenbrock_rows, rosenbrock_step
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation import runs
+
+_BETWEEN = (between.begin_step, between.suspect_step, between.advance_step)
 
 Work = NDArray[np.float64]
 Values = list[float]
@@ -48,12 +50,14 @@ def _kernel(
     held = _held(model, rows)
     space: dict[str, Any] = {"held": held, "jacobian": _jacobian(model, rows)}
     if implicit:
-        exec(HEAD + rosenbrock_step(rows, recorded, scales, velocity_scales(model, scales)), space)
+        step = rosenbrock_step(rows, recorded, scales, velocity_scales(model, scales))
     else:
-        exec(HEAD + dopri_step(rows, recorded, scales), space)
+        step = dopri_step(rows, recorded, scales)
+    exec(HEAD + "\n".join((step, *(part(rows) for part in _BETWEEN))), space)
     project: Any = _in_place(_project(model, rows)) if model.kinematics.closures else 0
-    step = _in_place(space["rosenbrock" if implicit else "dopri"])
-    functions: Any = (_nothing, _in_place(held), step, project)
+    names = ("begin", "rosenbrock" if implicit else "dopri", "suspect", "advance")
+    begin, step, suspect, advance = (_in_place(space[name]) for name in names)
+    functions: Any = (_nothing, begin, step, project, suspect, advance)
     return _Kernel(rows, functions, 0, "")
 
 
@@ -179,7 +183,7 @@ def uncompiled(trials: int) -> Iterator[None]:
                     put(module, name, value.py_func)
         for module in (adaptive, lanes, dense):
             put(module, "LANES", 1)
-        for module in (dopri, rosenbrock):
+        for module in (dopri, rosenbrock, between):
             put(module, "Block", ScalarBlock)
         put(adaptive, "call", _call)
         put(dense, "_write_values", _write_values)

@@ -311,7 +311,7 @@ def test_error_controlled_steps(scene: tuple[Machine, Model]) -> None:
     found = work[rows.a].T
     work[rows.z] += 1e-6
     moved = work[rows.z].T
-    prepare, _, _, project = kernel.functions
+    prepare, _, _, project, *_ = kernel.functions
     if project:
         repeat((prepare, project, 0, 0), work, 1)
     corrected = work[rows.z].T

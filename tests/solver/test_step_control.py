@@ -39,6 +39,21 @@ def test_a_damped_contact_is_left_where_its_force_ends() -> None:
     assert max(straight) > 0.04
 
 
+def test_a_switch_is_located_on_the_cubic() -> None:
+    """To 1e-9 of a step, wherever it lies: also where the first of Newton's steps would leave the step."""
+    rng = np.random.default_rng(1)
+    for _ in range(2000):
+        p0, p1 = -rng.exponential(1e-6), rng.exponential(1e-6)
+        r0, r1 = rng.normal(0, 1e-2, 2) * rng.choice([0.01, 1.0], 2)
+        d0, d1 = 1e-4 * r0, 1e-4 * r1
+        cubic = np.polynomial.Polynomial([p0, d0, 3 * (p1 - p0) - 2 * d0 - d1, 2 * (p0 - p1) + d0 + d1])
+        part = switch_part(False, p0, p1, p0, p1, r0, r1, 1e-4)
+        roots = cubic.roots()
+        near = np.abs(roots - part).min()
+        assert 0 < part <= 1
+        assert near < 2e-9 or np.abs(cubic(part)) < 1e-12 * np.abs(cubic.coef).max()
+
+
 def test_a_contact_that_came_apart_unnoticed_ends_at_once() -> None:
     assert switch_part(True, -1e-7, -1.2e-7, -7e-8, -9e-8, -1e-3, -1e-3, 1e-6) == 0.0
     assert switch_part(False, 1e-7, 1.2e-7, 1e-7, 1.2e-7, 1e-3, 1e-3, 1e-6) == 0.0
