@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 @click.option(
     "--cases",
     type=click.IntRange(1, 100_000),
-    default=240,
+    default=2304,
     show_default=True,
     help="Cases that effort thorough may simulate.",
 )

@@ -1,1 +1,1 @@
-"""From a recording and a catalogue to an answer: verdict, evidence, baseline, synthesis, what else to measure."""
+"""From a recording and a catalogue to an answer: verdict, evidence, baseline, the machine as found, what to measure."""

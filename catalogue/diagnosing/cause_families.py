@@ -210,7 +210,12 @@ def families_of(model: IdealFrame) -> Iterator[Family]:
         yield _Factor.of(name, stiffness, model, partial(_mounts, machine, group))
     yield _Factor.of(f"mass of {machine.frame}", mass, model, partial(_frame, machine))
     for family in model.wrenches:
-        yield _Forces(family, model.motion, _move(model.accelerance, family.wrench, model.speed))
+        yield forces_of(model, family)
+
+
+def forces_of(model: IdealFrame, family: FamilyWrench) -> Family:
+    """Return what a family of further forces makes of the frame's motion."""
+    return _Forces(family, model.motion, _move(model.accelerance, family.wrench, model.speed))
 
 
 def _mounts(machine: Machine, group: Sequence[int], factor: float, damping: float) -> dict[str, float]:

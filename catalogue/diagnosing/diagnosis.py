@@ -21,12 +21,12 @@ from jointplay.catalogue.diagnosing.answer import (
     Provenance,
     SensorFlaw,
 )
+from jointplay.catalogue.diagnosing.as_found import refine
 from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from jointplay.catalogue.diagnosing.separation import suggest
-from jointplay.catalogue.diagnosing.synthesis import Recorded, refine
 from jointplay.catalogue.diagnosing.verdict import (
     SURE_ABOVE,
     evidence,
@@ -40,7 +40,7 @@ from jointplay.catalogue.diagnosing.verdict import (
 )
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
-from jointplay.catalogue.matching.model_library import ModelLibrary, library_of, one_thread
+from jointplay.catalogue.matching.model_library import ModelLibrary, Observed, library_of, one_thread
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior
@@ -89,7 +89,7 @@ class Question:
     effort: Effort = "standard"
     mode: ModeAsked = "auto"
     coverage: float = 0.95
-    cases: int = 240
+    cases: int = 2304
     prior: Prior = field(default_factory=Prior)
 
     def __post_init__(self) -> None:
@@ -112,7 +112,7 @@ def diagnose(
     mode: ModeAsked = "auto",
     mapping: Mapping[str, str] | None = None,
     coverage: float = 0.95,
-    cases: int = 240,
+    cases: int = 2304,
     prior: Prior | None = None,
     baseline: Recording | None = None,
     library: ModelLibrary | None = None,
@@ -237,23 +237,29 @@ def answer(
             verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and library.simulates_anew:
-        if verdict == "unknown":
-            spent = EffortSpent(simulations=0, generations=0, note="no hypothesis explains the recording")
-        elif needs_cause(result) or causes:
-            # Around the wrong machine the best cases are those whose other numbers make up for it.
+        if prepared.flaws:
+            spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
+        elif causes and not causes[0].name.startswith("load"):
             spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
         else:
             refined = refine(
-                Recorded(feature[: sensing.noise.size], sensing, prepared.drive_speed),
+                prepared,
+                Observed(sensing, feature, watched_levels(prepared), prepared.drive_speed),
                 catalogue,
                 result,
                 result.set(question.coverage).labels,
-                mode=result.mode,
+                mode=question.mode,
+                prior=question.prior,
                 cases=question.cases,
             )
-            result = refined.result
+            was_changed = needs_cause(result)
+            result, causes = refined.result, (refined.load,) if refined.load else causes
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
-            p_value, verdict = judge(result, question.coverage)
+            if refined.simulations:
+                p_value, verdict = judge(result, question.coverage, causes)
+                if was_changed and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
+                    # With a load that the file does not have it is not in order, however well that explains it.
+                    verdict = "unknown" if verdict == "unknown" else "changed"
     candidates = result.set(question.coverage)
     warnings = [
         *prepared.warnings,

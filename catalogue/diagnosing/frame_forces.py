@@ -16,7 +16,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.driving import DRIVE_SPEED
-from jointplay.catalogue.plans.variants import output_load
+from jointplay.catalogue.plans.variants import ProcessLoad, output_load
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.machines.joints import TurningJoint
@@ -271,13 +271,13 @@ def _family_wrenches(machine: Machine, speed: float) -> tuple[Wrench, tuple[Fami
     slow = Revolution.of(machine, speed)
     fast = replace(slow, speed=2.0 * speed)
     families = [
-        FamilyWrench(name, unit, starts, _split(one, other, speed), none)
+        FamilyWrench(name, unit, starts, split(one, other, speed), none)
         for (name, unit, starts, one, none), (*_, other, _) in zip(_over(slow), _over(fast), strict=True)
     ]
-    return _split(slow.inertial()[None], fast.inertial()[None], speed), tuple(families)
+    return split(slow.inertial()[None], fast.inertial()[None], speed), tuple(families)
 
 
-def _split(slow: FloatArray, fast: FloatArray, speed: float) -> Wrench:
+def split(slow: FloatArray, fast: FloatArray, speed: float) -> Wrench:
     """Parts of wrenches (p, N, 3) at a speed and at twice the speed."""
     one, other = (np.array([wrench_orders(each, FEATURE_ORDERS) for each in parts]) for parts in (slow, fast))
     square = (other - one) / (3.0 * speed**2)
@@ -339,9 +339,7 @@ def _loads(revolution: Revolution) -> Iterator[_Over]:
     courses = {"load": np.ones(len(forward)), "load on one stroke": 1.0 * forward, "load on the other": 1.0 * ~forward}
     along = np.broadcast_to(place.direction, (len(forward), 2))
     ways = [(place.at, along, place.arm)]
-    ends = [each.at for each in machine.joints.values() if place.link in each.links and each.at != place.at]
-    if place.direction == (0.0, 0.0) and ends:
-        end = max(ends, key=lambda at: math.dist(place.at, at))
+    if place.arm and (end := _end(machine, place)) != place.at:
         ways.append((end, revolution.across(place.link, place.at, end), 0.0))
     starts = weight * np.array(LOADS)[:, None]
     for name, course in courses.items():
@@ -349,3 +347,39 @@ def _loads(revolution: Revolution) -> Iterator[_Over]:
             force, torque = np.asarray(course[:, None] * direction, np.float64), np.asarray(course * arm, np.float64)
             added = revolution.force(place.link, at, force, torque)
             yield name.replace("the other", "one stroke"), "N", starts, added[None], 0.0
+
+
+def _end(machine: Machine, place: ProcessLoad) -> tuple[float, float]:
+    """The joint of the output link that is farthest from where it turns."""
+    return max(
+        (each.at for each in machine.joints.values() if place.link in each.links),
+        key=lambda at: math.dist(place.at, at),
+    )
+
+
+def output_forces(revolution: Revolution) -> tuple[str, tuple[float, float], FloatArray, FloatArray] | None:
+    """Link, point and unit forces (n, 2) of the process on the output, and 1 where that moves so (n,), else 0.
+
+    None where nothing but the driven link moves on the frame, or where that has no end.
+    """
+    place = output_load(revolution.machine)
+    if place is None:
+        return None
+    forward = np.asarray(revolution.velocity(place.link, place.direction) > 0.0, np.float64)
+    if not place.arm:
+        return place.link, place.at, np.tile(np.asarray(place.direction, np.float64), (len(forward), 1)), forward
+    end = _end(revolution.machine, place)
+    if end == place.at:
+        return None
+    return place.link, end, revolution.across(place.link, place.at, end), forward
+
+
+def drive_angle(revolution: Revolution) -> FloatArray:
+    """Angles (n,) of the drive at the poses of a revolution, rad."""
+    even = math.copysign(2.0 * math.pi, revolution.speed) * np.arange(SAMPLES) / SAMPLES
+    driven = _driven(revolution.machine)
+    if not driven:
+        return even
+    first = revolution.machine.joints[str(getattr(revolution.machine.drive, "joint", ""))].links[0]
+    turned = float(revolution.angle[0, revolution.links.index(driven)])
+    return even + (turned if first == driven else -turned)

@@ -224,6 +224,10 @@ def loads(scene: Scene) -> None:
                 interpolate_periodic(scene.drive_angle()[0], [(row[0], row[k]) for row in load.over_angle])
                 for k in (1, 2, 3)
             ]
+            if scene.number.varies(f"{path}.over_angle"):
+                # What is drawn of a load is its size; its course stays.
+                factor = scene.number(f"{path}.over_angle", 1.0)
+                values = [value * factor for value in values]
         else:
             names = (("force.0", load.force[0]), ("force.1", load.force[1]), ("torque", load.torque))
             values = [ca.SX(scene.number(f"{path}.{name}", value)) for name, value in names]

@@ -15,8 +15,10 @@ from laws import Array, Tree, run
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson, solve_ivp
 
+from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.machines.machine import parse_machine
+from jointplay.solver.simulation.simulate import simulate
 
 BODY: Tree = {"mass": 2.0, "inertia": 0.3, "cg": [0.0, 0.0]}
 WALL: Tree = {"fixed": True}
@@ -189,6 +191,24 @@ def test_load_over_angle_does_the_work_of_its_table() -> None:
     work = np.concatenate([[0], np.cumsum((torque[1:] + torque[:-1]) / 2 * np.diff(grid))])
     # The grid misses the table's corners by up to a step, 1e-4 rad: 1e-8 J at each of twenty corners.
     close(0.15 * (omega**2 - 25), np.interp(angle, grid, work), part=1e-7)
+
+
+def test_size_of_a_load_over_angle_may_differ_from_case_to_case() -> None:
+    """What a case says of the table as a whole is a factor on all of it."""
+    table = [[0.5, 0, 0, -1.0], [2.0, 0, 0, 3.0], [5.0, 0, 0, 0.5]]
+    tree: Tree = {
+        "name": "m", "gravity": 0.0, "links": {"wall": WALL, "body": BODY}, "joints": turn(),
+        "drive": {"kind": "torque", "joint": "O", "torque": 1.0}, "initial": {"velocities": {"body": {"omega": 5}}},
+    }  # fmt: skip
+    settings = Settings(links=True, duration=1.0, sample_rate=200.0, rtol=1e-10)
+    found = []
+    for factor, parameters in ((2.0, {}), (1.0, {"loads.0.over_angle": 2.0})):
+        rows = [[angle, *(factor * value for value in rest)] for angle, *rest in table]
+        machine = parse_machine(tree | {"loads": [{"link": "body", "at": [0, 0], "over_angle": rows}]})
+        history = simulate(machine, Case(parameters=parameters), settings)
+        assert history.links is not None
+        found.append(history.links.displacement)
+    close(found[1], found[0])
 
 
 # Drives ---------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,164 @@
+"""The machine as found: a load told by low orders, and sets of joints simulated with it for one recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointplay.catalogue.diagnosing.as_found import LEAST_CASES, Refined, refine, sets_to_simulate
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
+from jointplay.catalogue.diagnosing.diagnosis import Question, answer
+from jointplay.catalogue.diagnosing.stroke_loads import StrokeLoads, find_load
+from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
+from jointplay.catalogue.evaluation.recordings import Recordings, recorded
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.matching.model_library import Observed, library_of
+from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
+
+SHORT = replace(PROTOCOLS["matched"], revolutions=12.0)
+LOADS = (90.0, 10.0)
+
+
+def prepared_of(catalogue: Catalogue, joint: str, loads: tuple[float, float] | None = None) -> PreparedMeasurement:
+    truth = draw_truth(catalogue.machine, Hypothesis.of([joint]), SHORT, 5, 1)
+    if loads:
+        found = StrokeLoads.of(catalogue.machine, catalogue.recipe.nominal_drive_speed)
+        assert found is not None
+        sizes = {f"loads.{place}.over_angle": size for place, size in enumerate(loads)}
+        truth = replace(truth, machine=found.machine(truth.machine), parameters={**truth.parameters, **sizes})
+    ((_, ideal),) = Recordings().ideal(SHORT, [truth])
+    assert ideal is not None
+    return prepare(recorded(SHORT, truth, ideal), catalogue.machine, scheme=catalogue.scheme)
+
+
+def asked(catalogue: Catalogue, prepared: PreparedMeasurement) -> tuple[Observed, MatchResult]:
+    sensing = exact_sensing(prepared)
+    observed = Observed(sensing, features_of(prepared, sensing), watched_levels(prepared), prepared.drive_speed)
+    result = library_of(catalogue).answer(
+        sensing, observed.feature, observed.watched, speed=prepared.drive_speed, mode="auto"
+    )
+    return observed, result
+
+
+@pytest.fixture(scope="module")
+def loaded(small_catalogue: Catalogue) -> PreparedMeasurement:
+    return prepared_of(small_catalogue, "B", LOADS)
+
+
+@pytest.fixture(scope="module")
+def found(small_catalogue: Catalogue, loaded: PreparedMeasurement) -> Refined:
+    return refined(small_catalogue, loaded)
+
+
+def refined(catalogue: Catalogue, prepared: PreparedMeasurement, cases: int = 4 * 120) -> Refined:
+    observed, result = asked(catalogue, prepared)
+    return refine(prepared, observed, catalogue, result, result.set(0.95).labels, cases=cases)
+
+
+@pytest.mark.parametrize("name", ["slider-crank", "four-bar", "quick-return"])
+def test_unit_loads_share_the_strokes(name: str) -> None:
+    """Together they are a constant force along the way, whose table is as near as asked; none begins at once."""
+    machine = shipped_machine(name)
+    loads = StrokeLoads.of(machine, machine.drive.speed)  # type: ignore[union-attr, arg-type]
+    assert loads is not None
+    np.testing.assert_allclose(np.linalg.norm(loads.force.sum(axis=0), axis=1), 1.0, atol=1e-9)
+    size = np.linalg.norm(loads.force, axis=2)
+    assert (np.diff(size, axis=1) < 0.2).all()
+    assert (size.max(axis=1) > 0.999).all()
+    for load, force in zip(loads.machine(machine).loads[-2:], loads.force, strict=True):
+        assert load.over_angle is not None
+        angle, x, y, torque = np.array(load.over_angle).T
+        drawn = np.column_stack([np.interp(loads.angle, angle, each, period=2.0 * math.pi) for each in (x, y)])
+        assert np.abs(drawn - force).max() < 0.02
+        assert not torque.any()
+        assert len(angle) < 20
+
+
+def test_the_load_of_a_stroke_is_found(small_catalogue: Catalogue, loaded: PreparedMeasurement) -> None:
+    """On a slide only what one stroke has more than the other shakes the frame; the rest is as uncertain as ever."""
+    _, result = asked(small_catalogue, loaded)
+    load = find_load(loaded, small_catalogue, result.hypotheses[:3])
+    assert load is not None
+    assert load.mean[0] - load.mean[1] == pytest.approx(LOADS[0] - LOADS[1], abs=12.0)
+    assert math.sqrt(load.covariance.sum() / 4.0) > 20.0
+    cause = load.cause(0.9)
+    assert cause is not None
+    assert cause.name == "load on one stroke"
+    assert load.paths == ("loads.0.over_angle", "loads.1.over_angle")
+
+
+def test_a_loaded_machine_is_simulated_with_its_load(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement, found: Refined
+) -> None:
+    """It speaks for the joint that is worn, which a catalogue without the load gives one in a thousand."""
+    _, before = asked(small_catalogue, loaded)
+    assert found.result.probability("B") > 2.0 * before.probability("B")
+    assert found.simulations == 4 * 120
+    assert found.generations == 2
+    assert "loads of" in found.reason
+    assert "effective sample size" in found.reason
+    assert sum(match.probability for match in found.result.hypotheses) == pytest.approx(1.0)
+    assert found.load is not None
+    assert found.load.size == pytest.approx(LOADS[0] - LOADS[1], abs=12.0)
+
+
+def test_a_loaded_machine_is_worn_beside_its_load(small_catalogue: Catalogue, loaded: PreparedMeasurement) -> None:
+    """Which of three joints so few draws cannot say; that something is worn, they do."""
+    question = Question(effort="thorough", cases=4 * 120)
+    thorough, _ = answer(loaded, "0" * 64, small_catalogue, question)
+    assert thorough.verdict == "worn"
+    assert thorough.causes[0].name == "load on one stroke"
+    assert thorough.effort_spent.simulations == 4 * 120
+
+
+def test_the_same_question_has_the_same_answer(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement, found: Refined
+) -> None:
+    again = refined(small_catalogue, loaded)
+    assert again.reason == found.reason
+    for one, two in zip(again.result.hypotheses, found.result.hypotheses, strict=True):
+        assert (one.probability, one.clearances) == (two.probability, two.clearances)
+
+
+def test_nothing_is_simulated_where_it_cannot_change_the_answer(small_catalogue: Catalogue) -> None:
+    prepared = prepared_of(small_catalogue, "B")
+    observed, result = asked(small_catalogue, prepared)
+    sure = replace(result, trusted_p_value=1.0)
+    left = refine(prepared, observed, small_catalogue, sure, [sure.best.label], cases=10)
+    assert left.simulations == 0
+    assert left.result is sure
+    assert "certain already" in left.reason
+
+
+def test_open_questions_are_simulated_without_a_load(small_catalogue: Catalogue) -> None:
+    """As few as are needed to draw a curve, however few are asked for; the answer is no surer than both together."""
+    prepared = prepared_of(small_catalogue, "B")
+    observed, result = asked(small_catalogue, prepared)
+    matches = tuple(replace(match, probability=0.25) for match in result.hypotheses)
+    vague = replace(result, hypotheses=matches, trusted_p_value=1.0)
+    answered = refine(prepared, observed, small_catalogue, vague, ["A", "B"], cases=1)
+    assert answered.simulations == 4 * LEAST_CASES
+    assert answered.result.best.label == "B"
+    assert answered.result.best.probability < 0.1 * 0.25 + 0.9
+    assert answered.load is None
+    assert "loads" not in answered.reason
+
+
+def test_likely_sets_come_first_then_neighbours(small_catalogue: Catalogue) -> None:
+    _, result = asked(small_catalogue, prepared_of(small_catalogue, "B"))
+    by_label = {match.label: match for match in result.hypotheses}
+    sets = {"A+B": ("A", "B"), "A+O": ("A", "O"), "A": ("A",), "B": ("B",), "O": ("O",), "healthy": ()}
+    probabilities = (0.6, 0.38, 0.009, 0.008, 0.002, 0.001)
+    matches = [
+        replace(by_label["A"], label=label, joints=joints, probability=probability)
+        for (label, joints), probability in zip(sets.items(), probabilities, strict=True)
+    ]
+    chosen = [match.label for match in sets_to_simulate(replace(result, hypotheses=tuple(matches)))]
+    assert chosen == ["A+B", "A+O", "A", "B", "O", "healthy"]  # which is two joints away from both
