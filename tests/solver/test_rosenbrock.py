@@ -13,6 +13,7 @@ from laws import Array, Tree, run, tree_of
 
 from jointplay.solver.cases.groups import groups
 from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.remarks import find_remarks
 from jointplay.solver.integrators import rosenbrock
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
@@ -261,3 +262,13 @@ def test_a_run_that_fails_names_the_part() -> None:
     history = simulate(parse_machine(tree), {"B": 2e-4}, Settings(duration=0.3, most_trials=20_000))
     assert history.status is Status.STEP_TOO_SMALL
     assert "s with implicit steps (rosenbrock), because of supports.2.stiffness.0: 1e+22: a motion" in history.message
+
+
+def test_check_says_beforehand_that_steps_are_implicit() -> None:
+    machine = parse_machine(tree_of("slider-crank", damping=1e6))
+    assert not any("implicit" in line for line in find_remarks(machine))
+    told = [line for line in find_remarks(machine, Fault({"B": 2e-4})) if "implicit" in line]
+    assert told == [
+        "joints.B.contact.damping: 1e+06: damps an effective mass of 0.0863 kg at 1.16e+07 1/s: steps are implicit; "
+        "`--method adaptive` keeps explicit ones"
+    ]
