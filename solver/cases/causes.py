@@ -24,8 +24,8 @@ from jointplay.solver.machines.restitution import HYSTERESIS
 MOST_STEPS = 2_000_000_000
 #: A part is to blame where so many steps of it do not make up so many seconds; else the run is too long.
 _ORDINARY_RUN = 100.0
-#: Explicit steps that are shorter than both, s and in parts of the time between samples, give way to implicit ones,
-#: which cost as much as ten. What rings there is slow enough to be followed, and explicit steps follow it better.
+#: Explicit steps that are shorter than both, s and in parts of the time between samples, give way to implicit ones.
+#: What rings at longer ones can be followed in a second or two, and explicit steps follow it better.
 _SHORT, _SHORT_PART = 2.5e-7, 0.005
 #: What explicit steps keep to under error control, where they are stable.
 EXPLICIT = replace(BETWEEN_IMPACTS, decay=2.0)
