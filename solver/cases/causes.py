@@ -10,7 +10,7 @@ from itertools import chain
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.positions import grips_of
 from jointplay.solver.cases.rates import ContactRates, extent_of
-from jointplay.solver.cases.steps import BETWEEN_IMPACTS, FILM, StepRule
+from jointplay.solver.cases.steps import BETWEEN_IMPACTS, FILM, StepRule, largest_step
 from jointplay.solver.equations.drive import prescribes_motion
 from jointplay.solver.equations.model import MODELS_KEPT
 from jointplay.solver.equations.numbers import contact_path
@@ -24,8 +24,8 @@ from jointplay.solver.machines.restitution import HYSTERESIS
 MOST_STEPS = 2_000_000_000
 #: A part is to blame where so many steps of it do not make up so many seconds; else the run is too long.
 _ORDINARY_RUN = 100.0
-#: Explicit steps that are shorter than both, s and in parts of the time between samples, give way to implicit ones,
-#: which cost as much as ten. What rings there is slow enough to be followed, and explicit steps follow it better.
+#: Explicit steps that are shorter than both, s and in parts of the time between samples, give way to implicit ones.
+#: What rings at longer ones can be followed in a second or two, and explicit steps follow it better.
 _SHORT, _SHORT_PART = 2.5e-7, 0.005
 #: What explicit steps keep to under error control, where they are stable.
 EXPLICIT = replace(BETWEEN_IMPACTS, decay=2.0)
@@ -99,12 +99,13 @@ def stiff_part(
         joint: replace(found, film=0.0, decay=0.0 if machine.joints[joint].contact.law in HYSTERESIS else found.decay)
         for joint, found in contacts.items()
     }
+    if largest_step(EXPLICIT, lasting.values(), eigenvalues, 0.0) >= min(_SHORT, _SHORT_PART / sample_rate):
+        return None
     causes = chain(
         contact_causes(machine, EXPLICIT, lasting, mobility, values),
         support_causes(machine, EXPLICIT, eigenvalues, values),
     )
-    part = min(causes, key=lambda cause: cause.step, default=None)
-    return part if part is not None and part.step < min(_SHORT, _SHORT_PART / sample_rate) else None
+    return min(causes, key=lambda cause: cause.step)
 
 
 @keep_by_machine(MODELS_KEPT)
