@@ -16,7 +16,7 @@ import json, sys, time
 began = time.process_time()
 from benchmarks.computer import peak_memory
 from benchmarks.scenes import p1, quick_return
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.simulation.simulate import simulate_batch
 spent = {"import_s": time.process_time() - began}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmarks import exudyn_model, integrators, mujoco_model, problem, scalar_dopri
 from benchmarks.comparison import Program
 from benchmarks.scenes import LIMITED_RATE, Scene
-from jointplay.solver.cases.history import Settings, Status
+from jointplay.solver.cases.case import Settings, Status
 from jointplay.solver.simulation.simulate import simulate_batch
 
 Array = NDArray[np.float64]

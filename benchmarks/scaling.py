@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.arithmetic import casadi_operations, nanoseconds
 from benchmarks.computer import processor_seconds
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.integrators.kernel import compile_model
 from jointplay.solver.machines.fault import Fault

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import LIMITED_RATE, p1
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.simulation.simulate import simulate_batch

@@ -1,5 +1,5 @@
 """Exceptions of the solver, misuse only. A numerical failure is the status of a result:
-:mod:`jointplay.solver.cases.history`.
+:mod:`jointplay.solver.cases.case`.
 """
 
 from __future__ import annotations

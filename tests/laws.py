@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from oracle.state import State
 
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine

@@ -20,7 +20,8 @@ from jointplay.app.commands.parameters import (
 
 if TYPE_CHECKING:
     from jointplay.app.figures.simulation_file import SimulationFile
-    from jointplay.solver.cases.history import Case, History, Method, Settings
+    from jointplay.solver.cases.case import Case, Method, Settings
+    from jointplay.solver.cases.history import History
     from jointplay.solver.cases.steps import Accuracy
     from jointplay.solver.machines.machine import Machine
     from jointplay.solver.simulation.ensemble import Ensemble, EnsembleKind
@@ -132,7 +133,7 @@ def command(
         check_ending(plot)
     from jointplay.app.errors import SimulationFailedError, UnassembledError
     from jointplay.app.figures.simulation_file import AskedSpectra, record
-    from jointplay.solver.cases.history import Case, Settings, Status
+    from jointplay.solver.cases.case import Case, Settings, Status
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.simulate import simulate
@@ -200,7 +201,7 @@ def run_ensemble(
     from jointplay.app.errors import SimulationFailedError
     from jointplay.app.figures.ensembles import document, plot_ensemble, record_ensemble, report
     from jointplay.app.figures.outputs import writer_for
-    from jointplay.solver.cases.history import Status
+    from jointplay.solver.cases.case import Status
     from jointplay.solver.simulation.ensemble import simulate_ensemble
     from jointplay.version import __version__
 

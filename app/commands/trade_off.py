@@ -38,7 +38,8 @@ def command(
 
         check_ending(plot)
     from jointplay.app.errors import SimulationFailedError
-    from jointplay.solver.cases.history import Case, History
+    from jointplay.solver.cases.case import Case
+    from jointplay.solver.cases.history import History
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.tradeoff import measure

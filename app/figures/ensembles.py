@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from jointplay.app.figures.plots import BLUE, SHOWN_DECADES, SYMBOLS, save
 from jointplay.app.figures.simulation_file import Attribute, SimulationFile, accuracy_of, identity
-from jointplay.solver.cases.history import MOTIONS, Settings
+from jointplay.solver.cases.case import Settings
+from jointplay.solver.cases.history import MOTIONS
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.ensemble import EnsembleResult
 

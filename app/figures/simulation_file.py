@@ -11,7 +11,8 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from jointplay.solver.cases.history import MOTIONS, Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import MOTIONS, History
 from jointplay.solver.cases.turning import Turning
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import Machine

@@ -16,7 +16,8 @@ import numpy as np
 from jointplay.catalogue.plans.entry import Entry, Recipe, content_digest
 from jointplay.catalogue.storage.shard import OK, CaseOutcome
 from jointplay.solver.arrays import AnyComplexArray
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import simulate_batch

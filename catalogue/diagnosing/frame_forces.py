@@ -18,7 +18,7 @@ from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.driving import DRIVE_SPEED
 from jointplay.catalogue.plans.variants import ProcessLoad, output_load
 from jointplay.solver.arrays import ComplexArray, FloatArray
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TorqueDrive

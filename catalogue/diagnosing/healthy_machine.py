@@ -16,7 +16,7 @@ from jointplay.catalogue.plans.driving import at_speed
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import ComplexArray, FloatArray
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 from jointplay.solver.simulation.simulate import simulate_batch

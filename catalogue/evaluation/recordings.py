@@ -24,7 +24,8 @@ from jointplay.catalogue.measurements.readers import RawRecording
 from jointplay.catalogue.measurements.readers.raw import RawColumn
 from jointplay.catalogue.plans.entry import content_digest
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.simulation.simulate import simulate_batch

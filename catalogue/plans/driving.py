@@ -48,7 +48,7 @@ def nominal_drive_speed(machine: Machine) -> float:
 @keep_by_machine(64)
 def _found_speed(machine: Machine) -> float:
     # A second to load, and only motors need it: a server can begin without.
-    from jointplay.solver.cases.history import Case, Settings
+    from jointplay.solver.cases.case import Case, Settings
     from jointplay.solver.simulation.simulate import simulate
 
     history = simulate(machine, Case(HEALTHY), Settings(revolutions=5.0, motion=False, accuracy="draft"))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.preparation import standing_model
 from jointplay.solver.cases.steps import suspension_modes, suspension_of
 from jointplay.solver.equations.drive import drive_rates

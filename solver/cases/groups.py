@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.preparation import Prepared, model_of, prepare
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.equations.model import Model

@@ -10,6 +10,7 @@ import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.answers import check_band, spacing_of
+from jointplay.solver.cases.case import Settings
 from jointplay.solver.cases.causes import (
     check_pins,
     check_sample_rate,
@@ -19,7 +20,6 @@ from jointplay.solver.cases.causes import (
     stiff_part,
     support_causes,
 )
-from jointplay.solver.cases.history import Settings
 from jointplay.solver.cases.positions import change_point_remarks, check_travel, mobility_of, rubbing_rate
 from jointplay.solver.cases.rates import contact_rates, pace_of, without_dry_friction
 from jointplay.solver.cases.start import find_repeat, start_pose, start_velocity

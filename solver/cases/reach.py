@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from jointplay.solver.cases.history import Case
+from jointplay.solver.cases.case import Case
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault, check_fault
 from jointplay.solver.machines.machine import Machine, keep_by_machine

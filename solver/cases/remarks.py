@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import linalg
 
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.positions import change_point_remarks, grips_of
 from jointplay.solver.cases.preparation import find_stiff_part, standing_model
 from jointplay.solver.cases.rates import without_dry_friction

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.decoupling import Decoupling, can_be_decoupled, decouple, decoupling_of
-from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.reach import Reach, reach_of
 from jointplay.solver.equations.drive import prescribes_motion
 from jointplay.solver.equations.model import Model, build_model

@@ -14,8 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.start import Start, start_with_frame, walk
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.machines.fault import HEALTHY

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.start import Start
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.errors import SettingsError

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.machines.equal_contact import equal_contact
 from jointplay.solver.machines.friction import FRICTION_CHOICES, FRICTION_NUMBERS, DryFriction, FrictionLaw

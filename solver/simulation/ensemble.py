@@ -13,9 +13,10 @@ from typing import Literal
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.decoupling import decouple
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.cases.start import Start

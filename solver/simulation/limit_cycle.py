@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Settings, Status
+from jointplay.solver.cases.case import Settings, Status
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.cases.steps import BETWEEN_IMPACTS, SETTLING_REVOLUTIONS, STEP_RULES, response
 from jointplay.solver.cases.turning import Turning, cycles, turning_of, why_unsteady

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray, IntArray
-from jointplay.solver.cases.history import Method, Settings, Status
+from jointplay.solver.cases.case import Method, Settings, Status
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.cases.rates import error_scales
 from jointplay.solver.compiler.ir import LANES

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Settings, Status
+from jointplay.solver.cases.case import Settings, Status
 from jointplay.solver.cases.preparation import NEVER, Prepared, model_of
 from jointplay.solver.cases.rates import error_scales, velocity_scales
 from jointplay.solver.compiler.ir import LANES

@@ -16,9 +16,10 @@ import numpy as np
 
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.cases.bending import Bending
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.decoupling import decouple
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.positions import mobility_of
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.cases.reach import reach_of

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.start import Start
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import SettingsError

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.compiler.native import processor
 from jointplay.solver.machines.fault import Fault

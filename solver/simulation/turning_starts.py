@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.cases.start import start_with_frame
 from jointplay.solver.cases.steps import SETTLED_PART

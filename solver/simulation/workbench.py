@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.cases.reach import reach_of

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.plans.plan import Plan, load_plan
     from jointplay.catalogue.storage.store import Catalogue
-    from jointplay.solver.cases.history import Case, Settings
+    from jointplay.solver.cases.case import Case, Settings
     from jointplay.solver.machines.fault import Fault
     from jointplay.solver.machines.machine import Machine, load_machine
     from jointplay.solver.simulation.simulate import simulate
@@ -60,7 +60,7 @@ _HOMES = {
     "catalogue.measurements.measurement": ("Recording",),
     "catalogue.plans.plan": ("Plan", "load_plan"),
     "catalogue.storage.store": ("Catalogue",),
-    "solver.cases.history": ("Case", "Settings"),
+    "solver.cases.case": ("Case", "Settings"),
     "solver.machines.fault": ("Fault",),
     "solver.machines.machine": ("Machine", "load_machine"),
     "solver.simulation.simulate": ("simulate",),

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from jointplay.app.cli import main
-from jointplay.solver.cases.history import Settings
+from jointplay.solver.cases.case import Settings
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.simulation.simulate import simulate
 

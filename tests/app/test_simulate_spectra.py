@@ -11,7 +11,8 @@ import pytest
 from command_line import assert_refused, invoke
 
 from jointplay.app.commands.simulate import command
-from jointplay.solver.cases.history import MOTION_LINES, Settings
+from jointplay.solver.cases.case import Settings
+from jointplay.solver.cases.history import MOTION_LINES
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from jointplay.app.cli import main
 from jointplay.app.commands.trade_off import describe_choices, document, option_of, report, report_choices
 from jointplay.app.figures.plots import plot_trade_off
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.simulation.choices import ModelChoice, ModelChoices

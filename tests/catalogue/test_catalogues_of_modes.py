@@ -15,7 +15,7 @@ from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.plans.plan_parts import default_uncertain, default_wide
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.simulation.simulate import simulate

@@ -16,7 +16,7 @@ from jointplay.catalogue.matching.model_library import one_thread
 from jointplay.catalogue.measurements.measurement import Channel, Recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine
 from jointplay.solver.machines.parts import Load, Ripple, RotationDrive, Spring

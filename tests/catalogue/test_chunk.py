@@ -13,7 +13,7 @@ from jointplay.catalogue.building.chunk import Chunk, cut_chunks, mean_differenc
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate_batch

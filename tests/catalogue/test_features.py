@@ -19,7 +19,7 @@ from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.recipe_steps import RecipeStep
 from jointplay.catalogue.signals.sensors import map_sensors
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.machines.fault import parse_fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate

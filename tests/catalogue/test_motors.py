@@ -24,7 +24,8 @@ from jointplay.catalogue.plans.plan import Plan, parse_plan
 from jointplay.catalogue.storage.shard import OK, CaseOutcome
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine
 from jointplay.solver.machines.parts import TorqueDrive

@@ -20,8 +20,8 @@ from jointplay.catalogue.plans.plan import parse_plan, preset, preset_names
 from jointplay.catalogue.plans.plan_check import plan_lines
 from jointplay.catalogue.plans.plan_parts import STIFFNESS_SCATTER
 from jointplay.catalogue.plans.variants import Variant
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.groups import full_paths
-from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 from jointplay.solver.simulation.simulate import simulate_batch
 

@@ -12,7 +12,7 @@ from recordings import RECORDINGS, TRUTH
 from jointplay.catalogue.measurements.measurement import Channel, Recording, read_measurement
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.steadiness import Stretch, steady_stretch
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.machines.fault import parse_fault
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import simulate

@@ -23,7 +23,7 @@ from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.plans.plan_check import plan_lines
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine

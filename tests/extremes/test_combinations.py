@@ -9,7 +9,7 @@ import numpy as np
 from extremes.scenes import RPM
 from laws import Tree, tree_of
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import parse_machine
 from jointplay.solver.simulation.simulate import simulate

@@ -12,7 +12,7 @@ import pytest
 from extremes.scenes import equal_legs, four_bar
 from laws import run, tree_of
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine

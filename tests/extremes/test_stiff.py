@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 from laws import Tree, tree_of
 
-from jointplay.solver.cases.history import Settings, Status
+from jointplay.solver.cases.case import Settings, Status
 from jointplay.solver.machines.machine import parse_machine
 from jointplay.solver.simulation.simulate import simulate
 

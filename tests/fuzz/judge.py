@@ -14,7 +14,8 @@ from oracle.dense import JammedError, _System
 from oracle.state import State
 from scipy.integrate import solve_ivp
 
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.equations.anchors import row_times
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.errors import MachineError, SettingsError

@@ -16,7 +16,7 @@ import pytest
 from laws import drawn
 from numpy.typing import NDArray
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.simulation.simulate import simulate

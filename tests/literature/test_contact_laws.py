@@ -12,7 +12,7 @@ import pytest
 from laws import impacts, run, states, tree_of
 from trajectory import Trajectory, trajectories
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.machines.restitution import effective_restitution, restitution_of

@@ -11,7 +11,8 @@ import pytest
 from oracle.state import State
 from trajectory import trajectory
 
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.start import start_velocity
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.machines.machine import Machine, parse_machine

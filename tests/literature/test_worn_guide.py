@@ -14,7 +14,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine
 from jointplay.solver.machines.restitution import effective_restitution

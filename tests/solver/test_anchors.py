@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson
 from test_simulate import crank_at
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.equations.anchors import fastest_anchor, row_times
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import MachineError, SettingsError

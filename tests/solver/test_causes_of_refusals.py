@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from laws import Tree, tree_of
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import parse_machine

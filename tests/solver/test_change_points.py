@@ -11,7 +11,7 @@ import pytest
 from extremes.scenes import equal_legs, four_bar
 from laws import run
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.positions import change_point_remarks, link_motion
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import Fault

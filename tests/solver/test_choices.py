@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from jointplay.solver.cases.history import Case, Status
+from jointplay.solver.cases.case import Case, Status
 from jointplay.solver.machines.equal_contact import EQUAL_PENETRATION, equal_contact
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import TurningJoint

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from trajectory import Trajectory, trajectories
 
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.start import Start
 from jointplay.solver.equations.contact import SLOWEST_APPROACH
 from jointplay.solver.errors import MachineError

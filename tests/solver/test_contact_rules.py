@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.joints import Contact, TurningJoint

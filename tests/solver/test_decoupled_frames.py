@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.decoupling import decoupling_of
-from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.cases.preparation import model_of
 from jointplay.solver.cases.steps import suspension_of
 from jointplay.solver.equations.decoupled import hold_frame

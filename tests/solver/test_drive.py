@@ -12,7 +12,7 @@ import pytest
 from laws import run
 from test_simulate import crank_at
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.equations.drive import prescribed_motion, repeating_frequency
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault

@@ -11,7 +11,7 @@ from laws import Tree, run, states, tree_of
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.remarks import find_remarks
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.errors import MachineError

@@ -15,7 +15,7 @@ from laws import Array, Tree, run
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson, solve_ivp
 
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.equations.links import LinkMotion
 from jointplay.solver.machines.machine import parse_machine
 from jointplay.solver.simulation.simulate import simulate

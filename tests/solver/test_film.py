@@ -11,7 +11,8 @@ import pytest
 from laws import states, tree_of
 from machine_trees import changed
 
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.remarks import find_remarks
 from jointplay.solver.equations.film import Film
 from jointplay.solver.equations.geometry import Complex

@@ -14,7 +14,8 @@ from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan, preset
 from jointplay.catalogue.plans.plan_check import check_plan
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.preparation import standing_model
 from jointplay.solver.cases.steps import suspension_of
 from jointplay.solver.errors import MachineError, SettingsError

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.integrators.lanes import SLOTS
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine

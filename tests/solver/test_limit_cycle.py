@@ -10,7 +10,7 @@ import pytest
 from laws import Array, Tree, tree_of
 
 from jointplay.app.figures.simulation_file import record
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.turning import cycles, turning_of, why_unsteady
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import Fault

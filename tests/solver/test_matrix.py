@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from machine_trees import changed
 
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import HEALTHY, Fault, parse_fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.history import METHODS, Case, History, Settings, Status
+from jointplay.solver.cases.case import METHODS, Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine

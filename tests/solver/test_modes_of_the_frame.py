@@ -14,7 +14,8 @@ from laws import drawn
 from oracle.state import State
 from scipy.optimize import brentq
 
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.preparation import standing_model
 from jointplay.solver.cases.steps import smooth_eigenvalues
 from jointplay.solver.equations.model import build_model

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import pytest
 
 from jointplay import solver
-from jointplay.solver.cases.history import Case, Settings
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.steps import STEP_RULES
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.start import start_pose, start_velocity, walk
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from laws import Tree, tree_of
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.reach import reach_of
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault

@@ -10,7 +10,7 @@ import pytest
 from oracle.dense import solve
 from oracle.sketch import random_state
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.positions import change_point_remarks
 from jointplay.solver.equations.links import LinkMotion, link_motion
 from jointplay.solver.equations.model import build_model

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.steps import Accuracy
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.preparation import NEVER, Prepared
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault

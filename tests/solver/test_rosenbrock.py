@@ -11,8 +11,9 @@ from fuzz.scalar_block import HEAD, ScalarBlock
 from fuzz.uncompiled import uncompiled
 from laws import Array, Tree, run, tree_of
 
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.remarks import find_remarks
 from jointplay.solver.integrators import rosenbrock
 from jointplay.solver.machines.fault import Fault

@@ -10,8 +10,9 @@ import pytest
 from laws import states, tree_of
 from scipy.integrate import simpson
 
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import MachineError
 from jointplay.solver.integrators import control

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointplay.app.figures.simulation_file import record
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.turning import even_angle
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault

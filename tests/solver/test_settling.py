@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from extremes.scenes import four_bar
 
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.cases.preparation import Prepared
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import Fault

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, Settings
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, shipped_machine

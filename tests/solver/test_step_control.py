@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from jointplay.solver.cases.history import Case, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.integrators.control import after_switch, next_step, shorten, switch_part
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import shipped_machine

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from test_simulate import crank_at
 
+from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.groups import groups
-from jointplay.solver.cases.history import Case, Settings, Status
 from jointplay.solver.cases.positions import mobility_of
 from jointplay.solver.cases.rates import ContactRates, contact_rates, friction_rate
 from jointplay.solver.cases.start import walk

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.history import Case, History, Settings, Status
+from jointplay.solver.cases.case import Case, Settings, Status
+from jointplay.solver.cases.history import History
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
 from jointplay.solver.machines.machine import Machine, load_machine

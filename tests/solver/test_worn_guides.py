@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from laws import Tree, states, tree_of
 
-from jointplay.solver.cases.history import Case, History, Settings
+from jointplay.solver.cases.case import Case, Settings
+from jointplay.solver.cases.history import History
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.fault import Fault, parse_fault
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
