@@ -19,8 +19,10 @@ from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.equations.geometry import travel
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
+from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fits import in_um
 from jointplay.solver.machines.joints import TurningJoint
+from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import MotionDrive, PositionDrive
 
 #: A change point farther away than this part of the machine's extent is none: parts are made to some 1e-4 of their
@@ -178,6 +180,26 @@ def _position(model: Model) -> tuple[ca.SX, bool]:
         return travel(drive.link, drive.direction, kin.poses, kin.terms), False
     joint = model.machine.joints[drive.joint]
     return kin.position(joint), isinstance(joint, TurningJoint)
+
+
+def place_of(machine: Machine, closure: str) -> str:
+    """Path in the machine file of what a closure stands for."""
+    owner, _, kind = closure.partition(".")
+    if kind == "drive" and machine.driven_link:
+        return "drive.link"
+    return f"links.{owner}.locked" if kind.startswith("locked") else f"joints.{owner}"
+
+
+def cannot_assemble(model: Model, p: Sequence[float], t: float, z: FloatArray, gap: float, name: str) -> AssemblyError:
+    """Refusal after the last pose `z` that closes, at time `t`; `gap` is what stays open at the next of the walk."""
+    owner, _, kind = name.partition(".")
+    what = f"link {owner}, locked," if kind.startswith("locked") else f"joint {owner}"
+    if kind == "drive" and model.machine.driven_link:
+        what = f"link {owner}, driven,"
+    where = position_of_drive(model, p, t, z)
+    far = f"{gap * 1e3:.3g} mm" if gap >= 1e-4 else in_um(gap)
+    rule = f"cannot be assembled {where}: a little further {what} stays {far} open"
+    return AssemblyError(model.machine.name, place_of(model.machine, name), None, rule)
 
 
 def describe_change_point(model: Model, p: Sequence[float], point: ChangePoint) -> str:

@@ -12,15 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.cases.change_points import AHEAD, ChangePoint, find_change_point, position_of_drive
+from jointplay.solver.cases.change_points import AHEAD, ChangePoint, cannot_assemble, find_change_point, place_of
 from jointplay.solver.cases.driven_link import cannot_follow, still_frame
 from jointplay.solver.cases.rates import extent_of
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
 from jointplay.solver.equations.redundancy import independent_rows
 from jointplay.solver.errors import AssemblyError
-from jointplay.solver.machines.fits import in_um
-from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import RotationDrive, TravelDrive
 
 #: Closures count as closed below this (m, rad): some thousand times rounding at the size of a machine.
@@ -192,7 +190,7 @@ def find_repeat(model: Model, p: Sequence[float]) -> AssemblyError | None:
         else "holds as drawn only what other joints hold already: leave one of them out, or draw another pose "
         "if this is a change point"
     )
-    return AssemblyError(model.machine.name, _place(model.machine, name), None, rule)
+    return AssemblyError(model.machine.name, place_of(model.machine, name), None, rule)
 
 
 def last_pose(
@@ -207,26 +205,6 @@ def last_pose(
         else:
             bad = middle
     return good, z
-
-
-def _place(machine: Machine, closure: str) -> str:
-    """Path in the machine file of what a closure stands for."""
-    owner, _, kind = closure.partition(".")
-    if kind == "drive" and machine.driven_link:
-        return "drive.link"
-    return f"links.{owner}.locked" if kind.startswith("locked") else f"joints.{owner}"
-
-
-def cannot_assemble(model: Model, p: Sequence[float], t: float, z: FloatArray, gap: float, name: str) -> AssemblyError:
-    """Refusal after the last pose `z` that closes, at time `t`; `gap` is what stays open at the next of the walk."""
-    owner, _, kind = name.partition(".")
-    what = f"link {owner}, locked," if kind.startswith("locked") else f"joint {owner}"
-    if kind == "drive" and model.machine.driven_link:
-        what = f"link {owner}, driven,"
-    where = position_of_drive(model, p, t, z)
-    far = f"{gap * 1e3:.3g} mm" if gap >= 1e-4 else in_um(gap)
-    rule = f"cannot be assembled {where}: a little further {what} stays {far} open"
-    return AssemblyError(model.machine.name, _place(model.machine, name), None, rule)
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,6 +375,6 @@ def start_with_frame(
     z, gap, name = close(model, t, z, p, model.inner_indices)
     if gap >= CLOSED:
         rule = f"does not close at the start by {gap * 1e3:.3g} mm"
-        raise AssemblyError(model.machine.name, _place(model.machine, name), None, rule)
+        raise AssemblyError(model.machine.name, place_of(model.machine, name), None, rule)
     all_rows = np.vstack([np.eye(model.size)[held], *([] if rows is None else [rows])])
     return Start(z, least_velocity(model, t, p, z, all_rows, np.array([*velocity, *right])), t)
