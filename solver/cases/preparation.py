@@ -280,7 +280,8 @@ def _start(
     """Coordinates and velocities of the start: pins are concentric in it, so that no contact number matters."""
     model = model_of(machine, joints, varying)
     standing = model if machine.initial.pose == "drawn" else standing_model(machine, joints, varying)
-    z = start_pose(standing, standing.vector(dict(values)))
+    at_rest = {path: value for path, value in values if path != "drive.speed"}
+    z = start_pose(standing, standing.vector(at_rest))
     v = start_velocity(model, model.vector(dict(values)), z)
     z.flags.writeable = v.flags.writeable = False  # many cases share them
     return z, v
