@@ -214,7 +214,7 @@ class EffortSpent(_Frozen):
     Attributes
     ----------
     simulations, generations : int
-        Cases simulated around the most probable hypotheses, in how many rounds.
+        Cases of the machine as found that were simulated, in how many rounds.
     note : str
         Why there were none or no more, and what they changed; empty for other efforts than thorough.
     """

@@ -107,7 +107,7 @@ def refine(
     candidates : sequence of str
         Labels of its candidate set.
     mode : {"auto", "trusted", "robust"}
-        How the cases are learned from.
+        How the cases are learned from; with "robust" none are simulated.
     prior : Prior, optional
         That of the answer; the usual one unless given.
     cases : int
@@ -119,6 +119,8 @@ def refine(
         The same for the same arguments.
     """
     prior = prior or Prior()
+    if mode == "robust":
+        return Refined(result, 0, 0, "simulated is a machine like its file, which mode robust does not take it to be")
     is_doubted = result.trusted_p_value is not None and result.trusted_p_value < DOUBTED_BELOW
     if not is_doubted and result.best.probability > CERTAIN and len(candidates) <= 1:
         return Refined(result, 0, 0, f"certain already: {result.best.label} has more than {CERTAIN:g}")
@@ -147,15 +149,19 @@ def refine(
     wide = {match.label: whole[match.label].around(match) for match in chosen}
     broad = simulate([entry for entry in drawn if entry.draw < first], wide)
     if any(len(broad.rows(match.label)) < LEAST_CASES // 6 for match in chosen):
-        return Refined(result, len(drawn), 1, "some hypotheses could not be simulated, so that nothing changes")
+        tried = sum(entry.draw < first for entry in drawn)
+        return Refined(result, tried, 1, "some hypotheses could not be simulated, so that nothing changes")
     near = {}
     for match in _answer(broad, observed, mode).hypotheses:
         region = wide[match.label].around(match)
         if paths:
-            mean, error = _regress(broad, match.label, observed, paths)
+            with one_thread():
+                mean, error = _regress(broad, match.label, observed, paths)
             region = replace(region, load=mean, error=error)
         near[match.label] = region
     later = simulate([entry for entry in drawn if entry.draw >= first], near)
+    if not later.entries:
+        return Refined(result, len(drawn), 2, "cases near the answer could not be simulated, so that nothing changes")
     inside = [row for row, entry in enumerate(broad.entries) if near[entry.hypothesis.label].holds(entry)]
     every = broad.kept(inside) + later
     found = _answer(every, observed, mode)
@@ -366,8 +372,14 @@ def _blend(
     said = f"{simulated} cases of {len(anew)} sets of joints{named}, effective sample size {near:.0f}{changed}"
     if trust < 0.5:
         said += "; that does not explain the recording either"
-        return Refined(replace(result, hypotheses=matches), simulated, 2, said)
-    leading = replace(found, hypotheses=matches, sightings=result.sightings, notes=result.notes, network=result.network)
+        shares = {match.label: match.probability for match in matches}
+        own = rank([replace(match, probability=shares[match.label]) for match in result.hypotheses]).hypotheses
+        return Refined(replace(result, hypotheses=own), simulated, 2, said)
+    # Held-out draws of so few and so near cases are told apart more easily than the machines of the catalogue.
+    leading = replace(
+        found, hypotheses=matches, conformal=result.conformal, sightings=result.sightings, notes=result.notes,
+        network=result.network,
+    )  # fmt: skip
     return Refined(leading, simulated, 2, said, None if load is None else load.cause(trust))
 
 

@@ -40,7 +40,7 @@ from jointplay.catalogue.diagnosing.verdict import (
 )
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
-from jointplay.catalogue.matching.model_library import ModelLibrary, Observed, library_of, one_thread
+from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, Observed, library_of, one_thread
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.matching.prior import Prior
@@ -69,7 +69,7 @@ class Question:
     effort : {"fast", "standard", "thorough"}
         ``fast`` looks the answer up in a model for about this noise, ``standard`` refits what that leaves open to the
         noise of the recording where no network knows it, and looks for causes other than play where none is needed,
-        too; ``thorough`` also simulates anew around the most probable hypotheses where that can change the answer.
+        too; ``thorough`` also simulates the machine as found where that can change the answer.
     mode : {"auto", "trusted", "robust"}
         Whether the machine is taken to be as simulated, or to differ from it in whatever the catalogue varies;
         ``auto`` trusts the model unless it does not explain the recording.
@@ -241,6 +241,9 @@ def answer(
             spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
         elif causes and not causes[0].name.startswith("load"):
             spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
+        elif weights is not None:
+            note = "the baseline says more of the machine's numbers than its file, which is simulated"
+            spent = EffortSpent(simulations=0, generations=0, note=note)
         else:
             refined = refine(
                 prepared,
@@ -252,7 +255,7 @@ def answer(
                 prior=question.prior,
                 cases=question.cases,
             )
-            was_changed = needs_cause(result)
+            was_changed, p_before = needs_cause(result), result.trusted_p_value
             result, causes = refined.result, (refined.load,) if refined.load else causes
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             if refined.simulations:
@@ -260,6 +263,8 @@ def answer(
                 if was_changed and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
                     # With a load that the file does not have it is not in order, however well that explains it.
                     verdict = "unknown" if verdict == "unknown" else "changed"
+                elif p_before is not None and p_before < DOUBTED_BELOW and verdict == "worn":
+                    verdict = "worn" if result.p_worn >= SURE_ABOVE else "unknown"  # as without the simulation
     candidates = result.set(question.coverage)
     warnings = [
         *prepared.warnings,

@@ -151,7 +151,8 @@ def pose_speed(machine: Machine, speed: float) -> float:
 def _poses(machine: Machine, speed: float) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
     """Moving links, with place (n, k, 2), angle (n, k) and turns (k,) as :class:`Revolution` has them."""
     frame = machine.links[machine.frame].model_copy(update={"fixed": True})
-    changes: dict[str, Any] = {"links": {**machine.links, machine.frame: frame}, "modes": ()}
+    links = {**machine.links, machine.frame: frame}
+    changes: dict[str, Any] = {"links": links, "modes": (), "decoupled": False, "response": None}
     if isinstance(machine.drive, TorqueDrive):  # as if a motor turned evenly
         changes["drive"] = RotationDrive(joint=machine.drive.joint, speed=speed)
     held = machine.model_copy(update=changes)

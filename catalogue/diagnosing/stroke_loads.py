@@ -22,7 +22,7 @@ from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Load
+from jointplay.solver.machines.parts import ForceDrive, Load
 
 EDGE = math.radians(15.0)
 """Turn of the drive over which a load comes and goes: none begins at once."""
@@ -183,7 +183,7 @@ def find_load(
     Returns
     -------
     FoundLoad or None
-        None where the machine has no output, or stands on more than mounts.
+        None where the machine has no output, stands on more than mounts, or is driven by a force.
 
     Raises
     ------
@@ -192,7 +192,9 @@ def find_load(
     """
     machine, levels = catalogue.machine, OrderLevels.of(prepared)
     speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
-    loads = StrokeLoads.of(machine, speed) if on_mounts(machine) else None
+    if not on_mounts(machine) or isinstance(machine.drive, ForceDrive):
+        return None
+    loads = StrokeLoads.of(machine, speed)
     if loads is None:
         return None
     model = IdealFrame.of(machine, speed)

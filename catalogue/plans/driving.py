@@ -110,7 +110,8 @@ def load_scale(machine: Machine) -> float:
     reach = max(ends, default=0.0)
     scale = moving * (WEIGHT + reach * speed**2)
     if isinstance(drive, ForceDrive):
-        return min(scale, 2 * BORNE * max(abs(force) for _, force in drive.curve or ((0.0, drive.force or 0.0),)))
+        most = max(abs(force) for _, force in drive.curve or ((0.0, drive.force or 0.0),))
+        return min(scale, 2 * BORNE * drive.effort_factor * most)
     if isinstance(drive, TorqueDrive) and reach:
         # In phase with the way r sin it does pi F r of work in a turn, as much as a torque of F r / 2.
         return min(scale, 2 * _torque_borne(drive, speed) / reach)

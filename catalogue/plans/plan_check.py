@@ -5,7 +5,7 @@ from __future__ import annotations
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
-from jointplay.catalogue.plans.plan_parts import DrawCounts
+from jointplay.catalogue.plans.plan_parts import SPEED, DrawCounts
 from jointplay.solver.cases.answers import check_band
 from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.machine import Machine
@@ -52,7 +52,7 @@ def _check_response(plan: Plan, machine: Machine) -> None:
     recipe = plan.recipe(machine)
     try:
         for speed in plan.speeds:
-            check_band(machine, recipe.sample_rate, speed * recipe.nominal_drive_speed)
+            check_band(machine, recipe.sample_rate, SPEED[0] * speed * recipe.nominal_drive_speed)
     except SolverError as error:
         raise PlanError(machine.name, "response.frequency", None, str(error)) from None
 

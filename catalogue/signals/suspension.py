@@ -57,9 +57,12 @@ def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: Fl
 
 
 def on_mounts(machine: Machine) -> bool:
-    """Whether mounts to the ground are all that holds the frame, so that :func:`accelerance` knows its supports."""
+    """Whether mounts to the ground are all that holds the frame, so that :func:`accelerance` knows its supports.
+
+    A frame that answers by a measured response does not follow the file's mounts.
+    """
     frame = machine.frame
-    return all(
+    return machine.response is None and all(
         isinstance(support, Mount) and support.link == frame and support.to_link is None
         for support in machine.supports
         if frame in (support.link, support.to_link)

@@ -105,20 +105,21 @@ def can_be_decoupled(machine: Machine) -> bool:
 
 def _is_negligible(machine: Machine, cases: Sequence[Case]) -> bool:
     """Whether decoupling the frame changes nothing that any accuracy would resolve."""
-    if any(path.startswith("links.") for case in cases for path in case.parameters):
+    if any(path.startswith(("links.", "supports.")) for case in cases for path in case.parameters):
         return False
     moved = sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
     if SENSITIVITY * moved > NEGLIGIBLE * (machine.links[machine.frame].mass or 0.0):
         return False  # most machines, without another model
-    return can_be_decoupled(machine) and decoupling_of(machine).change < NEGLIGIBLE
+    speeds = {case.parameters.get("drive.speed") for case in cases}
+    return can_be_decoupled(machine) and all(decoupling_of(machine, speed).change < NEGLIGIBLE for speed in speeds)
 
 
 def decouple(machine: Machine, settings: Settings, cases: Sequence[Case] | None = None) -> tuple[Machine, str]:
     """The machine as it is run, without what its frame does not feel, and a remark where its frame is decoupled.
 
     It is where the file or the settings say so, and where it makes no difference: there are cases and none of them
-    changes a link; and the run is not one of given length from the drawn pose, with a fall onto the springs in it that
-    the machine would feel.
+    changes a link or a support; nobody looks at the links, which feel the frame's own motion; and the run is not one of
+    given length from the drawn pose, with a fall onto the springs in it that the machine would feel.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def decouple(machine: Machine, settings: Settings, cases: Sequence[Case] | None 
     if settings.whole:
         return machine.model_copy(update={"decoupled": False}) if machine.decoupled else machine, ""
     at_rest = settings.duration is None or machine.initial.pose == "equilibrium"
-    by_itself = cases is not None and at_rest and _is_negligible(machine, cases)
+    by_itself = cases is not None and at_rest and not settings.links and _is_negligible(machine, cases)
     if not (machine.decoupled or settings.decoupled or by_itself):
         return machine, ""
     speed = cases[0].parameters.get("drive.speed") if cases else None

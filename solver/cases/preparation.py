@@ -42,7 +42,7 @@ from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.equations.numbers import contact_path
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import Fault
-from jointplay.solver.machines.machine import Machine, keep_by_machine
+from jointplay.solver.machines.machine import Machine, has_known_effort, keep_by_machine
 from jointplay.solver.machines.parts import RotationDrive, TravelDrive
 from jointplay.solver.machines.remarks import film_remarks, restitution_remarks
 
@@ -212,7 +212,7 @@ def prepare(
     transient, *remarks = transient_time(motions.suspension, speed)
     if machine.response is not None:
         check_band(machine, settings.sample_rate, speed)
-        if not speed and not settings.transient:
+        if not speed and not settings.transient and not has_known_effort(machine):
             raise SettingsError(f"transient: {machine.name}: what never repeats is answered to from its beginning on")
         transient = transient if speed else max(transient, 1 / spacing_of(machine.response))
     free = len(model.frame_coordinates)

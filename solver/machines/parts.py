@@ -253,7 +253,19 @@ class PositionDrive(Part):
 Factor = Annotated[float, QuantityField(units.RATIO, above=0)]
 
 
-class TorqueDrive(Part):
+class EffortDrive(Part):
+    """A known effort, with factors on it and on the speeds of its curve."""
+
+    effort_factor: Factor = 1.0
+    speed_factor: Factor = 1.0
+
+    @model_serializer(mode="wrap")
+    def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Files could not say it once; machines that say nothing of it keep the content key they had then.
+        return {key: value for key, value in write(self).items() if not key.endswith("_factor") or value != 1.0}
+
+
+class TorqueDrive(EffortDrive):
     """Known torque [N m] on links[0] of a turning joint: constant, or a curve over its speed [rad/s].
 
     ``effort_factor`` is on the torque, ``speed_factor`` on the speeds of the curve.
@@ -263,11 +275,9 @@ class TorqueDrive(Part):
     joint: Name
     torque: Torque | None = None
     curve: Annotated[Curve, Table((units.ANGULAR_SPEED, units.TORQUE))] | None = None
-    effort_factor: Factor = 1.0
-    speed_factor: Factor = 1.0
 
 
-class ForceDrive(Part):
+class ForceDrive(EffortDrive):
     """Known force [N] on links[0] along a sliding joint: constant, or a curve over its speed [m/s].
 
     Factors as of :class:`TorqueDrive`.
@@ -277,8 +287,6 @@ class ForceDrive(Part):
     joint: Name
     force: Annotated[float, QuantityField(units.FORCE)] | None = None
     curve: Annotated[Curve, Table((units.SPEED, units.FORCE))] | None = None
-    effort_factor: Factor = 1.0
-    speed_factor: Factor = 1.0
 
 
 #: Drives that prescribe a travel, of a slide or of a link; and all those that prescribe a motion.

@@ -216,12 +216,15 @@ def simulate_ensemble(
     machine, remark = decouple(reach.machine, settings)
     if machine.response is not None:
         raise SettingsError(f"{machine.name}: response: several starts are averaged of frames without one")
+    if machine.driven_link == machine.frame:
+        rule = "starts differ by where the frame is, which its drive prescribes"
+        raise SettingsError(f"{machine.name}: drive.link: {machine.frame}: {rule}")
     if not machine.decoupled:
         settings = replace(settings, whole=True)  # negligible or not: members differ by where their frames are
     elif ensemble.kind == "perturbation":
         rule = "starts differ by where the frame is, which a decoupled frame's machine does not feel; take phase"
         raise SettingsError(f"kind: perturbation: {rule}")
-    told = "; ".join(filter(None, (told, remark)))
+    told = "; ".join(filter(None, (told, "" if has_known_effort(machine) else remark)))  # a limit cycle says it
     group = next(groups(machine, [case], settings))
     for _, error in group.failed:
         raise error

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
+from jointplay.solver.cases.answers import check_band
 from jointplay.solver.cases.bending import Bending
 from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.decoupling import decouple
@@ -351,6 +352,8 @@ def _history(
     if driver is not None:
         turning = turning_in(run, driver, recorded, slice(first, count), t, *(part[:, :3] for part in moved[:2]))
         remarks.append(turning.say(run.case.before))
+        if model.machine.response is not None and turning.is_steady:  # what it turns at is known from here on
+            check_band(model.machine, rate, turning.speed)
     remarks.append(run.case.remark if run.status is Status.OK else "")
     message = "; ".join(remark for remark in remarks if remark)
     links = None

@@ -216,6 +216,9 @@ def bench_of(machine: Machine, case: Case) -> tuple[Bench, float]:
     if machine.decoupled:
         rule = "runs differ by where the frame is, which its machine does not feel"
         raise SettingsError(f"{machine.name}: decoupled: {rule}: costs are measured of the whole machine")
+    if machine.driven_link == machine.frame:
+        rule = "runs differ by where the frame is, which its drive prescribes"
+        raise SettingsError(f"{machine.name}: drive.link: {machine.frame}: {rule}")
     start = start_of(machine, case)
     short = [
         simulate_batch(machine, [case], Settings(duration=0.01, method=method))[0] for method in ("adaptive", "gill")

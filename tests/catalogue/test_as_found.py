@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointplay.catalogue.diagnosing import as_found
 from jointplay.catalogue.diagnosing.as_found import LEAST_CASES, Refined, refine, sets_to_simulate
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.diagnosis import Question, answer
@@ -125,6 +126,38 @@ def test_the_same_question_has_the_same_answer(
     assert again.reason == found.reason
     for one, two in zip(again.result.hypotheses, found.result.hypotheses, strict=True):
         assert (one.probability, one.clearances) == (two.probability, two.clearances)
+
+
+def test_a_machine_that_does_not_explain_the_recording_says_little(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It moves probabilities a little; clearances, levels and p-values stay the catalogue's."""
+    monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 0.1)
+    _, before = asked(small_catalogue, loaded)
+    doubted = refined(small_catalogue, loaded)
+    assert "does not explain the recording either" in doubted.reason
+    assert doubted.load is None
+    own = {match.label: match for match in before.hypotheses}
+    for match in doubted.result.hypotheses:
+        assert (match.clearances, match.p_value) == (own[match.label].clearances, own[match.label].p_value)
+        assert match.probability == pytest.approx(own[match.label].probability, abs=0.1)
+
+
+def test_candidate_sets_are_by_the_law_of_the_catalogue(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement
+) -> None:
+    observed, result = asked(small_catalogue, loaded)
+    found = refine(loaded, observed, small_catalogue, result, result.set(0.95).labels, cases=4 * 120)
+    assert found.load is not None
+    assert found.result.conformal is result.conformal
+
+
+def test_a_machine_that_is_not_taken_for_its_file_is_not_simulated(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement
+) -> None:
+    observed, result = asked(small_catalogue, loaded)
+    left = refine(loaded, observed, small_catalogue, result, result.set(0.95).labels, mode="robust", cases=480)
+    assert (left.simulations, left.result) == (0, result)
 
 
 def test_nothing_is_simulated_where_it_cannot_change_the_answer(small_catalogue: Catalogue) -> None:
