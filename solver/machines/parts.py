@@ -253,19 +253,7 @@ class PositionDrive(Part):
 Factor = Annotated[float, QuantityField(units.RATIO, above=0)]
 
 
-class EffortDrive(Part):
-    """A known effort, with factors on it and on the speeds of its curve."""
-
-    effort_factor: Factor = 1.0
-    speed_factor: Factor = 1.0
-
-    @model_serializer(mode="wrap")
-    def _leave_out_what_is_not_said(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # Files could not say it once; machines that say nothing of it keep the content key they had then.
-        return {key: value for key, value in write(self).items() if not key.endswith("_factor") or value != 1.0}
-
-
-class TorqueDrive(EffortDrive):
+class TorqueDrive(Part):
     """Known torque [N m] on links[0] of a turning joint: constant, or a curve over its speed [rad/s].
 
     ``effort_factor`` is on the torque, ``speed_factor`` on the speeds of the curve.
@@ -275,9 +263,11 @@ class TorqueDrive(EffortDrive):
     joint: Name
     torque: Torque | None = None
     curve: Annotated[Curve, Table((units.ANGULAR_SPEED, units.TORQUE))] | None = None
+    effort_factor: Factor = 1.0
+    speed_factor: Factor = 1.0
 
 
-class ForceDrive(EffortDrive):
+class ForceDrive(Part):
     """Known force [N] on links[0] along a sliding joint: constant, or a curve over its speed [m/s].
 
     Factors as of :class:`TorqueDrive`.
@@ -287,6 +277,8 @@ class ForceDrive(EffortDrive):
     joint: Name
     force: Annotated[float, QuantityField(units.FORCE)] | None = None
     curve: Annotated[Curve, Table((units.SPEED, units.FORCE))] | None = None
+    effort_factor: Factor = 1.0
+    speed_factor: Factor = 1.0
 
 
 #: Drives that prescribe a travel, of a slide or of a link; and all those that prescribe a motion.

@@ -251,8 +251,10 @@ def test_a_frame_without_end_is_decoupled_by_itself() -> None:
     assert np.abs(found.displacement - whole.displacement)[late].max() < 1e-4 * scale.max()
     assert not simulate(heavy, fault, Settings(duration=0.01)).message  # the fall onto its springs is part of it
     assert account(heavy, Fault(fault)).decoupled and not account(shipped_machine("slider-crank"), HEALTHY).decoupled
-    # What a case changes may not be so heavy; without worn joints nothing more is to be said of it.
+    # What a case changes may not be so heavy; without worn joints nothing more is to be said. Links feel the frame.
     assert not simulate(heavy, Case(parameters={"links.frame.mass": 1e9}), settings).message
+    assert not simulate(heavy, Case(parameters={"supports.0.stiffness.0": 1e13}), settings).message
+    assert "decoupled" not in simulate(heavy, fault, replace(settings, links=True)).message
 
 
 @pytest.mark.parametrize("scene", ["two guides", "oil", "locked", "floor"])

@@ -14,12 +14,14 @@ from scipy.integrate import cumulative_simpson
 from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.remarks import find_remarks
 from jointplay.solver.equations.drive import repeating_frequency
-from jointplay.solver.errors import MachineError
+from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine, machine_json_schema, parse_machine
 from jointplay.solver.machines.matrix import matrix_tree
 from jointplay.solver.simulation.account import account
+from jointplay.solver.simulation.ensemble import Ensemble, simulate_ensemble
 from jointplay.solver.simulation.simulate import check_assembly, simulate, start_of
+from jointplay.solver.simulation.tradeoff import measure
 
 SWING: Tree = {"frequency": 5.0, "amplitude": 0.01, "phase": 0.4}
 W = 2 * math.pi * SWING["frequency"]
@@ -244,3 +246,12 @@ def test_what_a_worn_pin_alone_would_let_follow_is_refused() -> None:
     machine = parse_machine({**tree, "drive": driven("rod", [1, 0])})
     with pytest.raises(MachineError, match=r"drive\.link: rod: cannot be driven so from the drawn pose"):
         start_of(machine, Case(Fault({"A": 1e-4, "B": 1e-4})))
+
+
+@pytest.mark.parametrize("kind", ["phase", "perturbation"])
+def test_starts_that_differ_by_where_a_driven_frame_is_are_refused(kind: Any) -> None:
+    machine = upright(driven("frame", [0, 1]), {"mass": 20, "inertia": 0.5, "cg": [0, 0]})
+    with pytest.raises(SettingsError, match=r"drive\.link: frame: starts differ by where the frame is"):
+        simulate_ensemble(machine, Case(HEALTHY), Ensemble(starts=2, kind=kind))
+    with pytest.raises(SettingsError, match=r"drive\.link: frame: runs differ by where the frame is"):
+        measure(machine)

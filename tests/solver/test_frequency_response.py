@@ -214,3 +214,14 @@ def test_an_entry_of_a_catalogue_is_what_sensors_take_for_a_rigid_frame() -> Non
     )
     assert mean_difference_db(outcome.power, seen.power) < 0.15
     assert mean_difference_db(outcome.power, centre.power) > 0.4
+
+
+def test_a_motor_turns_within_the_band() -> None:
+    """Its speed is known after its run alone: 555 rpm or so, so that order 1 is at 9 Hz."""
+    motor = load_machine(Path(__file__).parents[1] / "data" / "machines" / "motor-four-bar.yaml")
+    settings = Settings(sample_rate=4000.0, revolutions=4)
+    found = simulate(with_response(motor), {}, settings)
+    assert "frame decoupled" in found.message
+    assert np.isfinite(found.at_sensors(with_response(motor))).all()
+    with pytest.raises(MachineError, match=r"response\.frequency\.0: 50 Hz: must not be above 9\.\d+ Hz"):
+        simulate(with_response(motor, np.arange(50.0, 2001.0, 2.0)), {}, settings)
