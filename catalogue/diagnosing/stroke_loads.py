@@ -17,6 +17,7 @@ from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, Mi
 from jointplay.catalogue.diagnosing.causes import TEMPERATURE, NamedCause
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Revolution, drive_angle, output_forces, split
 from jointplay.catalogue.matching.matcher import HypothesisMatch
+from jointplay.catalogue.plans.driving import WEIGHT
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
@@ -199,7 +200,7 @@ def find_load(
         return None
     model = IdealFrame.of(machine, speed)
     family = forces_of(model, loads.wrench)
-    weight = 9.81 * sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
+    weight = WEIGHT * sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
     total, mean, square = 0.0, np.zeros(2), np.zeros((2, 2))
     for match in likely:
         known = class_statistics(catalogue, levels, match.label)

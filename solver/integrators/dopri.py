@@ -64,7 +64,7 @@ def combination(block: Block, weights: Sequence[float], values: Sequence[str]) -
     return total
 
 
-def growth_of(block: Block, error: str) -> tuple[str, str]:
+def _growth(block: Block, error: str) -> tuple[str, str]:
     """SAFETY error^(-3/16), and error^(1/16): roots are single instructions, and 3/16 is near enough to 1/5."""
     root = block.call("maxnum", error, block.constant(_LEAST_ERROR))
     for _ in range(4):
@@ -72,6 +72,18 @@ def growth_of(block: Block, error: str) -> tuple[str, str]:
     return block.div(block.constant(SAFETY), block.mul(block.mul(root, root), root)), block.call(
         "maxnum", root, block.constant(_LEAST_ROOT)
     )
+
+
+def leave_error(block: Block, rows: WorkRows[range], error: str) -> None:
+    """Store the error of a step, what the next one may grow by, and the size of the state that was reached."""
+    block.store(rows.error[0], error)
+    growth, root = _growth(block, error)
+    block.store(rows.growth[0], growth)
+    block.store(rows.root[0], root)
+    size = block.constant(0.0)
+    for row in (*rows.z, *rows.v):
+        size = block.add(size, block.call("fabs", block.load(row)))
+    block.store(rows.size[0], size)
 
 
 def deflection_rate(block: Block, slips: str, pull: str) -> str:
@@ -136,14 +148,7 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
         largest.append(found)
     error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace[0])))
     error = block.mul(block.mul(error, h), block.load(rows.strictness[0]))
-    block.store(rows.error[0], error)
-    growth, root = growth_of(block, error)
-    block.store(rows.growth[0], growth)
-    block.store(rows.root[0], root)
-    size = block.constant(0.0)
-    for row in (*z, *v):
-        size = block.add(size, block.call("fabs", block.load(row)))
-    block.store(rows.size[0], size)
+    leave_error(block, rows, error)
     dense = iter(rows.dense)
     for k, (stages, ends) in enumerate(((speeds, z), (slopes, v))):
         for i in recorded:

@@ -24,7 +24,7 @@ from jointplay.solver.compiler.ir import Block
 from jointplay.solver.compiler.rows import WorkRows, work_rows
 from jointplay.solver.equations.friction import RETARDATION
 from jointplay.solver.equations.model import Model
-from jointplay.solver.integrators.dopri import DENSE_ROWS, combination, deflection_rate, growth_of
+from jointplay.solver.integrators.dopri import DENSE_ROWS, combination, deflection_rate, leave_error
 
 _GAMMA = 0.25
 _NODES = (0.0, 0.75, 0.21, 0.63, 1.0, 1.0)
@@ -190,14 +190,7 @@ def rosenbrock_step(
         sums.append(block.call("sqrt", _dot(block, block.constant(0.0), scaled, scaled)))
     total = block.fma(sums[1], block.load(rows.pace[0]), sums[0])
     total = block.mul(total, block.load(rows.strictness[0]))
-    block.store(rows.error[0], total)
-    growth, root = growth_of(block, total)
-    block.store(rows.growth[0], growth)
-    block.store(rows.root[0], root)
-    size = block.constant(0.0)
-    for row in (*z, *v):
-        size = block.add(size, block.call("fabs", block.load(row)))
-    block.store(rows.size[0], size)
+    leave_error(block, rows, total)
     dense = iter(rows.dense)
     ends = [*z, *v]
     for i in (*recorded, *(n + i for i in recorded)):
