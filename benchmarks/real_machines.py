@@ -1,9 +1,11 @@
 """Diagnoses of recordings by the second simulator of the tests, which shares no code with the product, and the truth.
 
     PYTHONPATH=tests python -m second_simulator --protocol singles --machine four-bar --count 12 --out recordings
-    python -m benchmarks.real_machines recordings --catalogues DIR [--keep answers.json]
+    python -m benchmarks.real_machines recordings --catalogues DIR [--before DIR] [--keep answers.json]
 
-Recordings are named MACHINE-PROTOCOL-NUMBER. Every figure is a count with its 95 % interval (Wilson 1927).
+Recordings are named MACHINE-PROTOCOL-NUMBER; those of the same machines before anything was the matter, which the
+second simulator makes with --before, have the same names in another folder and serve as baselines. Every figure is a
+count with its 95 % interval (Wilson 1927).
 """
 
 from __future__ import annotations
@@ -66,8 +68,8 @@ class Judged:
         return ", ".join(names)
 
 
-def judge(folder: Path, catalogues: Path, effort: Effort, only: str) -> Iterable[Judged]:
-    """Diagnose all recordings of a folder whose machines have a catalogue."""
+def judge(folder: Path, catalogues: Path, effort: Effort, only: str, before: Path | None = None) -> Iterable[Judged]:
+    """Diagnose all recordings of a folder whose machines have a catalogue, beside what was recorded before."""
     opened: dict[str, Catalogue] = {}
     for truth_file in sorted(folder.rglob("truth.json")):
         for name, truth in sorted(json.loads(truth_file.read_text()).items()):
@@ -76,8 +78,9 @@ def judge(folder: Path, catalogues: Path, effort: Effort, only: str) -> Iterable
                 continue
             protocol = name.removeprefix(f"{machine}-").rpartition("-")[0]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
+            baseline = None if before is None else read_recording(next(before.rglob(file.name)))
             try:
-                answer: Diagnosis = diagnose(read_recording(file), catalogue, effort=effort)
+                answer: Diagnosis = diagnose(read_recording(file), catalogue, effort=effort, baseline=baseline)
             except CatalogueError as error:
                 yield Judged(name, protocol, truth, None, str(error))
                 continue
@@ -248,9 +251,10 @@ def main() -> int:
     parser.add_argument("--catalogues", type=Path, required=True, help="folder with one catalogue a machine")
     parser.add_argument("--effort", choices=("fast", "standard", "thorough"), default="standard")
     parser.add_argument("--only", default="", help="recordings with this in their name")
+    parser.add_argument("--before", type=Path, help="folder of recordings of the same machines before")
     parser.add_argument("--keep", type=Path, help="file for truths and answers")
     given = parser.parse_args()
-    found = list(judge(given.recordings, given.catalogues, cast(Effort, given.effort), given.only))
+    found = list(judge(given.recordings, given.catalogues, cast(Effort, given.effort), given.only, given.before))
     head = ("recording", "worn [um]", "else", "verdict", "first three", "clearance [um]", "causes", "p")
     print(table(head, [shown(item) for item in found]))
     print(table(("protocol", "machine", "rule", "seen", "95 %"), figures(found)))

@@ -22,11 +22,12 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1, help="recordings; of growing wear, 16 are a series")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--before", action="store_true", help="of the same machines, before anything was the matter")
     given = parser.parse_args()
     machine = read(given.machine)
     for number in range(1, given.count + 1):
         began = time.perf_counter()
-        name, made = write(machine, given.protocol, number, given.seed, given.out)
+        name, made = write(machine, given.protocol, number, given.seed, given.out, before=given.before)
         print(f"{name}: {f'{time.perf_counter() - began:.1f} s' if made else 'kept'}", flush=True)
 
 

@@ -157,7 +157,18 @@ PROTOCOLS: Mapping[str, Change] = {
 
 def individual_of(filed: Machine, protocol: str, number: int, streams: Stream) -> Individual:
     """The machine of a recording: of growing wear, one machine for a series."""
-    whose = (number - 1) // GROWN if protocol == "growing" else number
-    individual = drawn_individual(filed, streams("individual", whose))
+    individual = drawn_individual(filed, streams("individual", _whose(protocol, number)))
     PROTOCOLS[protocol](individual, number, streams("change", number), streams)
     return individual
+
+
+def individual_before(filed: Machine, protocol: str, number: int, streams: Stream) -> Individual:
+    """The same machine on another day, when nothing was the matter with it yet."""
+    individual = drawn_individual(filed, streams("individual", _whose(protocol, number)))
+    recorded_anew(individual, streams("before", number))
+    return individual
+
+
+def _whose(protocol: str, number: int) -> int:
+    """Number of the machine of a recording."""
+    return (number - 1) // GROWN if protocol == "growing" else number

@@ -13,7 +13,7 @@ import numpy as np
 
 from second_simulator.individual import Individual
 from second_simulator.machine import Array, Machine
-from second_simulator.protocols import individual_of
+from second_simulator.protocols import individual_before, individual_of
 from second_simulator.sensors import FINE_RATE, RATE, decimated, logged, point_accelerations
 from second_simulator.simulation import STEPS, Run, run
 
@@ -59,16 +59,22 @@ def truth_of(individual: Individual, made: Run) -> dict[str, Any]:
     }
 
 
-def write(machine: Machine, protocol: str, number: int, seed: int, folder: Path) -> tuple[str, bool]:
-    """Make one recording where it is not there yet; return its name, and whether it was made."""
+def write(
+    machine: Machine, protocol: str, number: int, seed: int, folder: Path, *, before: bool = False
+) -> tuple[str, bool]:
+    """Make one recording where it is not there yet; return its name, and whether it was made.
+
+    With ``before``, of the same machine when nothing was the matter with it yet.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     name = f"{machine.name}-{protocol}-{number:02d}"
     truth_file, file = folder / "truth.json", folder / f"{name}.npz"
     truths = json.loads(truth_file.read_text()) if truth_file.exists() else {}
     if name in truths and file.exists():
         return name, False
-    individual = individual_of(machine, protocol, number, lambda *parts: stream(seed, machine.name, protocol, *parts))
-    draw = stream(seed, machine.name, protocol, number, "recording")
+    of = individual_before if before else individual_of
+    individual = of(machine, protocol, number, lambda *parts: stream(seed, machine.name, protocol, *parts))
+    draw = stream(seed, machine.name, protocol, number, "before" if before else "recording")
     columns, made = recorded(individual, draw)
     columns = _dropped(columns, individual, draw)
     units = json.dumps({name: "s" if name == "time" else "m/s2" for name in columns})

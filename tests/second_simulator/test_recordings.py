@@ -18,7 +18,7 @@ from second_simulator.individual import Individual, drawn_individual
 from second_simulator.machine import Array, Contact, Sensor
 from second_simulator.machine_file import read
 from second_simulator.orders import order_levels
-from second_simulator.protocols import GROWN, PROTOCOLS, individual_of
+from second_simulator.protocols import GROWN, PROTOCOLS, individual_before, individual_of
 from second_simulator.sensors import FINE_RATE, RATE, Chain, decimated, logged, point_accelerations
 from second_simulator.simulation import run
 
@@ -120,6 +120,18 @@ def test_growing_wear_is_of_one_machine() -> None:
     assert sizes[-1] == pytest.approx(600e-6)
     assert all(low < high for low, high in pairwise(sizes))
     assert len({each.speed for each in series}) == GROWN
+
+
+def test_before_is_the_same_machine_in_order_on_another_day() -> None:
+    now = of("four-bar", "other-cause", 1)
+    before = individual_before(
+        read("four-bar"), "other-cause", 1, lambda *parts: recording.stream(1, "four-bar", "other-cause", *parts)
+    )
+    assert now.causes and not before.causes and not before.worn
+    assert before.clearances == now.clearances
+    assert before.chain.gains == now.chain.gains
+    assert before.machine.contacts == now.machine.contacts
+    assert before.speed != now.speed
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
