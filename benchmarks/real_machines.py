@@ -27,6 +27,7 @@ from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
+from jointplay.catalogue.measurements.measurement import read_measurement
 from jointplay.catalogue.storage.store import Catalogue
 
 
@@ -78,7 +79,7 @@ def judge(folder: Path, catalogues: Path, effort: Effort, only: str, before: Pat
                 continue
             protocol = name.removeprefix(f"{machine}-").rpartition("-")[0]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
-            baseline = None if before is None else read_recording(next(before.rglob(file.name)))
+            baseline = None if before is None else read_measurement(next(before.rglob(file.name)))
             try:
                 answer: Diagnosis = diagnose(read_recording(file), catalogue, effort=effort, baseline=baseline)
             except CatalogueError as error:
