@@ -76,7 +76,7 @@ def _suspension_remarks(machine: Machine) -> Iterator[str]:
             yield f"supports: motion of {machine.frame} in {motion}: over-damped: {what}; is the damping in N s/m?"
             continue
         frequency, ratio = abs(mode) / (2 * math.pi), -mode.real / abs(mode)
-        for order in sorted(_orders(machine)) if speed and ratio < NO_PEAK else ():
+        for order in sorted(strong_orders(machine)) if speed and ratio < NO_PEAK else ():
             if abs(order * speed - frequency) <= max(ratio, LEAST_WIDTH) * frequency:
                 what = (
                     f"in the resonance of {machine.frame} in {motion} at {frequency:.3g} Hz, damping ratio {ratio:.2g}"
@@ -105,7 +105,7 @@ def _modes(suspension: Suspension) -> Iterator[tuple[str, complex]]:
         yield suspension.motions[int(energies.argmax())], complex(modes[k])
 
 
-def _orders(machine: Machine) -> set[float]:
+def strong_orders(machine: Machine) -> set[float]:
     """Orders with which the drive shakes the frame: the main ones, and those that the file gives itself."""
     orders = {*MAIN_ORDERS, *(float(load.order) for load in machine.loads if load.order is not None)}
     orders |= {part.order for support in machine.supports for part in support.motion if part.order is not None}
