@@ -220,7 +220,7 @@ def _solve(
         hits = [answers.get((node, way), {}) for _, way in parts]
         for hit in hits[0]:
             if all(hit in each for each in hits):
-                found[hit] = sum(share * each[hit] for (share, _), each in zip(parts, hits, strict=True))
+                found[hit] = np.sum([share * each[hit] for (share, _), each in zip(parts, hits, strict=True)], axis=0)
     rows = []
     for node, way in found:
         x, y = (a - b for a, b in zip(places[node], centre, strict=True))

@@ -222,7 +222,7 @@ def _read_function(each: DataSet, wrong: Refusal) -> Function:
         raise wrong(each.line + 7, ordinate, f"ordinate data type must be one of {', '.join(map(str, _ORDINATES))}")
     size, parts = _ORDINATES[ordinate]
     rows = _read_rows(each, lines[_HEAD], count, size, parts, bool(even), wrong)
-    x = first + step * np.arange(count) if even else rows[:, 0]
+    x = np.asarray(first + step * np.arange(count) if even else rows[:, 0], dtype=np.float64)
     values = rows[:, -1] if parts == 1 else rows[:, -2] + 1j * rows[:, -1]
     texts = [text.strip() for text in head[:5]]
     return Function(
