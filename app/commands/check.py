@@ -9,6 +9,7 @@ import click
 
 from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import fault_option, json_option, print_json
+from jointplay.app.errors import OutputError
 from jointplay.app.tables import indent, table
 
 if TYPE_CHECKING:
@@ -23,13 +24,25 @@ if TYPE_CHECKING:
 @fault_option
 @click.option("--arrays", is_flag=True, help="Show the arrays that the paper derives from the mechanism matrix.")
 @click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png", help="Draw the machine.")
+@click.option(
+    "--response",
+    type=click.Path(path_type=Path),
+    metavar="FILE.svg|.png|.pdf",
+    help="Draw the frame's frequency response, with the orders of the drive.",
+)
 @json_option
-def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None, as_json: bool) -> None:
+def command(
+    machine: str, fault: str | None, arrays: bool, drawing: Path | None, response: Path | None, as_json: bool
+) -> None:
     """Validate MACHINE (a shipped machine's name, or a file); show what it consists of, and what is implausible."""
     if drawing is not None:
         from jointplay.app.figures.pictures import check_ending
 
         check_ending(drawing)
+    if response is not None:
+        from jointplay.app.figures import plots
+
+        plots.check_ending(response)
     from jointplay.solver.cases.remarks import find_remarks
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
@@ -44,6 +57,10 @@ def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None,
         from jointplay.app.figures.pictures import save_drawing
 
         save_drawing(found, state.joints, drawing)
+    if response is not None:
+        if found.response is None:
+            raise OutputError(f"--response: {found.name}: its file gives no frequency response (response: ...)")
+        plots.save(plots.draw_response(found), response)
     matrix = matrix_of(found, state)
     notes = find_remarks(found, state)
     if as_json:
@@ -52,8 +69,8 @@ def command(machine: str, fault: str | None, arrays: bool, drawing: Path | None,
         click.echo(report(found, state, sizes, matrix, arrays))
         for note in notes:
             click.echo(f"note: {note}")
-        if drawing is not None:
-            click.echo(f"\ndrawn: {drawing}")
+        if drawing or response:
+            click.echo(f"\ndrawn: {', '.join(str(each) for each in (drawing, response) if each)}")
 
 
 def ground_of(machine: Machine) -> list[str]:
@@ -88,6 +105,7 @@ def document(
     drawing: Path | None,
 ) -> dict[str, object]:
     """Return everything as JSON values."""
+    from jointplay.solver.cases.answers import say_band
     from jointplay.solver.machines.matrix import MechanismMatrix
 
     content = {
@@ -111,6 +129,7 @@ def document(
         "added": list(sizes.added),
         "open_reactions": list(sizes.open_reactions),
         "decoupled": sizes.decoupled,
+        "frequency_response": None if machine.response is None else say_band(machine),
         "decoupling": sizes.decoupling and {"inertia_ratio": sizes.decoupling.ratio, "change": sizes.decoupling.change},
         "mechanism_matrix": None,
         "drawing": None if drawing is None else str(drawing),
@@ -126,6 +145,7 @@ def document(
 
 def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatrix | str, arrays: bool) -> str:
     """Return everything as plain text."""
+    from jointplay.solver.cases.answers import say_band
     from jointplay.solver.machines.matrix import MechanismMatrix
 
     size = len(sizes.coordinates) + len(sizes.closures)
@@ -152,6 +172,7 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
             if sizes.open_reactions
             else []
         ),
+        *([f"frequency {say_band(machine)}"] if machine.response else []),
         *([f"{decoupled_of(sizes)}: {sizes.decoupling.say()}"] if sizes.decoupling else []),
         "",
         "mechanism matrix:",

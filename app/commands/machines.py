@@ -19,14 +19,17 @@ if TYPE_CHECKING:
 @click.argument("name", required=False)
 @json_option
 def command(name: str | None, as_json: bool) -> None:
-    """List the machines that ship with the program, or print machine NAME as a file."""
-    from jointplay.solver.machines.machine import shipped_machine, shipped_machine_names, shipped_machine_text
+    """List the machines that ship with the program, or print machine NAME, shipped or a file.
+
+    With --json all that it leaves out is filled in, and a frequency response stands in place of the file that has it.
+    """
+    from jointplay.solver.machines.machine import load_machine, machine_text, shipped_machine, shipped_machine_names
 
     if name is not None:
         if as_json:
-            print_json(json.loads(shipped_machine(name).canonical_json()))
+            print_json(json.loads(load_machine(name).canonical_json()))
         else:
-            click.echo(shipped_machine_text(name), nl=False)
+            click.echo(machine_text(name), nl=False)
         return
     machines = {each: shipped_machine(each) for each in shipped_machine_names()}
     if as_json:

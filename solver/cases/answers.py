@@ -12,6 +12,7 @@ import numpy as np
 
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.steps import Suspension
+from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.response import FrequencyResponse
@@ -130,3 +131,13 @@ def check_band(machine: Machine, sample_rate: float, speed: float) -> None:
     if last < PASS * sample_rate * (1 - 1e-9):
         rule = f"the response of {machine.name} ends at {last:.6g} Hz; take {last / PASS:.6g} Hz or less"
         raise SettingsError(f"sample rate: {sample_rate:.6g} Hz: spectra go to {PASS * sample_rate:.6g} Hz, and {rule}")
+
+
+def say_band(machine: Machine) -> str:
+    """Return where a machine's frequency response is known, and what runs may ask of it, in one clause."""
+    assert machine.response is not None
+    first, last = machine.response.frequency[0], machine.response.frequency[-1]
+    drive = abs(drive_rates(machine, {})[0]) / (2 * math.pi)
+    orders = f", orders {first / drive:.3g} to {last / drive:.4g} of the drive" if drive else ""
+    missing = f", but it does not go down to the drive's {drive:.4g} Hz" if first > drive * (1 + 1e-9) > 0 else ""
+    return f"response known from {first:g} to {last:g} Hz{orders}; sample rates to {last / PASS:.6g} Hz{missing}"

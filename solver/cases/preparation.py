@@ -36,7 +36,7 @@ from jointplay.solver.cases.steps import (
     suspension_of,
     transient_time,
 )
-from jointplay.solver.equations.anchors import fastest_anchor
+from jointplay.solver.equations.anchors import fastest_anchor, row_times
 from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.equations.model import MODELS_KEPT, Model, build_model
 from jointplay.solver.equations.numbers import contact_path
@@ -234,7 +234,12 @@ def prepare(
     if settings.integrator == "adaptive" and settings.method is None:
         part = stiff_part(machine, contacts, mobility, motions.eigenvalues, complete, settings.sample_rate)
         implicit = None if part is None else f"implicit steps (rosenbrock), because of {part}"
+    if implicit is not None:
+        remarks[0] = transient_time(motions.suspension, speed, 0.5 * settings.sample_rate)[1]
     remarks += [implicit or ""]
+    rows = 0 if settings.integrator in ("adaptive", "rosenbrock") else sum(0 < t < duration for t in row_times(machine))
+    if rows:
+        remarks += [f"{settings.integrator} ends no step at rows of tables, {rows} in this run: adaptive does"]
     # Implicit steps are as long as what is slow lets them be.
     resolved, eigenvalues = (contacts, motions.eigenvalues) if implicit is None else ({}, np.zeros(0))
     shaken, shaking = fastest_anchor(machine, speed)

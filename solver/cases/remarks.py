@@ -33,6 +33,11 @@ LEAST_WIDTH = 0.05
 NO_PEAK = math.sin(math.pi / 8)
 #: A motion counts as held by springs above this part of the stiffest, in squares of frequencies: less is rounding.
 _HELD = 1e-12
+#: What implicit steps of `standard` were seen to be off where the motion repeats: docs/measured/solver.md.
+_IMPLICIT = (
+    "steps are implicit: the model stays whole, their error is the tolerance's (less than 0.1 dB of a harmonic, as "
+    "measured where motions repeat); `--method adaptive` keeps explicit ones"
+)
 
 
 def find_remarks(machine: Machine, fault: Fault = HEALTHY) -> list[str]:
@@ -60,7 +65,7 @@ def find_remarks(machine: Machine, fault: Fault = HEALTHY) -> list[str]:
         *_wedging_remarks(felt),
         *restitution_remarks(machine, machine.wearing_joints),
         *film_remarks(machine, machine.turning_joints),
-        *([f"{stiff}: steps are implicit; `--method adaptive` keeps explicit ones"] if stiff else []),
+        *([f"{stiff}: {_IMPLICIT}"] if stiff else []),
     ]
 
 
@@ -76,7 +81,7 @@ def _suspension_remarks(machine: Machine) -> Iterator[str]:
             yield f"supports: motion of {machine.frame} in {motion}: over-damped: {what}; is the damping in N s/m?"
             continue
         frequency, ratio = abs(mode) / (2 * math.pi), -mode.real / abs(mode)
-        for order in sorted(_orders(machine)) if speed and ratio < NO_PEAK else ():
+        for order in sorted(strong_orders(machine)) if speed and ratio < NO_PEAK else ():
             if abs(order * speed - frequency) <= max(ratio, LEAST_WIDTH) * frequency:
                 what = (
                     f"in the resonance of {machine.frame} in {motion} at {frequency:.3g} Hz, damping ratio {ratio:.2g}"
@@ -105,7 +110,7 @@ def _modes(suspension: Suspension) -> Iterator[tuple[str, complex]]:
         yield suspension.motions[int(energies.argmax())], complex(modes[k])
 
 
-def _orders(machine: Machine) -> set[float]:
+def strong_orders(machine: Machine) -> set[float]:
     """Orders with which the drive shakes the frame: the main ones, and those that the file gives itself."""
     orders = {*MAIN_ORDERS, *(float(load.order) for load in machine.loads if load.order is not None)}
     orders |= {part.order for support in machine.supports for part in support.motion if part.order is not None}

@@ -267,7 +267,7 @@ def response(modes: Sequence[complex], speed: float) -> float:
     return max(LEAST_RESPONSE, min(1.0, (speed / lowest) ** 2))
 
 
-def transient_time(modes: Sequence[complex], speed: float) -> tuple[float, str]:
+def transient_time(modes: Sequence[complex], speed: float, passed_over: float = math.inf) -> tuple[float, str]:
     """Time to drop from the start of a run, s, and a remark where the rule does not hold.
 
     Parameters
@@ -276,6 +276,8 @@ def transient_time(modes: Sequence[complex], speed: float) -> tuple[float, str]:
         Suspension modes, 1/s.
     speed : float
         Drive speed, rad/s.
+    passed_over : float
+        Hz; what rings above is passed over by implicit steps, which damp it.
 
     Returns
     -------
@@ -286,10 +288,15 @@ def transient_time(modes: Sequence[complex], speed: float) -> tuple[float, str]:
     undamped = [s for s in modes if -s.real < UNDAMPED * abs(s)]
     rates = [-s.real for s in modes if s not in undamped]
     decay = math.log(1 / RESIDUE) / min(rates) if rates else 0.0
-    remark = ""
-    if undamped:
-        frequencies = ", ".join(f"{abs(s) / (2 * math.pi):.3g}" for s in undamped)
-        remark = f"undamped suspension mode at {frequencies} Hz: its start-up transient stays in the spectra"
+    rings = [abs(s) / (2 * math.pi) for s in undamped]
+    remark = "; ".join(
+        f"undamped suspension mode at {', '.join(f'{each:.3g}' for each in some)} Hz: {what}"
+        for some, what in (
+            ([each for each in rings if each <= passed_over], "its start-up transient stays in the spectra"),
+            ([each for each in rings if each > passed_over], "implicit steps do not follow how it rings, and damp it"),
+        )
+        if some
+    )
     if not speed:
         return decay, remark
     revolution = 2 * math.pi / abs(speed)

@@ -22,7 +22,7 @@ from jointplay.solver.machines.content import MachineContent
 from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.matrix import read_matrix_form
-from jointplay.solver.machines.parts import ForceDrive, Spring, Support, TorqueDrive
+from jointplay.solver.machines.parts import ForceDrive, Sensor, Spring, Support, TorqueDrive
 from jointplay.solver.machines.refusals import first_error
 from jointplay.solver.machines.response import with_response
 from jointplay.solver.machines.yamlfile import read_text, read_tree
@@ -106,7 +106,7 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine", 
     source : str
         What messages call it: a file's name.
     folder : Path, optional
-        Where the table of a frequency response is looked for; without it, a machine has its numbers in it.
+        Where the file of a frequency response is looked for; without it, a machine has its numbers in it.
 
     Returns
     -------
@@ -120,7 +120,12 @@ def parse_machine(content: str | Mapping[str, object], source: str = "machine", 
         For the first thing that is wrong: file, dotted path, value, rule in one line.
     """
     tree = read_tree(content, source) if isinstance(content, str) else dict(content)
-    tree = with_response(tree, source, folder)
+
+    def placed(bare: dict[str, object]) -> tuple[tuple[Sensor, ...], tuple[float, float]]:
+        machine = parse_machine(bare, source)
+        return machine.sensors, machine.links[machine.frame].cg
+
+    tree = with_response(tree, source, folder, placed)
     form = read_matrix_form(tree, source) if "matrix" in tree else None
     if form is not None:
         tree = form.tree
@@ -179,7 +184,20 @@ def load_machine(name_or_path: str | Path) -> Machine:
     names, name = shipped_machine_names(), str(name_or_path)
     if name in names and not Path(name).is_file():
         return shipped_machine(name)
-    return parse_machine(read_text(name, "machine", names), name, Path(name).parent)
+    return parse_machine(machine_text(name), name, Path(name).parent)
+
+
+def machine_text(name: str) -> str:
+    """Text of a shipped machine, or of a machine file by its path; an existing file wins.
+
+    Raises
+    ------
+    MachineError
+        When it is neither, or when the file cannot be read.
+    """
+    names = shipped_machine_names()
+    shipped = name in names and not Path(name).is_file()
+    return shipped_machine_text(name) if shipped else read_text(name, "machine", names)
 
 
 def machine_json_schema() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A measured frequency response of the frame, as it stands in a machine file or in a table beside it.
+"""A measured frequency response of the frame, as it stands in a machine file or in a file beside it.
 
 It says what each sensor answers to a unit force along x and y and to a unit moment, all at the frame's centre of
 gravity, of the frame as it stands: on its supports, with its links. Complex numbers at increasing frequencies; between
@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +22,8 @@ from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.errors import MachineError
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import Marker, Name, QuantityField, RuleError
-from jointplay.solver.machines.parts import Part
+from jointplay.solver.machines.parts import Part, Sensor
+from jointplay.solver.machines.tap_test import is_universal, read_tap_test
 from jointplay.solver.machines.yamlfile import Tree
 
 Quantity: TypeAlias = Literal["accelerance", "mobility", "receptance"]
@@ -94,7 +95,7 @@ class FrequencyResponse(Part):
     """A measured frequency response of the frame, by sensor.
 
     ``quantity``: accelerance [m/s2/N, m/s2/(N m)], mobility [m/s/N ...] or receptance [m/N ...]. ``frequency`` [Hz]. In
-    place of the numbers a file may give ``file``, a table beside it.
+    place of the numbers a file may give ``file``, a table or a universal file beside it.
     """
 
     quantity: Quantity = "accelerance"
@@ -179,7 +180,12 @@ def _quantity(force: str, unit: str) -> Quantity | None:
     return next((name for name, answer in _UNITS.items() if plain == answer + per), None)
 
 
-def with_response(tree: Tree, source: str, folder: Path | None) -> Tree:
+def with_response(
+    tree: Tree,
+    source: str,
+    folder: Path | None,
+    placed: Callable[[Tree], tuple[tuple[Sensor, ...], tuple[float, float]]],
+) -> Tree:
     """The tree of a machine with the numbers of its response in place of the file that has them.
 
     Parameters
@@ -189,15 +195,23 @@ def with_response(tree: Tree, source: str, folder: Path | None) -> Tree:
         Name of the machine file, for messages.
     folder : Path or None
         Where the machine file lies; None where it is no file.
+    placed : callable
+        Tree of a machine without a response -> its sensors, and its frame's centre of gravity.
     """
     given = tree.get("response")
     if not isinstance(given, dict) or "file" not in given:
         return tree
     name = given["file"]
-    if len(given) > 1:
+    if given.keys() - {"file", "nodes"}:
         raise MachineError(source, "response", None, "give either file or the numbers")
     if folder is None:
         raise MachineError(source, "response.file", name, "cannot be found from here: give the numbers in its place")
     if not isinstance(name, str) or not name:
-        raise MachineError(source, "response.file", name, "must be the name of a table beside the machine file")
-    return {**tree, "response": read_response(folder / name, source)}
+        raise MachineError(source, "response.file", name, "must be the name of a file beside the machine file")
+    path = folder / name
+    if not is_universal(path):
+        if "nodes" in given:
+            raise MachineError(source, "response.nodes", None, f"is for universal files, and {name} is none")
+        return {**tree, "response": read_response(path, source)}
+    sensors, centre = placed({key: part for key, part in tree.items() if key != "response"})
+    return {**tree, "response": read_tap_test(path, given.get("nodes"), sensors, centre, source)}

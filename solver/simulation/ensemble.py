@@ -208,8 +208,8 @@ def simulate_ensemble(
     """
     case = case or Case(Fault(machine.clearances))
     ensemble, settings = ensemble or Ensemble(), settings or Settings()
-    if settings.integrator not in ("adaptive", "gill"):
-        raise SettingsError(f"method: {settings.integrator}: several starts are run by adaptive or gill")
+    if settings.integrator not in ("adaptive", "rosenbrock", "gill"):
+        raise SettingsError(f"method: {settings.integrator}: several starts are run by adaptive, rosenbrock or gill")
     reach = reach_of(machine, settings.whole)
     asked, told = case, reach.remark(case)
     case = reach.case(case)

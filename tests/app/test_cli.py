@@ -19,7 +19,7 @@ from extremes.scenes import four_bar
 from jointplay.app.cli import COMMANDS
 from jointplay.app.commands.progress import clock
 from jointplay.catalogue.storage.hdf5 import read_arrays
-from jointplay.solver.machines.machine import parse_machine
+from jointplay.solver.machines.machine import load_machine, parse_machine
 
 
 def unpacked(path: Path) -> dict[str, np.ndarray]:
@@ -91,6 +91,42 @@ def test_machines() -> None:
         machine = parse_machine(invoke("machines", name).stdout, name)
         again = parse_machine(json.loads(invoke("machines", name, "--json").stdout), name)
         assert again.turning_joints == tuple(sorted(machine.turning_joints))
+
+
+def with_response(folder: Path, first: float, last: float) -> Path:
+    """A slider-crank whose bed is as stiff as it is heavy, by a table."""
+    plain = json.loads(invoke("machines", "slider-crank", "--json").stdout)
+    heads = [f"{sensor['name']} {force} {part} [{unit}]" for sensor in plain["sensors"] for part in ("re", "im")
+             for force, unit in (("fx", "m/s2/N"), ("fy", "m/s2/N"), ("moment", "m/s2/(N m)"))]  # fmt: skip
+    rows = [["frequency [Hz]", *heads], *([f"{hertz}", *["0.5"] * len(heads)] for hertz in (first, last))]
+    (folder / "bed.csv").write_text("\n".join(map(",".join, rows)))
+    file = folder / "m.json"
+    file.write_text(json.dumps(plain | {"response": {"file": "bed.csv"}}))
+    return file
+
+
+def test_machines_of_files(tmp_path: Path) -> None:
+    """As they are; and with all in place that a service finds nowhere else."""
+    file = with_response(tmp_path, 5.0, 9000.0)
+    assert invoke("machines", str(file)).stdout == file.read_text()
+    whole = json.loads(invoke("machines", str(file), "--json").stdout)
+    assert whole["response"]["frequency"] == [5.0, 9000.0]
+    assert parse_machine(whole).content_key == load_machine(file).content_key
+
+
+def test_check_says_and_draws_the_band_of_a_response(tmp_path: Path) -> None:
+    file = str(with_response(tmp_path, 5.0, 9000.0))
+    known = "response known from 5 to 9000 Hz, orders 0.5 to 900 of the drive; sample rates to 22500 Hz"
+    assert f"frequency {known}\n" in invoke("check", file).stdout
+    shown = invoke("check", file, "--json", "--response", str(tmp_path / "r.svg"))
+    assert json.loads(shown.stdout)["frequency_response"] == known
+    assert (tmp_path / "r.svg").read_text().rstrip().endswith("</svg>")
+    late = str(with_response(tmp_path, 12.0, 9000.0))
+    shown = invoke("check", late, "--response", str(tmp_path / "r.png"))
+    assert "it does not go down to the drive's 10 Hz" in shown.stdout
+    assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
+    assert_refused(invoke("check", "slider-crank", "--response", "r.png"), 2, "its file gives no frequency response")
+    assert_refused(invoke("check", file, "--response", "r.txt"), 2, "must end in .png, .svg or .pdf")
 
 
 def test_check_shows_the_sizes_of_the_model() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frame_responses import FORCES, LINES, accelerances, harmonics, transform_of, tree_of
 
 from jointplay.catalogue.building.chunk import Chunk, mean_difference_db, simulate_chunk
 from jointplay.catalogue.errors import PlanError
@@ -15,42 +16,11 @@ from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import parse_plan, preset
 from jointplay.catalogue.plans.plan_check import check_plan
 from jointplay.solver.cases.case import Case, Settings
-from jointplay.solver.cases.history import History
-from jointplay.solver.cases.preparation import standing_model
-from jointplay.solver.cases.steps import suspension_of
 from jointplay.solver.errors import MachineError, SettingsError
 from jointplay.solver.machines.machine import Machine, load_machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.ensemble import simulate_ensemble
 from jointplay.solver.simulation.simulate import simulate
 from jointplay.solver.spectra.band_power import band_matrix
-from jointplay.solver.spectra.sensor import sensor_transform
-
-FORCES = ("fx", "fy", "moment")
-LINES = np.arange(2.0, 2001.0, 2.0)
-
-
-def transform_of(machine: Machine) -> Any:
-    sensors, frame = machine.sensors, machine.links[machine.frame]
-    return sensor_transform([sensor.at for sensor in sensors], [sensor.direction for sensor in sensors], frame.cg)
-
-
-def accelerances(machine: Machine, frequency: Any) -> Any:
-    """Of the machine's own mass on its supports, (f, sensors, 3)."""
-    model = standing_model(machine.model_copy(update={"decoupled": True}), (), ())
-    found = suspension_of(model, model.vector({}))
-    s = 2j * np.pi * np.asarray(frequency)[:, None, None]
-    return transform_of(machine) @ np.linalg.inv(found.mass - found.gradients[1] / s - found.gradients[0] / s**2)
-
-
-def tree_of(machine: Machine, frequency: Any, answers: Any, quantity: str = "accelerance") -> dict[str, Any]:
-    sensors = {
-        sensor.name: {
-            force: np.column_stack([answers[:, i, j].real, answers[:, i, j].imag]).tolist()
-            for j, force in enumerate(FORCES)
-        }
-        for i, sensor in enumerate(machine.sensors)
-    }
-    return {"quantity": quantity, "frequency": list(map(float, frequency)), "sensors": sensors}
 
 
 def with_response(machine: Machine, frequency: Any = LINES, quantity: str = "accelerance") -> Machine:
@@ -68,13 +38,6 @@ def write_table(path: Path, machine: Machine, unit: str = "m/s2") -> None:
             columns += [answers[:, i, j].real, answers[:, i, j].imag]
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([heads, *np.column_stack(columns).tolist()])
-
-
-def harmonics(signal: Any, history: History, since: float = 0.0) -> Any:
-    samples = round(2 * np.pi / history.drive_speed * history.sample_rate)
-    steady = signal[history.t >= max(since, history.transient)]
-    revolutions = len(steady) // samples
-    return np.fft.rfft(steady[: revolutions * samples], axis=0)[revolutions::revolutions][: round(0.4 * samples)]
 
 
 @pytest.mark.parametrize("quantity", ["accelerance", "mobility", "receptance"])

@@ -9,9 +9,9 @@ from jointplay.solver.cases.case import METHODS, Case, Settings, Status
 from jointplay.solver.cases.history import History
 from jointplay.solver.errors import SettingsError
 from jointplay.solver.machines.fault import Fault
-from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.machines.machine import parse_machine, shipped_machine
 from jointplay.solver.simulation import methods
-from jointplay.solver.simulation.ensemble import simulate_ensemble
+from jointplay.solver.simulation.ensemble import Ensemble, simulate_ensemble
 from jointplay.solver.simulation.methods import RUNS
 from jointplay.solver.simulation.simulate import simulate, simulate_batch
 
@@ -95,5 +95,24 @@ def test_what_makes_no_sense_is_refused(given: dict[str, object], line: str) -> 
 
 @pytest.mark.parametrize("method", ["full", "gill-variable"])
 def test_several_starts_are_run_by_the_usual_methods(method: str) -> None:
-    with pytest.raises(SettingsError, match=f"method: {method}: several starts are run by adaptive or gill"):
+    with pytest.raises(
+        SettingsError, match=f"method: {method}: several starts are run by adaptive, rosenbrock or gill"
+    ):
         simulate_ensemble(MACHINE, settings=Settings(method=method))  # type: ignore[arg-type]
+
+
+def test_implicit_steps_run_several_starts() -> None:
+    """The strongest orders of an ideal machine, which repeats; measured 1.3e-4 dB."""
+    ensemble = Ensemble(starts=2, converged_db=0.2, most_revolutions=60)
+    levels = [
+        simulate_ensemble(MACHINE, None, ensemble, Settings(method=method, sample_rate=5000.0)).level[:6, 0]
+        for method in ("adaptive", "rosenbrock")
+    ]
+    assert np.abs(20 * np.log10(levels[1] / levels[0])).max() < 1e-3
+
+
+def test_steps_that_do_not_end_at_rows_of_tables_say_so() -> None:
+    load = {"link": MACHINE.frame, "at": [0, 0], "over_time": [[0, 0, 0, 0], [0.01, 5, 0, 0], [9, 5, 0, 0]]}
+    machine = parse_machine(MACHINE.model_dump() | {"loads": [load]})
+    told = [simulate(machine, {}, Settings(method=method, duration=0.05)).message for method in ("gill", "adaptive")]
+    assert "gill ends no step at rows of tables, 1 in this run: adaptive does" in told[0] and "rows" not in told[1]

@@ -202,6 +202,10 @@ def test_an_undamped_suspension_is_said() -> None:
     time, remark = transient_time([complex(0, 62.83), complex(-5, 100)], 4 * math.pi)
     assert "undamped suspension mode at 10 Hz" in remark
     assert time == pytest.approx(1.0)
+    _, remark = transient_time([complex(0, 62.83), complex(0, 6.283e6)], 4 * math.pi, 1e4)
+    stays, damped = remark.split("; ")
+    assert stays == "undamped suspension mode at 10 Hz: its start-up transient stays in the spectra"
+    assert damped == "undamped suspension mode at 1e+06 Hz: implicit steps do not follow how it rings, and damp it"
 
 
 def test_a_slow_machine_is_held_to_what_its_frame_answers() -> None:

@@ -40,13 +40,7 @@ TEXT_ENDINGS = (".csv", ".tsv", ".txt")
 FOREIGN = {
     kind.name: kind
     for kind in (
-        FileKind(
-            "UFF",
-            (".uff", ".unv", ".uf", ".58b"),
-            "jointplay.catalogue.measurements.readers.uff",
-            "read_uff",
-            ("pyuff",),
-        ),
+        FileKind("UFF", (".uff", ".unv", ".uf", ".58b"), "jointplay.catalogue.measurements.readers.uff", "read_uff"),
         FileKind("WAV", (".wav", ".wave"), "jointplay.catalogue.measurements.readers.wav", "read_wav", ("soundfile",)),
         FileKind(
             "MAT",
