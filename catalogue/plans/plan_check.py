@@ -8,7 +8,7 @@ from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import SPEED, DrawCounts
 from jointplay.solver.cases.answers import check_band
 from jointplay.solver.errors import SolverError
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
 
 _ONCE = DrawCounts(healthy=1, single=1, pair=1, larger=1)
@@ -119,6 +119,8 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
     guard = f"; one draw in {plan.guard} again at standard" if plan.guard and plan.accuracy != "standard" else ""
     signal = f"{recipe.sample_rate:g} Hz, {recipe.revolutions:g} revolutions"
     lines.append(f"computed: {plan.accuracy}{guard}; {signal}; seed {plan.seed}")
+    if has_known_effort(machine):
+        lines.append("assumed: each case has one limit cycle; of several, the one that its start leads to is recorded")
     return tuple(lines)
 
 

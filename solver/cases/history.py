@@ -207,6 +207,8 @@ class History:
             return signals[steady], self.sample_rate, abs(self.drive_speed) * float(self.t[steady][0])
         if not self.turning.is_steady:
             raise SettingsError(f"not steady: {self.turning.reason}")
+        if self.period:
+            return signals, self.sample_rate, abs(float(self.turning.angle[0]))
         angle = even_angle(self.t[steady], self.turning.angle[steady])
         even, samples = resample_by_angle(signals[steady], angle)
         return even, samples * abs(self.drive_speed) / (2 * math.pi), abs(float(angle[0]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain
 
@@ -103,6 +104,9 @@ class Prepared:
         Of a machine with a known effort: why it is in no limit cycle, empty where it is; None where that is not known.
     look : int
         Recorded samples after which it is first looked whether the motion repeats.
+    ends : callable or None
+        Of a machine that finds its own speed: from recorded coordinates (r, n) to the ends of its revolutions, in
+        samples, and the drive's angle at the last of them, rad. None where revolutions are known by their time.
     implicit : str or None
         ``None`` where error-controlled steps are explicit; else why they are not, empty where that was asked for.
     """
@@ -129,6 +133,7 @@ class Prepared:
     before: float = 0.0
     unsteady: str | None = None
     look: int = NEVER
+    ends: Callable[[FloatArray], tuple[FloatArray, float]] | None = None
     implicit: str | None = None
 
 

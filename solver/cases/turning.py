@@ -21,6 +21,9 @@ _ERRORS, _KNOWN = 2.0, 5e-3
 #: A mean speed that changed by less than this part from third to third has come to rest, whatever the ratio; one that
 #: changed by more than this has not, whatever it promises.
 _NOTHING, _MOVING = 1e-5, 1e-2
+#: Where revolutions are to repeat, their mean speed may be off by this part: recordings know theirs no better. It is
+#: the last thing to come to rest, and what it moves in the spectrum with it.
+_KEPT = 1e-4
 #: Least revolutions to judge by: three windows of three.
 LEAST_REVOLUTIONS = 9
 #: The frame comes back if it does within this part of its range: what its suspension's transient leaves is half of it.
@@ -168,25 +171,50 @@ def why_unsteady(sections: FloatArray) -> str:
         return f"{len(speeds)} whole revolutions, too few to judge by: {LEAST_REVOLUTIONS} are the least"
     count = len(speeds) // 3
     thirds = speeds[-3 * count :].reshape(3, count)
-    first, second = np.diff(thirds.mean(axis=1))
-    last = thirds[2].mean()
+    means = thirds.mean(axis=1)
+    (first, second), last = np.diff(means), means[2]
     at = np.arange(count) - 0.5 * (count - 1)
     slopes = thirds @ at / max(float(at @ at), 1.0)
     rest = thirds - thirds.mean(axis=1, keepdims=True) - slopes[:, None] * at
     # Mean and slope of each third are taken out of its revolutions: two of them less to tell the scatter by.
     error = _ERRORS * float(np.sqrt(np.sum(rest**2) / (3 * (count - 2)))) / math.sqrt(count)
-    change = max(abs(first), abs(second))
-    swings = first * second < 0 and change <= STEADY * last  # what runs up or down does not come back
-    if swings or change <= _NOTHING * last or change <= error <= _KNOWN * last:
-        return ""
-    ratio = abs(second) / abs(first) if first else math.inf
-    yet = abs(second) * ratio / (1 - ratio) if ratio < 1 else math.inf
-    if yet <= STEADY * last and abs(second) <= _MOVING * last:
+    yet = _yet(first, second, last)
+    comes_to_rest = yet <= STEADY * last and abs(second) <= _MOVING * last
+    if comes_to_rest or max(abs(first), abs(second)) <= error <= _KNOWN * last:
         return ""
     now = f"the mean speed is {last * 30 / math.pi:.4g} rpm"
     if yet == math.inf:
         return f"{now} and changes by {100 * abs(second) / last:.2g} % in {count} revolutions, no less than before"
     return f"{now} and will change by {100 * yet / last:.2g} % or more yet"
+
+
+def _yet(first: float, second: float, last: float) -> float:
+    """What a mean speed will change yet, by two successive changes of it up to the last; infinite where they tell not.
+
+    It is 0 where they are next to nothing.
+    """
+    change = max(abs(first), abs(second))
+    swings = first * second < 0 and change <= STEADY * last  # what runs up or down does not come back
+    if swings or change <= _NOTHING * last:
+        return 0.0
+    ratio = abs(second) / abs(first) if first else math.inf
+    return abs(second) * ratio / (1 - ratio) if ratio < 1 else math.inf
+
+
+def keeps_speed(sections: FloatArray, period: int) -> bool:
+    """Whether the mean speed of the last two periods is the one that stays.
+
+    Parameters
+    ----------
+    sections : (k,) array
+        Ends of revolutions, in any unit of time.
+    period : int
+        Revolutions of a period; `k` is greater than this by three at least, and than twice this.
+    """
+    before, then, now = (float(speed) for speed in period / (sections[period:] - sections[:-period])[-3:])
+    mean = 2 * period / float(sections[-1] - sections[-1 - 2 * period])
+    yet = _yet(then - before, now - then, now) + abs(now - mean)
+    return yet <= _KEPT * now and abs(now - then) <= _MOVING * now
 
 
 def turning_of(

@@ -35,7 +35,7 @@ from jointplay.solver.integrators.lanes import (
 )
 from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.simulation.jamming import failure_remark, hold_remark, jam_message
-from jointplay.solver.simulation.repeating import Repetition, fold
+from jointplay.solver.simulation.repeating import Period, Repetition
 from jointplay.solver.spectra import sampling
 
 #: Recorded samples per sample asked for; at least 2 so that nothing folds below 0.4 of the sample rate.
@@ -72,7 +72,11 @@ class Run:
         Time of the first velocity, s.
     period : int
         Revolutions after which the motion repeats, where it was ended for that; else 0. Of such a run `v` is one
-        period, (r, samples), plain.
+        period, (r, samples), plain, at :data:`OVERSAMPLING` times the sample rate of `case`.
+    ends : (k,) array or None
+        Of the revolutions of which that is, s; None where their time is prescribed.
+    angle : float
+        Of the drive at these, rad.
     """
 
     case: Prepared
@@ -88,6 +92,8 @@ class Run:
     seconds: float
     begin: float
     period: int = 0
+    ends: FloatArray | None = None
+    angle: float = 0.0
 
 
 def samples_of(case: Prepared) -> int:
@@ -168,7 +174,7 @@ def _controlled_runs(
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
         adaptive.integrate(kernel.functions, work, rows, queue, records, lanes)
-        _look(lanes, queue, records, repeating)
+        _look(lanes, queue, records, len(model.frame_coordinates), repeating)
         ended = lanes.ended[: lanes.cursor[ENDED]].copy()
         lanes.cursor[ENDED] = 0
         spent += time.process_time() - began
@@ -176,32 +182,32 @@ def _controlled_runs(
         for index, slot in ended:
             run = _run(model, waiting[index], queue, int(index), records, int(slot), took)
             repeated = repeating[index]
-            yield run if repeated is None or not repeated.period else _one_period(run, repeated)
+            yield run if repeated is None or repeated.found is None else _one_period(run, repeated.found)
             lanes.free[lanes.cursor[FREE]] = slot
             lanes.cursor[FREE] += 1
         if len(ended):
             spent = 0.0
 
 
-def _one_period(run: Run, repeated: Repetition) -> Run:
+def _one_period(run: Run, found: Period) -> Run:
     """The last period of a run that repeats."""
-    length = repeated.period * repeated.samples
-    end = run.samples // repeated.samples * repeated.samples
-    velocity = fold(run.v[:, :, sampling.head(OVERSAMPLING) :], end, length)
-    begin = run.begin + (end - 2 * length) / (run.case.sample_rate * OVERSAMPLING)
-    return replace(run, v=velocity, samples=length, begin=begin, period=repeated.period)
+    return replace(
+        run, case=replace(run.case, sample_rate=found.rate), z=None, v=found.velocity, a=None, memory=None,
+        samples=found.velocity.shape[1], begin=run.begin + found.begin, period=found.revolutions,
+        ends=None if found.ends is None else run.begin + found.ends, angle=found.angle,
+    )  # fmt: skip
 
 
-def _look(lanes: Lanes, queue: Queue, records: Records, repeating: list[Repetition | None]) -> None:
-    """End the cases whose last revolutions repeat; look at the others again after another revolution."""
+def _look(lanes: Lanes, queue: Queue, records: Records, frame: int, repeating: list[Repetition | None]) -> None:
+    """End the cases whose frame, the first coordinates, repeats; look at the others again after another revolution."""
     for lane in lanes.lanes:
         index, done = int(lane["case"]), int(lane["sample"])
         repeated = repeating[index] if index >= 0 else None
         if repeated is None or done < queue.cases["look"][index]:
             continue
-        first = records.head
-        velocity = records.velocities[int(lane["slot"])][:, :, first : first + -(-done // OVERSAMPLING)]
-        if repeated.look(velocity, done):
+        first, slot, count = records.head, int(lane["slot"]), -(-done // OVERSAMPLING)
+        motion = records.coordinates[slot][:, :count] if slot < len(records.coordinates) else None
+        if repeated.look(records.velocities[slot][:frame, :, first : first + count], done, motion):
             queue.cases["samples"][index] = done
         queue.cases["look"][index] = repeated.next_look(done)
 

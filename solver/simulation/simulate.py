@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -236,8 +237,6 @@ def simulate_batch(
     reach, asked = reach_of(machine, settings.whole or settings.links), cases
     cases = [reach.case(case) for case in asked]
     machine, told = decouple(reach.machine, settings, cases)
-    if has_known_effort(machine):
-        settings = replace(settings, repeating=False)  # how it turns is judged by its motion
     results: dict[int, History] = {}
     for group in groups(machine, cases, settings, accuracies):
         model = group.model
@@ -260,25 +259,49 @@ def simulate_batch(
             recorded = list(range(model.size))
         elif driver is not None:
             recorded += [i for i in driver.coordinates if i not in recorded]
+        watched = partial(_watched, machine, cases, settings, driver, recorded)
+        keep = partial(_keep, results, progress, asked, model, recorded, settings, driver)
+        kernel = (machine, model, group.varying)
         if driver is not None and settings.duration is None:
             if settings.settled:
                 healthy = [_healthy(cases[case.index]) for case in free]
                 free = start_turning(machine, model, driver, free, healthy, settings, runs)
-            free = reach_limit_cycle(machine, model, group.varying, driver, recorded, free, settings, runs)
+            for reached in reach_limit_cycle(*kernel, driver, recorded, free, settings, runs, watched):
+                if isinstance(reached, Run):
+                    keep(reached)
+                else:
+                    ready.append(reached)
         elif settings.settled and driver is None:
-            free = settle(machine, model, cases, free, settings, runs)
-        ready += free
-        if settings.repeating:
-            ready = [watch(case) if _has_period(machine, cases[case.index], case) else case for case in ready]
+            ready += settle(machine, model, cases, free, settings, runs)
+        else:
+            ready += free
         if not ready:
             continue
-        full = settings if driver is None else replace(settings, motion=True)  # the driver's angle is part of it
-        for run in runs(machine, model, group.varying, ready, recorded, full):
-            index = run.case.index
-            results[index] = _history(asked[index], model, run, recorded, settings, driver)
-            if progress is not None:
-                progress(len(results))
+        # The driver's angle is part of the motion.
+        full = settings if driver is None else replace(settings, motion=True, repeating=False)
+        for run in runs(*kernel, [watched(case) for case in ready], recorded, full):
+            keep(run)
     return [results[index] for index in range(len(cases))]
+
+
+def _watched(
+    machine: Machine, cases: Sequence[Case], settings: Settings, driver: Driver | None, recorded: Sequence[int],
+    case: Prepared,
+) -> Prepared:  # fmt: skip
+    """Have it looked whether a case repeats, if that is asked for and it can."""
+    if not settings.repeating or case.unsteady or not _has_period(machine, cases[case.index], case):
+        return case
+    return watch(case if driver is None else replace(case, ends=partial(driver.ends, recorded, case.vector)))
+
+
+def _keep(
+    results: dict[int, History], progress: Callable[[int], None] | None, asked: Sequence[Case], model: Model,
+    recorded: list[int], settings: Settings, driver: Driver | None, run: Run,
+) -> None:  # fmt: skip
+    """Add the history of a run to the results."""
+    results[run.case.index] = _history(asked[run.case.index], model, run, recorded, settings, driver)
+    if progress is not None:
+        progress(len(results))
 
 
 def _fail(case: Case, status: Status, message: str, settings: Settings) -> History:
@@ -348,10 +371,11 @@ def _history(
     t = run.begin + np.arange(first, count) / rate
     rates = None if run.z is None else run.v[:, 0, head:]
     moved = (frame(run.z), frame(rates), frame(run.a))
+    transient = run.begin if run.period else run.case.before + run.case.transient
     turning, remarks = None, [run.message]
     if driver is not None:
         turning = turning_in(run, driver, recorded, slice(first, count), t, *(part[:, :3] for part in moved[:2]))
-        remarks.append(turning.say(run.case.before))
+        remarks.append(turning.say(run.case.before or transient))
         if model.machine.response is not None and turning.is_steady:  # what it turns at is known from here on
             check_band(model.machine, rate, turning.speed)
     remarks.append(run.case.remark if run.status is Status.OK else "")
@@ -366,8 +390,7 @@ def _history(
     modes = Bending(*(motion[:, 3:] for motion in (*moved, smooth.T))) if len(indices) > 3 else None
     speed = run.case.speed if turning is None else turning.speed * turning.is_steady
     return History(
-        case, run.status, message, t, z, v, a, band_limited, rate,
-        run.case.before + (run.begin if run.period else run.case.transient), speed, run.step,
+        case, run.status, message, t, z, v, a, band_limited, rate, transient, speed, run.step,
         run.case.spent + run.seconds, links, _end(run), turning, run.period, modes,
         None if model.machine.response is None else suspension_of(model, run.case.vector),
     )  # fmt: skip

@@ -55,7 +55,7 @@ def start_turning(
     if not (model.clearance_joints and driver.rotates):
         return list(ready)
     given = list(ready)
-    short = replace(settings, revolutions=_REVOLUTIONS, motion=True, links=False, settled=False)
+    short = replace(settings, revolutions=_REVOLUTIONS, motion=True, links=False, settled=False, repeating=False)
     for group in groups(machine, ideal, short, [case.accuracy for case in ready]):
         for place, error in group.failed:
             given[place] = _as_drawn(given[place], str(error))
@@ -64,11 +64,14 @@ def start_turning(
             continue
         recorded += [i for i in own.coordinates if i not in recorded]
         kernel = (machine, group.model, group.varying)
-        reached = reach_limit_cycle(*kernel, own, recorded, group.ready, short, runs)
-        for case in reached:
+        steady = []
+        for case in reach_limit_cycle(*kernel, own, recorded, group.ready, short, runs):
+            assert isinstance(case, Prepared)  # none of them starts near its limit cycle
             if case.unsteady:
                 given[case.index] = _as_drawn(given[case.index], case.unsteady)
-        for run in runs(*kernel, [case for case in reached if not case.unsteady], recorded, short):
+            else:
+                steady.append(case)
+        for run in runs(*kernel, steady, recorded, short):
             given[run.case.index] = _started(model, driver, given[run.case.index], own, run, recorded, settings)
     return given
 
@@ -87,7 +90,7 @@ def _started(
         return _as_drawn(case, f"{run.status}: {run.message}")
     assert run.z is not None
     rate = run.case.sample_rate
-    position = own.position(run, recorded)
+    position = own.position(recorded, run.z, run.case.vector)
     samples = np.arange(len(position), dtype=np.float64)
     last = float(cycles(samples, position - driver.at(case.z, case.vector), rotates=True)[0][-1])
     velocities = run.v[:, 0, sampling.head(OVERSAMPLING) :]

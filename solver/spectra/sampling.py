@@ -21,6 +21,10 @@ from jointplay.solver.compiler.native import compiled
 #: Pass band ends, and stop band begins, at these parts of the sample rate: what folds lands above PASS.
 PASS, STOP = 0.4, 0.6
 _ATTENUATION_DB = 90.0
+#: What a polynomial through the samples around a place is made of: binomial coefficients with changing signs, and the
+#: first of the samples.
+_NODES = np.array([1.0, -7.0, 21.0, -35.0, 35.0, -21.0, 7.0, -1.0])
+_FIRST_NODE = -3
 #: Results computed together: they, and the values they need, stay in the first cache.
 _BLOCK = 1024
 
@@ -158,3 +162,51 @@ def _decimate(velocity: FloatArray, weights: FloatArray, offset: int, room: Floa
                 a = offset + i
                 _add(weights[i], velocity[row, a % step, start + a // step : start + a // step + size], sums)
             out[row, start : start + size] = sums
+
+
+def interpolate(values: FloatArray, at: FloatArray) -> FloatArray:
+    """Values (c, n) between their samples, by polynomials through eight of them.
+
+    Up to a tenth of the rate of the values they are 1e-5 off, and 0.5 % (0.04 dB) at a fifth.
+
+    Parameters
+    ----------
+    values : (c, n) array
+        n >= 8.
+    at : (m,) array
+        In samples. Beyond the middle of the first or last eight their polynomial holds.
+
+    Returns
+    -------
+    (c, m) array
+
+    Notes
+    -----
+    Lagrange's polynomials in barycentric form: J.-P. Berrut and L. N. Trefethen, SIAM Review 46 (2004) 501.
+    """
+    out = np.empty((len(values), at.size))
+    _interpolate(np.ascontiguousarray(values), at, out)
+    return out
+
+
+@compiled
+def _interpolate(values: FloatArray, at: FloatArray, out: FloatArray) -> None:
+    weights = np.empty(_NODES.size)
+    for k in range(at.size):
+        first = min(max(int(np.floor(at[k])) + _FIRST_NODE, 0), values.shape[1] - weights.size)
+        total, hit = 0.0, -1
+        for node in range(weights.size):
+            away = at[k] - (first + node)
+            if away == 0.0:
+                hit = node
+            else:
+                weights[node] = _NODES[node] / away
+                total += weights[node]
+        for row in range(out.shape[0]):
+            if hit >= 0:
+                out[row, k] = values[row, first + hit]
+                continue
+            found = 0.0
+            for node in range(weights.size):
+                found += weights[node] * values[row, first + node]
+            out[row, k] = found / total

@@ -101,6 +101,74 @@ def test_a_suspension_of_which_nothing_is_left_after_a_revolution_is_no_hindranc
     assert seen(wave(turns(3)), prepared(decay=1e5)) == 1
 
 
+def motor(ends: FloatArray, count: int) -> Repetition:
+    """Of a case that is meant to turn 10 times a second, whose revolutions end at `ends` (s), of `count` results."""
+    case = replace(prepared(), sample_rate=RATE, look=NEVER, ends=lambda _: (ends * RATE, 0.3))
+    repeated = Repetition(watch(case))
+    angle = np.interp(np.arange(2 * count) / (2 * RATE), ends, np.arange(len(ends)))
+    repeated.look(phases(wave(angle)[None], 2)[:, :, -count:], 2 * count, np.zeros((1, count)))
+    return repeated
+
+
+def test_a_motors_revolutions_are_known_by_their_ends() -> None:
+    """10.3 a second, no whole number of samples in any of them; the period is what one of them holds."""
+    time = 1 / 10.3
+    found = motor(0.01 + time * np.arange(5), 2000).found
+    assert found is not None and found.ends is not None
+    assert found.revolutions == 1 and found.angle == 0.3
+    assert found.begin == pytest.approx(0.01 + 2 * time)
+    samples = found.velocity.shape[1] // 2
+    assert found.rate == pytest.approx(samples / time) and RATE <= found.rate < 1.04 * RATE
+    # Lines of the plain wave, but for a polynomial through eight samples: seen 1e-6 up to a twentieth of their rate.
+    lines = np.fft.rfft(found.velocity[0])[1:40] / samples
+    orders = np.arange(1, 40)
+    np.testing.assert_allclose(lines, np.exp(1j * (orders**2 - 0.5 * np.pi)) / orders, rtol=1e-4)
+
+
+def test_a_motors_cycle_may_take_two_revolutions() -> None:
+    """Of unequal length: neither of them keeps the speed of the other, both together do."""
+    found = motor(np.cumsum([0.01, *(0.1, 0.102) * 3]), 2500).found
+    assert found is not None and found.revolutions == 2
+    nearly = motor(np.cumsum([0.01, *(0.1, 0.10001) * 3]), 2500).found
+    assert nearly is not None and nearly.revolutions == 1
+
+
+@pytest.mark.parametrize("growth", [1e-3, -1e-3])
+def test_a_motor_that_still_runs_up_or_down_is_not_at_its_end(growth: float) -> None:
+    """Over each revolution the motion is the same; it takes another thousandth of its time each."""
+    times = 0.1 * (1 + growth * np.arange(6))
+    assert motor(np.cumsum([0.01, *times]), 2600).found is None
+    settling = 0.1 * (1 + growth * 0.1 ** np.arange(6))
+    assert motor(np.cumsum([0.01, *settling]), 2600).found is not None
+
+
+def pushed() -> Machine:
+    """A slider that is pushed the way it goes, a flywheel, a crank that resists."""
+    content = machine().model_dump(mode="json")
+    guide = next(name for name, joint in content["joints"].items() if joint["kind"] == "sliding")
+    content["drive"] = {"kind": "force", "joint": guide, "curve": [[-1, -40], [1, 40]]}
+    crank = content["joints"]["O"]["links"][0]
+    content["links"][crank]["inertia"] += 0.02
+    content["joints"]["O"]["viscous"] = 0.05
+    content["initial"] = {"velocities": {crank: {"omega": 20.0}}}
+    return parse_machine(json.dumps(content), "pushed")
+
+
+def test_a_force_drive_ends_as_well() -> None:
+    short, long = (
+        simulate_batch(pushed(), [Case(Fault({"B": 1e-4}))], replace(settings, revolutions=16.01))[0]
+        for settings in (LOOKING, LONG)
+    )
+    assert short.turning is not None and short.turning.is_steady
+    assert short.period == 1 and long.period == 0
+    assert short.drive_speed == pytest.approx(long.drive_speed, rel=2e-4)
+    signal, rate, angle = long.by_revolutions(long.band_limited_acceleration)
+    scheme = BandScheme.for_drive(long.drive_speed, 0.4 * RATE, 20, 3)
+    power = 10 * np.log10(band_matrix(signal, rate, long.drive_speed, scheme, angle=angle).auto_power)
+    counts = power > power.max(axis=0) - 60
+    assert np.abs(levels(short) - power)[counts].mean() < 0.15
+
+
 def test_a_fold_leaves_what_repeats_and_differentiates_exactly() -> None:
     turn = turns(4)
     velocity = np.cos(2 * np.pi * 7 * turn + 0.3)
