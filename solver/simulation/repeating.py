@@ -71,6 +71,8 @@ class Repetition:
         # A swing that leaves the part q of itself after a revolution will change q / (1 - q) of its last change yet.
         left = math.exp(max(mode.real for mode in case.suspension) * self._time)
         self._agreement = AGREEMENT * (1.0 - left) / max(left, 1.0 - left)
+        #: Lines that the last look found, by period and end: the next one compares with them.
+        self._seen: dict[tuple[int, int], ComplexArray] = {}
 
     def look(self, velocity: FloatArray, samples: int) -> bool:
         """Whether the last ones of a case's samples repeat; `period` then says how often.
@@ -84,14 +86,18 @@ class Repetition:
         """
         revolutions = samples // self.samples
         end = revolutions * self.samples
+        seen, self._seen = self._seen, {}
         for period in PERIODS:
             length, count = period * self.samples, period * self._lines
             if revolutions <= 2 * period or _shaken(velocity, end, length) > HOPELESS:
                 continue
-            lines, before = (_amplitudes(fold(velocity, last, length), count) for last in (end, end - self.samples))
+            lines, before = (
+                seen[period, last] if (period, last) in seen else _amplitudes(fold(velocity, last, length), count)
+                for last in (end, end - self.samples)
+            )
+            self._seen[period, end] = lines
             # Seen from a revolution later, the same motion has turned on.
-            before *= _turn(period, count)
-            if _difference(lines, before, period) <= self._agreement:
+            if _difference(lines, before * _turn(period, count), period) <= self._agreement:
                 self.period = period
                 return True
         return False
