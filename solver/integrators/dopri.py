@@ -20,7 +20,7 @@ from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import SAFETY
 
 _NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
-_STAGES = (
+_STAGES: tuple[tuple[float, ...], ...] = (
     (),
     (1 / 5,),
     (3 / 40, 9 / 40),
