@@ -165,10 +165,11 @@ def _simulate(chunk: Chunk, guarded: Sequence[int]) -> list[CaseOutcome]:
     )
     cases = [Case(entry.fault, entry.parameters) for entry in entries]
     histories = simulate_batch(machine, cases, settings, accuracies=accuracies)
-    return [_outcome(machine, history, recipe) for history in histories]
+    cuts = recipe.scheme.third_octave_groups(FEATURE_ORDERS)
+    return [_outcome(machine, history, recipe, cuts) for history in histories]
 
 
-def _outcome(machine: Machine, history: History, recipe: Recipe) -> CaseOutcome:
+def _outcome(machine: Machine, history: History, recipe: Recipe, cuts: Sequence[int]) -> CaseOutcome:
     message = " ".join(history.message.split())
 
     def failed(status: str, message: str) -> CaseOutcome:
@@ -189,7 +190,7 @@ def _outcome(machine: Machine, history: History, recipe: Recipe) -> CaseOutcome:
         rate,
         history.drive_speed,
         recipe.scheme,
-        cuts=recipe.scheme.third_octave_groups(FEATURE_ORDERS),
+        cuts=cuts,
         angle=angle,
         period=history.period,
     )

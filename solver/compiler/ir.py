@@ -1,7 +1,8 @@
 """Straight-line vector code in LLVM's assembly language.
 
-Every value is a row of lanes, ``<8 x double>``: the vectorisation is written down, not left to a compiler's heuristics,
-and the two halves that an AVX2 machine needs are interleaved, which hides the latency of divisions and roots.
+Every value is a row of lanes, ``<8 x double>``: the vectorisation is written down, not left to a compiler's heuristics.
+In which order a processor computes them, and how many lanes at a time, is decided when it is compiled
+(:mod:`jointplay.solver.compiler.arrange`).
 """
 
 from __future__ import annotations

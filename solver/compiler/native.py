@@ -22,6 +22,8 @@ import platformdirs
 from numba import njit
 from numba.core import config
 
+from jointplay.solver.compiler.arrange import VERSION as ARRANGEMENT
+from jointplay.solver.compiler.arrange import arrange
 from jointplay.solver.errors import SettingsError
 
 _DIGEST = hashlib.sha256().digest_size
@@ -56,15 +58,16 @@ def _target_machine() -> llvm.TargetMachine:
 
 def content_key(text: str) -> str:
     """SHA-256 over the code, the processor it is compiled for and the compiler."""
-    parts = (text, *processor(), llvmlite.__version__, str(llvm.llvm_version_info))
+    parts = (text, *processor(), str(ARRANGEMENT), llvmlite.__version__, str(llvm.llvm_version_info))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def _compile(text: str) -> bytes:
-    module = llvm.parse_assembly(text)
-    module.verify()
     machine = _target_machine()
-    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    module = llvm.parse_assembly(arrange(text, processor()[1]))
+    module.verify()
+    # Straight-line code gains nothing by more.
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
     builder.getModulePassManager().run(module, builder)
     return bytes(machine.emit_object(module))
 

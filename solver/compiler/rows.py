@@ -45,7 +45,6 @@ class WorkRows(NamedTuple, Generic[Each]):
     slopes, last_slopes
         Accelerations of the stages, n rows each; the first are those at the start of the step, the last those at its
         end.
-    stage_velocities
         Velocities of the stages between, n rows each.
     pull, stage_pulls
         What pulls at bristles in parts of their strength (:mod:`jointplay.solver.equations.friction`), k rows: at the
@@ -89,7 +88,6 @@ class WorkRows(NamedTuple, Generic[Each]):
     root: Each
     slopes: Each
     last_slopes: Each
-    stage_velocities: Each
     pull: Each
     stage_pulls: Each
     kept_bristles: Each

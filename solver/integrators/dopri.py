@@ -10,6 +10,7 @@ and the driver (:mod:`jointplay.solver.integrators.adaptive`) looks for the swit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from jointplay.solver.compiler.ir import Block
@@ -19,7 +20,7 @@ from jointplay.solver.equations.model import Model
 from jointplay.solver.integrators.control import SAFETY
 
 _NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
-_STAGES = (
+_STAGES: tuple[tuple[float, ...], ...] = (
     (),
     (1 / 5,),
     (3 / 40, 9 / 40),
@@ -34,6 +35,19 @@ _DENSE = (
     701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
 )  # fmt: skip
 _COUNT = len(_STAGES)
+#: What is left of sums of coefficients that are nothing.
+_ROUNDING = 1e-15
+
+
+def _twice(weights: Sequence[float]) -> tuple[float, ...]:
+    """What a sum of the stages' velocities weighs their accelerations with: velocities are sums of those."""
+    sums = (
+        math.fsum(weight * _STAGES[stage][j] for stage, weight in enumerate(weights) if j < len(_STAGES[stage]))
+        for j in range(_COUNT - 1)
+    )
+    return tuple(total if abs(total) > _ROUNDING else 0.0 for total in sums)
+
+
 #: Least error that step sizes are taken from.
 _LEAST_ERROR = 1e-10
 #: Least 16th root of an error, of 1e-4: after a step that could not be longer the next but one is not to be too short.
@@ -50,7 +64,7 @@ def adaptive_rows(model: Model, recorded: int) -> WorkRows[range]:
         touching=contacts, switch=contacts, penetration=contacts, approach=contacts, begun=3 * contacts,
         suspect=1, taken=1, error=1, growth=1, size=1, pace=1, strictness=1, root=1,
         stage_pulls=(_COUNT - 1) * bristles,
-        slopes=(_COUNT - 1) * n, last_slopes=n, stage_velocities=(_COUNT - 2) * n, dense=2 * DENSE_ROWS * recorded,
+        slopes=(_COUNT - 1) * n, last_slopes=n, dense=2 * DENSE_ROWS * recorded,
     )  # fmt: skip
 
 
@@ -108,9 +122,8 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
     n = len(z)
     block = Block()
     h, t = block.load(rows.step[0]), block.load(rows.time[0])
+    square = block.mul(h, h)
     slopes = [*(rows.slopes[n * i : n * (i + 1)] for i in range(_COUNT - 1)), rows.last_slopes]
-    between = [rows.stage_velocities[n * i : n * (i + 1)] for i in range(_COUNT - 2)]
-    speeds = [kept[n:], *between, v]
     for i in range(n):
         block.store(kept[i], block.load(z[i]))
         block.store(kept[n + i], block.load(v[i]))
@@ -118,19 +131,19 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
     for k in range(sticking):
         block.store(rows.kept_bristles[k], block.load(rows.bristles[k]))
     for stage in range(1, _COUNT):
-        weights = _STAGES[stage]
+        weights, twice = _STAGES[stage], _twice(_STAGES[stage])
         for k in range(sticking):
             pull = combination(block, weights, [block.load(rows.stage_pulls[sticking * j + k]) for j in range(stage)])
             rate = deflection_rate(block, block.load(rows.slips[k]), pull)
             block.store(rows.bristles[k], block.fma(h, rate, block.load(rows.kept_bristles[k])))
+        along = block.mul(block.constant(_NODES[stage]), h)
         for i in range(n):
-            rate = combination(block, weights, [block.load(slopes[j][i]) for j in range(stage)])
-            travel = combination(block, weights, [block.load(speeds[j][i]) for j in range(stage)])
-            speed = block.fma(h, rate, block.load(kept[n + i]))
-            block.store(z[i], block.fma(h, travel, block.load(kept[i])))
-            block.store(v[i], speed)
-            if stage < _COUNT - 1:
-                block.store(speeds[stage][i], speed)
+            before, values = block.load(kept[n + i]), [block.load(slopes[j][i]) for j in range(stage)]
+            block.store(v[i], block.fma(h, combination(block, weights, values), before))
+            travel = block.fma(along, before, block.load(kept[i]))
+            if stage > 1:
+                travel = block.fma(square, combination(block, twice[:stage], values), travel)
+            block.store(z[i], travel)
         block.store(rows.time[0], block.fma(block.constant(_NODES[stage]), h, t))
         block.invoke("held")
         for i in range(n):
@@ -138,25 +151,26 @@ def dopri_step(rows: WorkRows[range], recorded: Sequence[int], scales: Sequence[
         if stage < _COUNT - 1:  # those at the end are taken where they are
             for k in range(sticking):
                 block.store(rows.stage_pulls[sticking * stage + k], block.load(rows.pull[k]))
-    largest = []
-    for stages in (speeds, slopes):
-        found = block.constant(0.0)
-        for i in range(n):
-            error = combination(block, _ERROR, [block.load(stages[j][i]) for j in range(_COUNT)])
+    largest = [block.constant(0.0)] * 2
+    for i in range(n):
+        values = [block.load(slopes[j][i]) for j in range(_COUNT)]
+        for k, weights in enumerate((_twice(_ERROR), _ERROR)):
+            error = combination(block, weights, values[: len(weights)])
             scaled = block.mul(block.call("fabs", error), block.constant(1 / scales[i]))
-            found = block.call("maxnum", found, scaled)
-        largest.append(found)
-    error = block.call("maxnum", largest[0], block.mul(largest[1], block.load(rows.pace[0])))
+            largest[k] = block.call("maxnum", largest[k], scaled)
+    error = block.call("maxnum", block.mul(largest[0], h), block.mul(largest[1], block.load(rows.pace[0])))
     error = block.mul(block.mul(error, h), block.load(rows.strictness[0]))
     leave_error(block, rows, error)
     dense = iter(rows.dense)
-    for k, (stages, ends) in enumerate(((speeds, z), (slopes, v))):
+    for first, ends, begin, end, scale, weights in (
+        (kept[:n], z, kept[n:], v, square, _twice(_DENSE)), (kept[n:], v, slopes[0], slopes[-1], h, _DENSE),
+    ):  # fmt: skip
         for i in recorded:
-            values = [block.load(stages[j][i]) for j in range(_COUNT)]
-            change = block.sub(block.load(ends[i]), block.load(kept[k * n + i]))
-            bend = block.sub(block.mul(h, values[0]), change)
-            last = block.sub(block.sub(change, block.mul(h, values[-1])), bend)
-            quartic = block.mul(h, combination(block, _DENSE, values))
+            change = block.sub(block.load(ends[i]), block.load(first[i]))
+            bend = block.sub(block.mul(h, block.load(begin[i])), change)
+            last = block.sub(block.sub(change, block.mul(h, block.load(end[i]))), bend)
+            values = [block.load(slopes[j][i]) for j in range(len(weights))]
+            quartic = block.mul(scale, combination(block, weights, values))
             for coefficient in (change, bend, last, quartic):
                 block.store(next(dense), coefficient)
     return block.function("dopri")

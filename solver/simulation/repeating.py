@@ -145,6 +145,8 @@ class Repetition:
         # A swing that leaves the part q of itself after a revolution will change q / (1 - q) of its last change yet.
         left = math.exp(max(mode.real for mode in case.suspension) * self._time)
         self._agreement = AGREEMENT * (1.0 - left) / max(left, 1.0 - left)
+        #: Lines that the last look found, by period and end: the next one compares with them.
+        self._seen: dict[tuple[int, int], ComplexArray] = {}
 
     @property
     def period(self) -> int:
@@ -178,16 +180,19 @@ class Repetition:
         else:
             turns = self._sample_anew(velocity, samples, ends, angle)
         last = turns.count * turns.samples
+        seen, self._seen = self._seen, {}
         for period in periods:
             length, lines = period * turns.samples, turns.lines(period)
             if _shaken(turns.velocity, last, length) > HOPELESS:
                 continue
             folded = fold(turns.velocity, last, length)
-            earlier = fold(turns.velocity, last - turns.samples, length)
-            now, before = _amplitudes(folded, lines), _amplitudes(earlier, lines)
+            now, before = _amplitudes(folded, lines), seen.get((period, last - turns.samples))
+            if before is None:
+                before = _amplitudes(fold(turns.velocity, last - turns.samples, length), lines)
+            if ends is None:  # others are sampled anew at every look
+                self._seen[period, last] = now
             # Seen from a revolution later, the same motion has turned on.
-            before *= _turn(period, lines)
-            if _difference(now, before, period) <= self._agreement:
+            if _difference(now, before * _turn(period, lines), period) <= self._agreement:
                 self.found = self._period(turns, folded, period)
                 return True
         return False
