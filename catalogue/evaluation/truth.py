@@ -270,7 +270,7 @@ class Truth:
 def draw_contacts(
     machine: Machine, joints: Sequence[str], scatter: float, draws: np.random.Generator
 ) -> dict[str, float]:
-    """Draw the numbers of the contact law in every joint, by path: log-normal factors, uniform restitutions."""
+    """Draw the numbers of the contact law in every joint, by path: log-normal factors, uniform restitutions; oil."""
     found: dict[str, float] = {}
     for joint in joints:
         contact = machine.joints[joint].contact
@@ -280,4 +280,8 @@ def draw_contacts(
             if own and contact.has(name):
                 path = f"joints.{joint}.contact.{name}"
                 found[path] = uniform if name == "restitution" else own * math.exp(scatter * deviate)
+    for joint in joints:
+        film = getattr(machine.joints[joint], "film", None)
+        if film:
+            found[f"joints.{joint}.film.viscosity"] = film.viscosity * 2 ** float(draws.uniform(-1, 1))
     return found

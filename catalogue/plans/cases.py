@@ -152,8 +152,6 @@ class _Drawing:
         plan, hypothesis, stratum = self.plan, sequence.hypothesis, sequence.stratum
         others = sorted(joint for joint in self.machine.wearing_joints if joint not in hypothesis.joints)
         opened = (*hypothesis.joints, *others)
-        # Oil holds a pin that is not worn in its middle: to half a dB of the frame's harmonics it is as without play.
-        held = [joint for joint in others if getattr(self.machine.joints[joint], "film", None)]
         spread = plan.spread(self.machine, stratum)
         laws = plan.law_weights(self.machine)
         seed = seed_from(plan.seed, hypothesis.label, stratum, float(sequence.speed))
@@ -166,7 +164,7 @@ class _Drawing:
         scatters = {law: self._scatter(variant, spread, laws) for law, variant in variants.items()}
         for draw, point in enumerate(points.tolist()):
             is_silent = point[len(opened) + 1] < plan.fits.silent
-            ideal = others if is_silent else held
+            ideal = others if is_silent else []
             sizes = {}
             for joint, u in zip(opened, point, strict=False):
                 if joint in ranges:

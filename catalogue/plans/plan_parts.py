@@ -29,7 +29,7 @@ _PositiveBounds = Annotated[tuple[float, float], VectorField((QuantityField(RATI
 
 
 class Distribution(Part):
-    """How one number of the machine scatters; exactly one of the fields is given.
+    """How one number of the machine scatters; exactly one of the fields is given, and ``zero`` or not.
 
     Parameters
     ----------
@@ -41,6 +41,8 @@ class Distribution(Part):
         Bounds, > 0, of a distribution of the factor on the machine's own number.
     lognormal : float, optional
         Standard deviation, > 0, of the natural logarithm of the factor on the machine's own number; its median is 1.
+    zero : float, optional
+        Share of all draws in which the number is 0: oil that is not there.
     """
 
     uniform: Annotated[tuple[float, float], VectorField((QuantityField(RATIO),) * 2)] | None = None
@@ -49,12 +51,14 @@ class Distribution(Part):
     factor_uniform: _PositiveBounds | None = None
     factor_loguniform: _PositiveBounds | None = None
     lognormal: Annotated[float, QuantityField(RATIO, above=0.0)] | None = None
+    zero: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
 
     @model_validator(mode="after")
     def _one_in_order(self) -> Self:
-        given = {name: getattr(self, name) for name in type(self).model_fields if getattr(self, name) is not None}
+        kinds = tuple(name for name in type(self).model_fields if name != "zero")
+        given = {name: getattr(self, name) for name in kinds if getattr(self, name) is not None}
         if len(given) != 1:
-            raise RuleError(f"must give exactly one of {', '.join(type(self).model_fields)}")
+            raise RuleError(f"must give exactly one of {', '.join(kinds)}")
         for name, value in given.items():
             if isinstance(value, tuple) and value[0] > value[1]:
                 raise RuleError("must be [low, high] with low <= high", (name,), list(value))
@@ -67,6 +71,10 @@ class Distribution(Part):
 
     def quantile(self, u: float) -> float:
         """Number, or factor, below which the fraction `u` (in [0, 1]) of all draws lies."""
+        if self.zero:
+            if u < self.zero:
+                return 0.0
+            u = (u - self.zero) / (1.0 - self.zero)
         if self.lognormal is not None:
             deviate = float(ndtri(min(max(u, _CELL / 2), 1.0 - _CELL / 2)))
             return math.exp(self.lognormal * deviate)
@@ -82,6 +90,8 @@ class Distribution(Part):
 
     def __str__(self) -> str:
         """In words: ``x 0.97 to 1.03``."""
+        if self.zero:
+            return f"{self.model_copy(update={'zero': None})}, 0 in {self.zero:g}"
         if self.lognormal is not None:
             return f"x exp({self.lognormal:g} N(0, 1))"
         if self.either_loguniform is not None:
@@ -230,9 +240,7 @@ class Bands(Part):
 
 #: Standard deviation of the logarithm of contact stiffness and damping. The contact law is drawn, so they need not
 #: stand for it; docs/measured/catalogues.md says what was compared.
-STIFFNESS_SCATTER = 0.4
-DAMPING_SCATTER = 0.4
-
+STIFFNESS_SCATTER = DAMPING_SCATTER = 0.4
 #: Standard deviations of the logarithm of what every file says a little wrong: mass and inertia of a frame with all
 #: that is bolted to it, and each mount: nineteen of twenty pieces of the same rubber lie within 10 % of stiffness.
 TOLERANCE = {"mass": 0.025, "inertia": 0.03, "stiffness": 0.05, "damping": 0.15}
@@ -241,13 +249,11 @@ MODE_TOLERANCE = {"frequency": 0.015, "damping": 0.2}
 
 #: Hysteresis [s/m] of Hertzian contacts: from nearly elastic to a restitution of about a tenth at 0.1 m/s.
 HYSTERESIS_RANGE = (0.3, 30.0)
-
 #: Presliding [m] of surfaces that stick: from what stands for Coulomb's law to the micrometre that real ones give way.
 PRESLIDING_RANGE = (3e-9, 1e-6)
-
-#: Viscosity of oil, as a factor on what the file says: some 25 K warmer or colder, of which 14 K or so halve it.
-VISCOSITY_RANGE = (0.3, 3.0)
-
+#: Viscosity of oil, as a factor on what the file says: some 25 K warmer or colder, of which 14 K or so halve it; and
+#: the share of joints with oil that run dry, which is what wears them.
+VISCOSITY_RANGE, DRY = (0.3, 3.0), 0.2
 #: Speed ripple of an order, relative; the low orders of drives that are too weak, 6 and 12 of motors with three phases.
 RIPPLE = (1e-4, 1e-2)
 RIPPLE_ORDERS = (1, 2, 3, 4, 6, 12)
@@ -297,7 +303,7 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
     if any(getattr(joint, "pin_radius", 0.0) > 0 for joint in machine.joints.values()):
         found["pin_radius"] = Distribution(factor_uniform=(0.9, 1.1))
     if any(getattr(joint, "film", None) for joint in machine.joints.values()):
-        found["film.viscosity"] = Distribution(factor_loguniform=VISCOSITY_RANGE)
+        found["film.viscosity"] = Distribution(factor_loguniform=VISCOSITY_RANGE, zero=DRY)
     if any(machine.joints[joint].contact.friction_law == "bristle" for joint in machine.wearing_joints):
         found["contact.presliding"] = Distribution(loguniform=PRESLIDING_RANGE)
     if "linear" in known:

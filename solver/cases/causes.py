@@ -85,7 +85,8 @@ def stiff_part(
 
     A guide that wedges is one: where a drive prescribes a motion, its friction beside worn joints grows without bound,
     and with it the rate at which it settles. Contacts that swing are none, because their impacts are to be followed.
-    Nor are laws of a restitution and films of oil, whose rates are those at the worst, which hardly a step meets.
+    Nor are laws of a restitution, whose rates are those at the worst, which hardly a step meets. Films of oil are taken
+    at their thinnest, to which pins come in every revolution.
     """
     for name, grip in (_grips(machine) if contacts else {}).items():
         path, guide = f"joints.{name}.friction", machine.joints[name]
@@ -96,7 +97,7 @@ def stiff_part(
             wedge = grip * now / guide.friction
             return Cause(0.0, path, now, f"times its leverage on the normal force is {wedge:.3g}: the guide wedges")
     lasting = {
-        joint: replace(found, film=0.0, decay=0.0 if machine.joints[joint].contact.law in HYSTERESIS else found.decay)
+        joint: replace(found, decay=0.0 if machine.joints[joint].contact.law in HYSTERESIS else found.decay)
         for joint, found in contacts.items()
     }
     if largest_step(EXPLICIT, lasting.values(), eigenvalues, 0.0) >= min(_SHORT, _SHORT_PART / sample_rate):

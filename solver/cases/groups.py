@@ -28,11 +28,12 @@ _CLOSED = {
     "sliding": ("viscous", "friction", "friction_velocity", "presliding"),
 }
 #: Last part of paths whose numbers must be greater than 0, and of those that must not be negative.
-_POSITIVE = ("mass", "inertia", "friction_velocity", "presliding", "viscosity", "effort_factor", "speed_factor")
+_POSITIVE = ("mass", "inertia", "friction_velocity", "presliding", "effort_factor", "speed_factor")
 _NOT_NEGATIVE = (
     "damping",
     "friction",
     "viscous",
+    "viscosity",
     "pin_radius",
     "stiffness",
     "free_length",

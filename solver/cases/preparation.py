@@ -234,7 +234,7 @@ def prepare(
     remarks += dict.fromkeys(change_point_remarks(machine, joints, complete) + travel)
     rule = STEP_RULES[settings.accuracy]
     rubbing = rubbing_rate(machine, joints, varying, complete, mobility) if settings.fixed_step else 0.0
-    contacts = contact_rates(machine, mobility, complete, fastest, 0.0 if settings.fixed_step else USUAL_FILM)
+    contacts = contact_rates(machine, mobility, complete, fastest)
     implicit = "" if settings.method == "rosenbrock" else None
     if settings.integrator == "adaptive" and settings.method is None:
         part = stiff_part(machine, contacts, mobility, motions.eigenvalues, complete, settings.sample_rate)
@@ -245,6 +245,8 @@ def prepare(
     rows = 0 if settings.integrator in ("adaptive", "rosenbrock") else sum(0 < t < duration for t in row_times(machine))
     if rows:
         remarks += [f"{settings.integrator} ends no step at rows of tables, {rows} in this run: adaptive does"]
+    if model.lubricated and not settings.fixed_step:
+        contacts = contact_rates(machine, mobility, complete, fastest, USUAL_FILM)
     # Implicit steps are as long as what is slow lets them be.
     resolved, eigenvalues = (contacts, motions.eigenvalues) if implicit is None else ({}, np.zeros(0))
     shaken, shaking = fastest_anchor(machine, speed)
@@ -278,7 +280,7 @@ def find_stiff_part(machine: Machine, fault: Fault, sample_rate: float) -> str:
     joints = fault.joints
     values = model_of(machine, joints, ()).nominal | {contact_path(name, "clearance"): c for name, c in fault.items()}
     mobility = mobility_of(machine, joints, {})
-    contacts = contact_rates(machine, mobility, values, drive_rates(machine, values)[1], USUAL_FILM)
+    contacts = contact_rates(machine, mobility, values, drive_rates(machine, values)[1])
     part = stiff_part(machine, contacts, mobility, _smooth(machine, ()).eigenvalues, values, sample_rate)
     return "" if part is None else str(part)
 

@@ -53,8 +53,8 @@ def most_damping(machine: Machine, joint: TurningJoint) -> float:
 
 @dataclass(frozen=True)
 class Film:
-    """Oil around a pin: viscosity, Pa s; radius of the pin, length, clearance and roughness, m; largest damping
-    coefficient, N s/m.
+    """Oil around a pin: viscosity, Pa s, 0 where it runs dry; radius of the pin, length, clearance and roughness, m;
+    largest damping coefficient, N s/m.
     """
 
     viscosity: Number
@@ -103,7 +103,8 @@ class Film:
         ahead, toward, across = 3 * speed * (1 + xi * angle / root) / gap**2, angle / (gap * root), eta / gap
         across /= gap + xi * xi  # 1 - eta^2
         fading = ca.fmax(0, ca.fmin(1, 1 - (size - c) / thinnest))
-        scale = -fading * self.unit * ca.fmin(1, self.most / self.damping(gap))
+        # Held by a quotient that has a derivative where there is no oil, too.
+        scale = -fading * self.unit / ca.fmax(1, self.damping(gap) / self.most)
         force = Complex(
             scale * (ahead * lean.re + toward * v.re + across * v.im),
             scale * (ahead * lean.im + toward * v.im - across * v.re),

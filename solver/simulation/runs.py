@@ -108,8 +108,8 @@ def describe_failure(where: str, friction: str, advice: str) -> str:
 
 #: Scaled error of a step that each level of accuracy allows, from measured harmonic errors: docs/measured/solver.md.
 TOLERANCES = {"draft": 1e-5, "standard": 1e-6, "reference": 1e-9}
-#: Part of it, and least error, with oil: films keep steps at the limit of stability, where errors of this size become
-#: noise in accelerations, and cost next to nothing less (docs/measured/solver.md).
+#: Part of it, and least error, of explicit steps with oil: films keep them at the limit of stability, where errors of
+#: this size become noise in accelerations, and cost next to nothing less (docs/measured/solver.md).
 _WITH_OIL, _LEAST_TOLERANCE = 1e-2, 1e-10
 #: Longest step where nothing else bounds it, s.
 _LONGEST_STEP = 0.1
@@ -223,7 +223,7 @@ def queue_of(machine: Machine, model: Model, waiting: Sequence[Prepared], settin
     cases["begin"] = [case.begin for case in waiting]
     cases["interval"] = [1 / (case.sample_rate * OVERSAMPLING) for case in waiting]
     tolerances = np.array([tolerance_of(case, settings) for case in waiting])
-    if settings.rtol is None and model.lubricated:
+    if settings.rtol is None and model.lubricated and waiting[0].implicit is None:
         tolerances = np.maximum(_WITH_OIL * tolerances, _LEAST_TOLERANCE)
     cases["tolerance"] = tolerances * [case.response for case in waiting]
     cases["precision"] = np.minimum(1e-8, 0.01 * tolerances * min(error_scales(machine, model) or [1.0]))

@@ -104,8 +104,8 @@ def test_wear_ends_where_a_pin_would_leave_its_socket() -> None:
     assert 8.75e-3 <= min(drawn) < max(drawn) <= 17.5e-3
 
 
-def test_oil_is_drawn_and_holds_what_is_not_worn() -> None:
-    """Each joint its own viscosity, 0.3 to 3 of the file's; a machine without oil draws what it drew before."""
+def test_oil_is_drawn_beside_the_play_of_every_joint() -> None:
+    """Each joint its own, 0.3 to 3 of the file's or none in a fifth; a dry machine draws what it drew before."""
     tree: dict[str, Any] = QUICK_RETURN.model_dump(mode="json")
     for joint in ("A", "F"):
         tree["joints"][joint]["film"] = {"viscosity": 0.1, "length": "15 mm"}
@@ -115,9 +115,10 @@ def test_oil_is_drawn_and_holds_what_is_not_worn() -> None:
         sizes = sizes_of(entry)
         for joint in ("A", "F"):
             path = f"joints.{joint}.film.viscosity"
-            assert (path in entry.parameters) == (joint in sizes) == (joint in entry.worn)
-            found[joint] += [entry.parameters[path]] if joint in sizes else []
+            assert sizes[joint] > (25e-6 if joint in entry.worn else 0.0)
+            found[joint].append(entry.parameters[path])
     for values in found.values():
-        assert len(values) == 64
-        assert 0.03 <= min(values) < 0.032 < 0.28 < max(values) <= 0.3
+        wet = [value for value in values if value]
+        assert 0.03 <= min(wet) < 0.032 < 0.28 < max(wet) <= 0.3
+        assert 0.18 < 1 - len(wet) / len(values) < 0.22
     assert not any("film" in path for entry in entries_of(plan, QUICK_RETURN) for path in entry.parameters)

@@ -47,6 +47,10 @@ from jointplay.solver.machines.machine import parse_machine
             "uniform, loguniform, either_loguniform, factor_uniform, factor_loguniform, lognormal",
         ),
         (
+            "uncertain: {film.viscosity: {factor_loguniform: [0.5, 2], zero: 1}}",
+            "my.yaml: uncertain.film.viscosity.zero: 1: must be less than 1",
+        ),
+        (
             "sample_rate: 5 kHz",
             "my.yaml: sample_rate: 5000: must be at least 10000 Hz: bands reach 4000 Hz at the highest speed",
         ),

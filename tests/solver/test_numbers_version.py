@@ -48,6 +48,7 @@ class Frozen(NamedTuple):
     fault: dict[str, float]
     settings: dict[str, Any]
     contact: dict[str, Any] = {}  # noqa: RUF012  (of all turning joints; the file's where empty)
+    film: dict[str, Any] | None = None  # of all turning joints
 
 
 FITS = {"A": 7e-6, "B": 5e-6, "O": 9e-6}
@@ -59,6 +60,8 @@ CASES = {
     "worn, standard": Frozen("slider-crank", {"B": 2e-4}, {"accuracy": "standard"}),
     "hertz": Frozen("slider-crank", FITS, DRAFT, {"law": "hertz", "stiffness": 1.5e9, "hysteresis": 3.0}),
     "flores": Frozen("slider-crank", FITS, DRAFT, {"law": "flores", "stiffness": 1.5e9, "restitution": 0.8}),
+    # Which implicit steps `draft` takes is decided by rounding, to 5e-3 of a band.
+    "oil": Frozen("slider-crank", {**FITS, "B": 2e-4}, {"rtol": 1e-9}, film={"viscosity": 0.03, "length": 0.016}),
     "two slides": Frozen("quick-return", dict.fromkeys("ACEFO", 1e-5), DRAFT),
     # Joints that knock are no case for fixed steps: at which of them a contact begins is decided by rounding.
     "gill": Frozen("slider-crank", FITS, {"accuracy": "draft", "method": "gill"}),
@@ -70,6 +73,8 @@ def machine_of(case: Frozen) -> Machine:
     for joint in tree["joints"].values():
         if case.contact and joint["kind"] == "turning":
             joint["contact"] = case.contact
+        if case.film and joint["kind"] == "turning":
+            joint["film"] = case.film
     return parse_machine(tree)
 
 
