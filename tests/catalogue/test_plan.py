@@ -39,9 +39,9 @@ def test_presets_hold_what_they_say() -> None:
     # As many again in which the machine's own data are uncertain.
     numbers = {
         "healthy": 512,
-        **dict.fromkeys("ACEFO", 512),
-        **dict.fromkeys(pairs, 448),
-        **dict.fromkeys(triples, 448),
+        **dict.fromkeys("ACEFO", 576),
+        **dict.fromkeys(pairs, 576),
+        **dict.fromkeys(triples, 576),
     }
     assert counted(standard) == {label: 2 * count for label, count in numbers.items()}
     assert Counter(entry.stratum for entry in standard) == dict.fromkeys(("trusted", "wide"), len(standard) // 2)
@@ -276,9 +276,9 @@ def test_a_drawn_ripple_and_load_are_those_of_a_file() -> None:
 def test_a_plan_is_shown_in_words() -> None:
     lines = plan_lines(preset("standard"), QUICK_RETURN)
     resolved = preset("standard").resolve(QUICK_RETURN)
-    assert lines[0] == f"plan standard, {resolved.hash[:12]}: 24064 cases (12032 trusted, 12032 wide)"
+    assert lines[0] == f"plan standard, {resolved.hash[:12]}: 29824 cases (14912 trusted, 14912 wide)"
     assert lines[1] == "hypotheses: healthy, 5 of a single, 10 of a pair, 10 of a triple"
-    assert lines[2] == "draws: healthy 512, single 512, pair 448, larger 448"
+    assert lines[2] == "draws: healthy 512, single 576, pair 576, larger 576"
     assert lines[3] == (
         "clearance: worn 25-2000 um (one alone to 2 times that), fits 3-20 um, next to none in 10 % of "
         "them, none at all in 25 % of the machines"
