@@ -94,10 +94,11 @@ def test_truncated_shard_is_found(directory: Path, built: Path) -> None:
 
 def test_missing_shard_is_found(directory: Path, built: Path) -> None:
     victim = sorted((directory / "shards").iterdir())[0]
+    lost = decode_shard(victim.read_bytes(), victim).count
     victim.unlink()
     report = verify(directory)
     assert [(finding.path, finding.what) for finding in report.findings] == [(victim, "is missing")]
-    assert report.lost_entries == 4
+    assert report.lost_entries == lost > 0
     assert rebuilt(directory, built)
 
 

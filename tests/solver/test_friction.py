@@ -110,7 +110,8 @@ def test_a_sprung_block_loses_four_mu_n_over_k_a_period_and_stops_within_its_dea
     assert x.max() == pytest.approx(first, rel=1e-4)
     assert x[-1] == pytest.approx(turns[-1], abs=2e-6)  # 1e-6 seen, ten turns at 1e-7 each
     assert len(turns) == 11
-    assert np.ptp(x[-1000:]) < 1e-8
+    # What errors of steps move bristles at rest by: 0.3 to 1.2e-8 for starts at 0.97 to 1.04 m/s.
+    assert np.ptp(x[-1000:]) < 3e-8
 
 
 def test_a_pin_within_the_circle_of_friction_holds_its_pendulum() -> None:

@@ -147,7 +147,9 @@ def test_reactions_that_are_open_are_marked() -> None:
 
 @pytest.mark.parametrize("places", [LINE, TRIANGLE])
 def test_three_cranks_move_the_frame_as_two_do(places: tuple[tuple[float, float], ...]) -> None:
-    """Cranks on a line pass a change point on the way. What is left follows the tolerance: at 1e-9 it is 4e-8."""
+    """Cranks on a line pass a change point on the way. What is left follows the tolerance: at 1e-9 it is 4e-8, up to
+    1e-7 as sums are rounded.
+    """
     three = balanced(cranks(places))
     two = without_the_last(three)
     histories = [frame_of(machine, {}, accuracy="reference") for machine in (three, two)]
@@ -158,7 +160,7 @@ def test_three_cranks_move_the_frame_as_two_do(places: tuple[tuple[float, float]
     moved[:, 0] += (np.cos(turn) - 1) * shift[0] - np.sin(turn) * shift[1]
     moved[:, 1] += np.sin(turn) * shift[0] + (np.cos(turn) - 1) * shift[1]
     largest = np.abs(histories[1].displacement).max(axis=0)
-    assert (np.abs(moved - histories[1].displacement).max(axis=0) < 1e-7 * largest).all()
+    assert (np.abs(moved - histories[1].displacement).max(axis=0) < 3e-7 * largest).all()
     sizes = account(three, HEALTHY)
     assert sizes.open_reactions == ("O1", "O2", "O3", "A1", "A2", "A3")
     assert sizes.freedoms == 4
