@@ -70,6 +70,9 @@ class OneProcess:
         if at_once:
             for process in self._processes().values():  # kill_workers() from Python 3.14 on
                 process.kill()
+            # Of a process that is killed while it sends a result, the pool would wait for the rest of it for ever: the
+            # pipe has no end as long as this process could write into it, too.
+            self._pool._result_queue._writer.close()  # type: ignore[attr-defined]  # there is no other way to it
         self._pool.shutdown(wait=wait, cancel_futures=True)
         self._pool = self._last = None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -53,6 +54,29 @@ def ended(pid: int, seconds: float = 300.0) -> bool:
             return True
         time.sleep(0.05)
     return False
+
+
+def begin_to_send(told: str) -> None:
+    """Of a worker: send the head of a long result and a byte of it, say so, and go no further."""
+    frame = sys._getframe()
+    while "result_queue" not in frame.f_locals:
+        assert frame.f_back is not None
+        frame = frame.f_back
+    os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000) + b"x")
+    Path(told).touch()
+    time.sleep(3600.0)
+
+
+def test_a_worker_killed_while_it_sends_is_not_waited_for(tmp_path: Path) -> None:
+    worker = processes.OneProcess()
+    sent = worker.submit(begin_to_send, str(tmp_path / "told"))
+    while not (tmp_path / "told").exists():
+        assert not sent.done()
+        time.sleep(0.01)
+    end = threading.Thread(target=worker.close, kwargs={"at_once": True}, daemon=True)
+    end.start()
+    end.join(120.0)
+    assert not end.is_alive()
 
 
 def test_builder_and_workers_killed_at_random_moments(tmp_path: Path) -> None:
