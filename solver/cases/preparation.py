@@ -109,6 +109,8 @@ class Prepared:
         samples, and the drive's angle at the last of them, rad. None where revolutions are known by their time.
     implicit : str or None
         ``None`` where error-controlled steps are explicit; else why they are not, empty where that was asked for.
+    oiled : bool
+        Whether any open joint has a film of oil; one with the viscosity 0 has none.
     """
 
     index: int
@@ -135,6 +137,7 @@ class Prepared:
     look: int = NEVER
     ends: Callable[[FloatArray], tuple[FloatArray, float]] | None = None
     implicit: str | None = None
+    oiled: bool = False
 
 
 @keep_by_machine(MODELS_KEPT)
@@ -267,11 +270,14 @@ def prepare(
     remark = "; ".join(filter(None, remarks))
     memory = np.zeros(model.memory.shape[0])
     small, pace = response(motions.suspension, speed), pace_of(machine, complete)
-    if implicit is not None and abs(speed) < LEAST_RESPONSE * np.abs(motions.eigenvalues).max(initial=0.0):
+    slow = abs(speed) < LEAST_RESPONSE * np.abs(motions.eigenvalues).max(initial=0.0)
+    # Of a machine with a known effort the speed is not known yet, which says nothing of how slow it is.
+    if implicit is not None and slow and not has_known_effort(machine):
         small = LEAST_RESPONSE  # dampers hold the frame, too
     return Prepared(
         index, vector, z, v, memory, 0.0, settings.sample_rate, speed, transient, remark, duration, sprung, small, pace,
         settings.accuracy, longest, smooth, motions.suspension, implicit=implicit,
+        oiled=any(each.film > 0.0 for each in contacts.values()),
     )  # fmt: skip
 
 

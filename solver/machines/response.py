@@ -206,7 +206,7 @@ def with_response(
         raise MachineError(source, "response", None, "give either file or the numbers")
     if folder is None:
         raise MachineError(source, "response.file", name, "cannot be found from here: give the numbers in its place")
-    if not isinstance(name, str) or not name:
+    if not isinstance(name, str) or not name or "\0" in name:
         raise MachineError(source, "response.file", name, "must be the name of a file beside the machine file")
     path = folder / name
     if not is_universal(path):

@@ -8,6 +8,7 @@ answers to unit forces and a unit moment at the centre of gravity: ``docs/refere
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -116,8 +117,10 @@ def _read_nodes(given: object, source: str) -> dict[int, tuple[float, ...]]:
     places = {}
     for node, at in given.items():
         path = f"response.nodes.{node}"
-        if not str(node).isdecimal():
+        if not re.fullmatch("[0-9]{1,10}", str(node)):
             raise MachineError(source, path, None, "must be the number of a node")
+        if int(node) in places:
+            raise MachineError(source, path, None, "is there twice")
         try:
             places[int(node)] = _POINT.validate(at)
         except RuleError as error:

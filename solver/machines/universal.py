@@ -6,6 +6,8 @@ between them, not by columns: writers keep the order of the layout, not always i
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -133,7 +135,7 @@ def find_sets(data: bytes, wrong: Refusal) -> list[DataSet]:
         kind, begun, start = words[0].lower(), line, place
         binary = kind == "58b"
         if binary:
-            if len(words) < 5 or not (words[3].isdigit() and words[4].isdigit()):
+            if len(words) < 5 or not all(re.fullmatch("[0-9]{1,18}", word) for word in words[3:5]):
                 raise wrong(line, " ".join(words)[:60], "a binary record without its size")
             for _ in range(int(words[3])):
                 if next_line() is None:
@@ -199,9 +201,12 @@ def _read_function(each: DataSet, wrong: Refusal) -> Function:
 
     def number(text: str, index: int) -> float:
         try:
-            return float(text.upper().replace("D", "E") or 0)
+            found = float(text.upper().replace("D", "E") or 0)
         except ValueError:
-            raise wrong(each.line + 1 + index, text, "must be a number, in the columns of data set 58") from None
+            found = math.nan
+        if not math.isfinite(found):
+            raise wrong(each.line + 1 + index, text, "must be a finite number, in the columns of data set 58")
+        return found
 
     def whole(text: str, index: int) -> int:
         found = number(text, index)
@@ -220,9 +225,14 @@ def _read_function(each: DataSet, wrong: Refusal) -> Function:
     first, step = (number(text, 6) for text in form[3:])
     if ordinate not in _ORDINATES:
         raise wrong(each.line + 7, ordinate, f"ordinate data type must be one of {', '.join(map(str, _ORDINATES))}")
+    if count < 1:
+        raise wrong(each.line + 7, count, "must be a number of samples, greater than 0")
     size, parts = _ORDINATES[ordinate]
     rows = _read_rows(each, lines[_HEAD], count, size, parts, bool(even), wrong)
-    x = np.asarray(first + step * np.arange(count) if even else rows[:, 0], dtype=np.float64)
+    with np.errstate(over="ignore"):
+        x = np.asarray(first + step * np.arange(count) if even else rows[:, 0], dtype=np.float64)
+    if not np.isfinite(x).all():
+        raise wrong(each.line, None, "data set 58: its abscissa must be of finite numbers")
     values = rows[:, -1] if parts == 1 else rows[:, -2] + 1j * rows[:, -1]
     texts = [text.strip() for text in head[:5]]
     return Function(

@@ -223,8 +223,9 @@ def queue_of(machine: Machine, model: Model, waiting: Sequence[Prepared], settin
     cases["begin"] = [case.begin for case in waiting]
     cases["interval"] = [1 / (case.sample_rate * OVERSAMPLING) for case in waiting]
     tolerances = np.array([tolerance_of(case, settings) for case in waiting])
-    if settings.rtol is None and model.lubricated and waiting[0].implicit is None:
-        tolerances = np.maximum(_WITH_OIL * tolerances, _LEAST_TOLERANCE)
+    if settings.rtol is None and waiting[0].implicit is None:
+        finer = np.maximum(_WITH_OIL * tolerances, _LEAST_TOLERANCE)
+        tolerances = np.where([case.oiled for case in waiting], finer, tolerances)
     cases["tolerance"] = tolerances * [case.response for case in waiting]
     cases["precision"] = np.minimum(1e-8, 0.01 * tolerances * min(error_scales(machine, model) or [1.0]))
     cases["pace"] = [case.pace for case in waiting]

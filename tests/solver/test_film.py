@@ -198,7 +198,8 @@ def test_thick_oil_makes_an_ideal_joint() -> None:
 @pytest.mark.parametrize("method", ["adaptive", "rosenbrock"])
 def test_a_joint_that_runs_dry(method: Literal["adaptive", "rosenbrock"]) -> None:
     """Without its oil it is what it would be without a film."""
-    settings = Settings(duration=0.05, rtol=1e-8, method=method)
+    # Without rtol steps of a film are a hundredth as coarse; those of a dry joint are not.
+    settings = Settings(duration=0.05, rtol=1e-8 if method == "rosenbrock" else None, method=method)
     dry = simulate(shipped_machine("slider-crank"), {"B": 2e-4}, settings)
     found = simulate(oiled(), Case(Fault({"B": 2e-4}), {"film.viscosity": 0.0}), settings)
     # Measured: the same digits, and 2e-12.

@@ -244,6 +244,9 @@ def test_files_that_are_refused(found: Records, more: Any, message: str, tmp_pat
         (lambda data: data[:-1000], "which begins here, has no end"),
         (lambda data: data.replace(b" 6      1000", b" 6      1001", 1), "declares 1001 samples, 1000 are"),
         (lambda data: data.replace(b" 6      1000", b" 7      1000", 1), "line 9: 7: ordinate data type must"),
+        (lambda data: data.replace(b" 6      1000", b" 6     -1000", 1), "line 9: -1000: must be a number of samples"),
+        (lambda data: data.replace(b"\n    58", b"\n    58b 1 2 11 " + b"9" * 5000, 1), "a binary record without its"),
+        (lambda data: data.replace(b"\n    58", b"\n    58b 1 2 \xb2 1", 1), "a binary record without its size"),
         (lambda data: data.replace(b"\n    4  ", b"\n    4.5", 1), "line 8"),
         (lambda data: data.replace(b"e-", b"x-", 1), "line 2: data set 58 must hold numbers with blanks between them"),
         (lambda data: b"\n".join(data.split(b"\n")[:9]) + b"\n    -1\n", "line 2: is truncated: a data set 58 has 11"),
@@ -257,6 +260,15 @@ def test_damaged_files_are_refused(change: Any, message: str, tmp_path: Path) ->
     with pytest.raises(MachineError) as caught:
         load(tmp_path, file)
     assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "nodes", [{"1": [0.0, 0.0], "01": [1.0, 0.0]}, {"9" * 5000: [0.0, 0.0]}, {"\u00b2": [0.0, 0.0]}]
+)
+def test_nodes_that_are_no_numbers_or_there_twice_are_refused(nodes: Any, tmp_path: Path) -> None:
+    file = write(tmp_path / "bed.uff", records())
+    with pytest.raises(MachineError, match=r"response\.nodes\.[0-9\u00b2]+: (is there twice|must be the number)"):
+        load(tmp_path, file, nodes=nodes)
 
 
 def test_other_numbers_than_ieee_are_refused(tmp_path: Path) -> None:
