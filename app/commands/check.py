@@ -64,7 +64,8 @@ def command(
     matrix = matrix_of(found, state)
     notes = find_remarks(found, state)
     if as_json:
-        print_json(document(found, state, sizes, matrix, arrays, drawing) | {"notes": notes})
+        drawn = {"response_drawing": response and str(response)}
+        print_json(document(found, state, sizes, matrix, arrays, drawing) | {"notes": notes} | drawn)
     else:
         click.echo(report(found, state, sizes, matrix, arrays))
         for note in notes:

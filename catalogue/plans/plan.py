@@ -110,6 +110,12 @@ class Plan(Part):
         for i, chosen in enumerate(self.sets):
             if len(set(chosen)) != len(chosen):
                 raise RuleError("must name each joint once", ("sets", i), list(chosen))
+        for where, drawn in ((("uncertain",), self.uncertain), (("wide", "uncertain"), self.wide.uncertain)):
+            for path, law in (drawn or {}).items():
+                if law.zero and not path.endswith("film.viscosity"):
+                    raise RuleError(
+                        "is for film.viscosity alone, of joints that run dry", (*where, path, "zero"), law.zero
+                    )
         if self.laws is not None and not self.laws:
             raise RuleError("must name at least one", ("laws",), {})
         highest = self.bands.f_max * max(self.speeds)

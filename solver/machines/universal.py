@@ -249,9 +249,9 @@ def _read_rows(each: DataSet, data: bytes, count: int, size: int, parts: int, ev
             found = np.array(data.upper().replace(b"D", b"E").split(), dtype=np.float64)
         except ValueError:
             raise wrong(each.line, None, "data set 58 must hold numbers with blanks between them") from None
-        spare = found[max(count, 0) * columns :]
+        spare = found[count * columns :]
         if len(spare) < 6 and not spare.any():  # a last line filled up
-            found = found[: max(count, 0) * columns]
+            found = found[: count * columns]
         there = len(found) / columns
         rows = found.reshape(-1, columns) if there == count else found[:0]
     else:
@@ -267,7 +267,7 @@ def _read_rows(each: DataSet, data: bytes, count: int, size: int, parts: int, ev
         form = np.dtype([(f"{k}", part) for k, part in enumerate(shape)])
         spare_bytes = len(data) - form.itemsize * count
         there = count if 0 <= spare_bytes < 8 else len(data) / form.itemsize  # a line's end behind the numbers
-        taken = np.frombuffer(data[: form.itemsize * count], form) if there == count >= 0 else np.zeros(0, form)
+        taken = np.frombuffer(data[: form.itemsize * count], form) if there == count else np.zeros(0, form)
         rows = np.column_stack([taken[name].astype(np.float64) for name in form.names or ()])
     if there != count:
         raise wrong(each.line, None, f"is truncated: it declares {count} samples, {there:g} are there")

@@ -51,6 +51,10 @@ from jointplay.solver.machines.machine import parse_machine
             "my.yaml: uncertain.film.viscosity.zero: 1: must be less than 1",
         ),
         (
+            "wide: {uncertain: {links.ram.mass: {lognormal: 0.1, zero: 0.4}}}",
+            "my.yaml: wide.uncertain.links.ram.mass.zero: 0.4: is for film.viscosity alone, of joints that run dry",
+        ),
+        (
             "sample_rate: 5 kHz",
             "my.yaml: sample_rate: 5000: must be at least 10000 Hz: bands reach 4000 Hz at the highest speed",
         ),

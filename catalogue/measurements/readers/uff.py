@@ -70,9 +70,8 @@ def read_uff(data: bytes, source: str, limits: Limits) -> RawRecording:
             facts.append(f"records state an interval of {first.step:g} s")
         else:
             values.insert(0, first.x)
-            columns.insert(
-                0, RawColumn("time", "time", "s", "abscissa")
-            )  # times are in seconds in all systems of units
+            # Times are in seconds in all systems of units.
+            columns.insert(0, RawColumn("time", "time", "s", "abscissa"))
     elif kind in _SPECTRA and first.abscissa.kind in (0, universal.FREQUENCY):
         form = SpectrumForm(scaling=_SPECTRA[kind])  # type: ignore[arg-type]
         values.insert(0, first.x)
@@ -140,7 +139,7 @@ def _names(names: Sequence[str], facts: list[str]) -> list[str]:
 
 
 def _rate(step: float, source: str) -> float:
-    if not (np.isfinite(step) and step > 0):
-        raise MeasurementError(source, None, "abscissa increment", step, "must be positive and finite")
+    if step <= 0:
+        raise MeasurementError(source, None, "abscissa increment", step, "must be greater than 0")
     rate = 1.0 / step
     return float(round(rate)) if round(rate) and abs(rate - round(rate)) < 1e-5 * rate else rate
