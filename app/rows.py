@@ -96,6 +96,50 @@ class HypothesisRow:
         return "; ".join(play.say() for play in self.plays)
 
 
+@dataclass(frozen=True)
+class RecordingRow:
+    """What one of several recordings has contributed, for a table.
+
+    Parameters
+    ----------
+    name, speed : str
+    alone : str
+        What it says alone, and how surely.
+    counts : str
+        What it counts; empty where it was left out.
+    others : str
+        What all others say.
+    said : str
+        How it goes with them.
+    contradicts : bool
+        Whether it does not, or was left out.
+    """
+
+    name: str
+    speed: str
+    alone: str
+    counts: str
+    others: str
+    said: str
+    contradicts: bool
+
+
+def recording_rows(result: Answer) -> list[RecordingRow]:
+    """Return what each of several recordings has contributed; none of one."""
+    return [
+        RecordingRow(
+            share.measurement,
+            f"{share.drive_speed_rpm:.6g} rpm",
+            f"{share.alone}, {percent(share.p_alone)}",
+            f"{share.weight:.2f}" if share.weight else "",
+            f"{share.without}, {percent(share.p_without)}",
+            f"left out: {share.left_out}" if share.left_out else "contradicts" if share.contradicts else "agrees",
+            share.contradicts or bool(share.left_out),
+        )
+        for share in result.recordings
+    ]
+
+
 def hypothesis_rows(result: Answer, most: int | None = None) -> list[HypothesisRow]:
     """Return the first hypotheses, or all, the most probable first."""
     return [

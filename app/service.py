@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from sqlalchemy.orm import Session
@@ -21,13 +21,14 @@ from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
-from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.assets import AssetRow, Assets, measurements_of
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.store import NewDiagnosis, Store, Upload
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.units import ANGULAR_SPEED, to_si
 
@@ -98,10 +99,15 @@ class Service:
         return lambda session, key: assets.own_in(session, found, key)
 
     async def diagnose(self, request: DiagnosisRequest) -> DiagnosisRow:
-        """Diagnose a stored measurement in a worker and store the result."""
-        row, asked = await run_in_threadpool(self.about_stored, request)
-        recording = (str(self.store.path_of(row.sha256)), row.name, row.told)
-        result: Diagnosis = await self.pool.run(tasks.diagnose, *recording, asked.question)
+        """Diagnose a stored measurement, or several of one machine, in a worker and store the result."""
+        rows, asked = await run_in_threadpool(self.about_stored, request)
+        recordings = [(str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows]
+        result: Diagnosis
+        if request.measurement is not None:
+            result = await self.pool.run(tasks.diagnose, *recordings[0], asked.question)
+        else:
+            result = await self.pool.run(tasks.diagnose_together, recordings, asked.question)
+            request = request.model_copy(update={"measurements": [row.id for row in rows]})
         self.metrics.count_diagnosis(result)
         return await run_in_threadpool(self.store.add_diagnosis, self.new_diagnosis(request, asked, result))
 
@@ -136,8 +142,8 @@ class Service:
         diagnosis = self.new_diagnosis(request, asked, outcome.value)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
 
-    def about_stored(self, request: DiagnosisRequest) -> tuple[MeasurementRow, Asked]:
-        """Return the measurement that a request names, and what else it names.
+    def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked]:
+        """Return the measurements that a request names, and what else it names.
 
         Raises
         ------
@@ -145,7 +151,42 @@ class Service:
             When something of that does not exist, or breaks a rule.
         """
         asked = self.about(request)
-        return self.store.measurement(request.measurement), asked
+        return self.measurements_of(request, asked.asset), asked
+
+    def measurements_of(self, request: DiagnosisRequest, asset: AssetRow | None) -> list[MeasurementRow]:
+        """Return the measurements that a request names, or those of its asset in a window of time.
+
+        Raises
+        ------
+        UnknownMeasurementError
+            When one does not exist.
+        BadFieldError
+            When the request names them in no way, or in two; or there are none, or too many, in the window.
+        """
+        given = [name for name in ("measurement", "measurements", "since") if getattr(request, name) is not None]
+        if len(given) != 1:
+            said = f"{' and '.join(given) or 'measurement'}: give one of measurement, measurements, or since with asset"
+            raise BadFieldError(said, field=given[-1] if given else "measurement")
+        if request.until is not None and request.since is None:
+            raise BadFieldError("until: needs since", field="until")
+        if request.measurement is not None:
+            return [self.store.measurement(request.measurement)]
+        if request.speed not in (None, ""):
+            raise BadFieldError(f"speed: {request.speed}: is for one measurement alone", field="speed")
+        if request.measurements is not None:
+            return [self.store.measurement(key) for key in request.measurements]
+        if asset is None:
+            raise BadFieldError("since: needs an asset", field="asset")
+        assert request.since is not None
+        rows = self.store.measurements_between(
+            measurements_of(asset.external_id), request.since, request.until, MOST_TOGETHER + 1
+        )
+        if not 1 <= len(rows) <= MOST_TOGETHER:
+            count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
+            raise BadFieldError(
+                f"since: {count} measurements of asset {asset.external_id}: must be 1 to {MOST_TOGETHER}", field="since"
+            )
+        return rows
 
     def about(self, request: DiagnosisRequest) -> Asked:
         """Return what a request names besides its measurement.
@@ -158,7 +199,8 @@ class Service:
         speed = speed_of(request.speed)
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
-        baseline = None if asset is None else self.baseline_of(asset, request.measurement)
+        named = {request.measurement, *(request.measurements or ())}
+        baseline = None if asset is None else self.baseline_of(asset, named)
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
         question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baseline)
@@ -166,13 +208,14 @@ class Service:
 
     def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Diagnosis) -> NewDiagnosis:
         """Return a diagnosis as it is stored, with what is told of it."""
+        measurements = request.measurements or [request.measurement or ""]
         return NewDiagnosis(
-            request.measurement,
+            measurements[0],
             asked.offer.description.id,
             asked.offer.document,
             request.model_dump(mode="json"),
             result,
-            lambda session, key: self.announce(session, key, request.measurement, asked.asset, result),
+            lambda session, key: self.announce(session, key, measurements, asked.asset, result),
         )
 
     def asset_of(self, name: str | None, machine: str) -> AssetRow | None:
@@ -193,19 +236,19 @@ class Service:
             raise BadFieldError(said, field="asset")
         return found
 
-    def baseline_of(self, asset: AssetRow, measurement: str) -> tuple[str, str, Told] | None:
+    def baseline_of(self, asset: AssetRow, measurements: Collection[str | None]) -> tuple[str, str, Told] | None:
         """Return where the baseline of an asset lies and how to read it; none for the baseline itself."""
-        if asset.baseline is None or asset.baseline == measurement:
+        if asset.baseline is None or asset.baseline in measurements:
             return None
         row = self.store.measurement(asset.baseline)
         return str(self.store.path_of(row.sha256)), row.name, row.told
 
     def announce(
-        self, session: Session, diagnosis: str, measurement: str, asset: AssetRow | None, result: Diagnosis
+        self, session: Session, diagnosis: str, measurements: Sequence[str], asset: AssetRow | None, result: Diagnosis
     ) -> None:
         """Note in the transaction that stores a diagnosis what else is to know of it."""
         if asset is not None:
-            Assets(self.store.database).note(session, asset.external_id, measurement, diagnosis)
+            Assets(self.store.database).note(session, asset.external_id, measurements, diagnosis)
         told = result.model_dump(mode="json", include={"machine", "verdict", "candidate_set"})
         named = {"diagnosis": diagnosis, "asset": None if asset is None else asset.external_id}
         webhooks.announce(session, "diagnosis.created", {**named, **told})

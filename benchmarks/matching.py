@@ -28,7 +28,8 @@ import numpy as np
 
 from benchmarks.fake_catalogue import peak
 from jointplay.catalogue.building.network_building import train_networks
-from jointplay.catalogue.diagnosing.diagnosis import Question, answer
+from jointplay.catalogue.diagnosing.diagnosis import answer
+from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.network_shelf import NetworkShelf

@@ -20,7 +20,7 @@ from jointplay.app.commands.parameters import (
     refuse_given,
 )
 from jointplay.app.errors import BadFieldError
-from jointplay.app.rows import hypothesis_rows, joint_rows, percent
+from jointplay.app.rows import hypothesis_rows, joint_rows, percent, recording_rows
 from jointplay.app.storage.told import FILE_FIELDS, PROFILE, with_said
 from jointplay.app.tables import indent, table
 from jointplay.catalogue.matching.prior import LARGEST, Prior
@@ -32,12 +32,16 @@ if TYPE_CHECKING:
 
 
 @click.command("diagnose")
-@click.argument("measurement", type=click.Path(path_type=Path))
+@click.argument("measurements", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="MEASUREMENT...")
 @click.option(
     "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
 )
 @click.option(
-    "--speed", type=QuantityOption("ANGULAR_SPEED"), help='Drive speed, such as "600 rpm"; estimated when not given.'
+    "--speed",
+    "speeds",
+    type=QuantityOption("ANGULAR_SPEED"),
+    multiple=True,
+    help='Drive speed, such as "600 rpm", of each measurement in turn; estimated when not given.',
 )
 @click.option(
     "--effort",
@@ -102,9 +106,9 @@ if TYPE_CHECKING:
 )
 @json_option
 def command(
-    measurement: Path,
+    measurements: Sequence[Path],
     catalogue: Path,
-    speed: float | None,
+    speeds: Sequence[float],
     effort: Effort,
     mode: ModeAsked,
     cases: int,
@@ -118,31 +122,39 @@ def command(
     as_json: bool,
     **told: Any,
 ) -> None:
-    """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame."""
+    """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame.
+
+    Several measurements of one machine in one state, at several speeds, loads or sensors, have one answer.
+    """
     if plot is not None:
         from jointplay.app.figures.plots import check_ending
 
         check_ending(plot)
     if effort != "thorough":
         refuse_given(("cases",), "means something with --effort thorough only")
-    from jointplay.catalogue.diagnosing.diagnosis import diagnose
+    from jointplay.catalogue.diagnosing.together import diagnose_together
     from jointplay.catalogue.measurements.measured_spectrum import read_recording
     from jointplay.catalogue.measurements.measurement import read_measurement
     from jointplay.catalogue.storage.store import Catalogue
 
     said = read_file_options(told)
-    described = with_options(profile_of(measurement, profile), said)
+    if len(speeds) not in (0, len(measurements)):
+        rule = f"{len(speeds)} for {len(measurements)} measurements: must be one for each, or none"
+        raise click.BadParameter(rule, param_hint="'--speed'")
     sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
-    recording = read_recording(measurement, **told_too, profile=described)
+    recordings = [
+        read_recording(measurement, **told_too, profile=with_options(profile_of(measurement, profile), said))
+        for measurement in measurements
+    ]
     in_order = None
     if baseline is not None:
         shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
         in_order = read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
-    diagnosis = diagnose(
-        recording,
+    diagnosis = diagnose_together(
+        recordings,
         opened,
-        speed=speed,
+        speeds=speeds or None,
         effort=effort,
         mode=mode,
         mapping=sensors or None,
@@ -155,7 +167,7 @@ def command(
     if plot is not None:
         from jointplay.app.figures.plots import plot_diagnosis
 
-        plot_diagnosis(diagnosis, measurement.name, plot)
+        plot_diagnosis(diagnosis, diagnosis.provenance.measurement, plot)
     if as_json:
         print_json(diagnosis.model_dump(mode="json"))
     else:
@@ -203,8 +215,11 @@ def report(result: Diagnosis) -> str:
     parts = [words.sentence(result), *words.remarks(result)]
     if joint_rows(result):
         parts += [words.joints_sentence(result), indent(joints(result))]
+    if result.recordings:
+        parts += ["What each recording says, and all others without it:", indent(recordings(result))]
+    turning = "" if result.recordings else f"drive speed {result.drive_speed_rpm:.6g} rpm; "
     parts += [
-        f"drive speed {result.drive_speed_rpm:.6g} rpm; {words.fit_sentence(result)}",
+        f"{turning}{words.fit_sentence(result)}",
         f"{words.mode_sentence(result)} {words.prior_sentence(result)}",
         indent(ranking(result)),
         words.set_sentence(result),
@@ -225,6 +240,12 @@ def joints(result: Diagnosis) -> str:
     ]
     head = ("joint", "state", "worn", "radial clearance (90 % interval)", "wear shows from", "limit", "beyond")
     return table(head, rows, frozenset({2, 4, 5, 6}))
+
+
+def recordings(result: Diagnosis) -> str:
+    """Return what each recording has contributed as a table."""
+    rows = [(row.name, row.speed, row.alone, row.counts, row.others, row.said) for row in recording_rows(result)]
+    return table(("recording", "speed", "alone", "counts", "all others", "with them"), rows, frozenset({1, 3}))
 
 
 def suggestions(result: Diagnosis) -> str:

@@ -88,6 +88,17 @@ def diagnose(
     return diagnose_measured(read(path, name, told), question)
 
 
+def diagnose_together(recordings: Sequence[tuple[str, str, Told]], question: DiagnosisTask) -> Diagnosis:
+    """Diagnose several recordings of one machine, each given by path, name and what is told of it."""
+    from jointplay.catalogue.diagnosing.together import diagnose_together as ranked
+
+    return ranked(
+        [read(*each) for each in recordings],
+        open_catalogue(question.catalogue, question.stamp),
+        **_asked(question),
+    )
+
+
 def summarise_and_diagnose(
     path: str, name: str, told: Told, question: DiagnosisTask
 ) -> tuple[dict[str, Any], WorkerOutcome]:
@@ -107,18 +118,22 @@ def summarise_and_diagnose(
 def diagnose_measured(measurement: Recording | MeasuredSpectrum, question: DiagnosisTask) -> Diagnosis:
     """Diagnose what was read."""
     from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
+
+    opened = open_catalogue(question.catalogue, question.stamp)
+    return ranked(measurement, opened, speed=question.speed, **_asked(question))
+
+
+def _asked(question: DiagnosisTask) -> dict[str, Any]:
+    """How one recording, or several, are to be diagnosed."""
     from jointplay.catalogue.matching.prior import Prior
 
-    return ranked(
-        measurement,
-        open_catalogue(question.catalogue, question.stamp),
-        speed=question.speed,
-        effort=question.effort,
-        mode=question.mode,
-        mapping=question.mapping or None,
-        prior=Prior(**question.prior),
-        baseline=None if question.baseline is None else in_order(*question.baseline),
-    )
+    return {
+        "effort": question.effort,
+        "mode": question.mode,
+        "mapping": question.mapping or None,
+        "prior": Prior(**question.prior),
+        "baseline": None if question.baseline is None else in_order(*question.baseline),
+    }
 
 
 def check_machine(text: str, name: str) -> str:

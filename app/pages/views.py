@@ -7,7 +7,7 @@ from typing import Any
 
 from jointplay.app import words
 from jointplay.app.figures.pictures import machine_picture
-from jointplay.app.rows import Comparison, comparisons, deciding, hypothesis_rows, joint_rows, order
+from jointplay.app.rows import Comparison, comparisons, deciding, hypothesis_rows, joint_rows, order, recording_rows
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.diagnosing.answer import BandEvidence
@@ -38,7 +38,8 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "joints": joint_rows(result),
         "machine": result.machine,
         "speed": f"{result.drive_speed_rpm:.5g} rpm",
-        "recording": measurement.name,
+        "recording": f"{len(result.recordings)} recordings" if result.recordings else measurement.name,
+        "recordings": recording_rows(result),
         "asset": row.request.get("asset"),
         "created": f"{spell_moment(row.created_at)} UTC",
         "warnings": result.warnings,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from jointplay.app import words
 from jointplay.app.jobs.summaries import extent, kind_of, summarise_told
-from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of
+from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of, recording_rows
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.diagnosing.answer import Answer, JointState
@@ -144,6 +144,10 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
         *((Named("Said of it", cut(summarise_told(measurement.told.shown))),) if measurement.told.shown else ()),
         Named("Channels", cut(channels)),
         Named("Drive speed", f"{row.answer.drive_speed_rpm:.5g} rpm"),
+        *(
+            Named(f"Recording {number}", f"{cut(each.name)}, {each.speed}; alone {each.alone}; {each.said}")
+            for number, each in enumerate(recording_rows(row.answer), 1)
+        ),
         Named("Diagnosed", f"{spell_moment(row.created_at)} UTC"),
     )
 

@@ -38,7 +38,8 @@ class _Stored(BaseModel):
 
     id: str
     created_at: datetime
-    measurement: str = Field(description="Id of the measurement.")
+    measurement: str = Field(description="Id of the measurement, of several the first.")
+    measurements: list[str] = Field(description="Ids of all measurements that have this answer.")
     asset: str | None = Field(description="External id of the machine that was measured, where the request named it.")
 
 
@@ -55,6 +56,7 @@ def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
         "id": row.id,
         "created_at": row.created_at,
         "measurement": row.measurement,
+        "measurements": row.request.get("measurements") or [row.measurement],
         "asset": row.request.get("asset"),
         "catalogue": row.catalogue,
     }
@@ -108,7 +110,7 @@ def body() -> dict[str, Any]:
     openapi_extra={"requestBody": body()},
 )
 async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
-    """Diagnose a stored measurement (JSON), or a file sent in the same call (multipart)."""
+    """Diagnose a stored measurement, or several of one machine (JSON), or a file sent in the same call (multipart)."""
     service = of_request(request)
     kind = media_type(request)
     if kind == JSON_TYPE:

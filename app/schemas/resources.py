@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
@@ -180,7 +181,23 @@ class PriorAsked(Shape):
 class DiagnosisRequest(Shape):
     """What to compare, and how."""
 
-    measurement: Annotated[str, Field(min_length=1, max_length=64, description="Id of a stored measurement.")]
+    measurement: Annotated[
+        str | None, Field(default=None, min_length=1, max_length=64, description="Id of a stored measurement.")
+    ]
+    measurements: Annotated[
+        list[Annotated[str, Field(min_length=1, max_length=64)]] | None,
+        Field(
+            default=None,
+            min_length=1,
+            max_length=MOST_TOGETHER,
+            description="Ids of several, of one machine in one state, in place of `measurement`: they have one answer.",
+        ),
+    ]
+    since: Annotated[
+        datetime | None,
+        Field(default=None, description="In place of measurements: all of `asset` stored from this moment on."),
+    ]
+    until: Annotated[datetime | None, Field(default=None, description="With `since`: those stored before this moment.")]
     catalogue: Annotated[str, Field(min_length=1, max_length=255, description="Id or name of a catalogue.")]
     speed: Annotated[
         StrictFloat | StrictStr | None,

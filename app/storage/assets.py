@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import datetime
 from typing import Any
 
@@ -140,9 +140,10 @@ class Assets:
         row = {"asset": external_id, "measurement": measurement}
         session.execute(self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing())
 
-    def note(self, session: Session, external_id: str, measurement: str, diagnosis: str) -> None:
+    def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> None:
         """Note in a transaction that a diagnosis, and what it is of, belong to an asset."""
-        self.own_in(session, external_id, measurement)
+        for measurement in measurements:
+            self.own_in(session, external_id, measurement)
         row = {"asset": external_id, "diagnosis": diagnosis}
         session.execute(self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing())
 

@@ -282,6 +282,16 @@ class Store:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
         return row
 
+    def measurements_between(
+        self, among: Select[str], since: datetime, until: datetime | None, most: int
+    ) -> list[MeasurementRow]:
+        """Return measurements of some ids that were stored from a moment on, and before another, the first first."""
+        query = select(MeasurementRow).where(MeasurementRow.id.in_(among), MeasurementRow.created_at >= since)
+        if until is not None:
+            query = query.where(MeasurementRow.created_at < until)
+        with self._session() as session:
+            return list(session.scalars(query.order_by(MeasurementRow.number).limit(most)))
+
     def add_diagnosis(self, diagnosis: NewDiagnosis) -> DiagnosisRow:
         """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
         with self.database.writing() as session:

@@ -283,6 +283,47 @@ class Suggestion(_Frozen):
     error: float
 
 
+class RecordingShare(_Frozen):
+    """What one of several recordings has contributed to a common answer.
+
+    Attributes
+    ----------
+    measurement, sha256 : str
+        Name of the recording, and checksum of its bytes.
+    drive_speed_rpm : float
+    alone : str
+        Most probable hypothesis by this recording alone.
+    p_alone : float
+        Its probability then.
+    verdict : Verdict
+        By this recording alone.
+    weight : float
+        What it counts: 1 alone, less beside others, which have the same wrong; 0 where it was left out.
+    without, p_without : str, float
+        Most probable hypothesis by all others, and its probability.
+    one_machine : float
+        How many times likelier this recording is as one of the machine of the others, in the same state, than as one of
+        any other; below 1 it contradicts them.
+    contradicts : bool
+        Whether it says clearly otherwise than the others.
+    left_out : str
+        Why it does not count; empty where it does.
+    """
+
+    measurement: str
+    sha256: str
+    drive_speed_rpm: float
+    alone: str
+    p_alone: float
+    verdict: Verdict
+    weight: float
+    without: str
+    p_without: float
+    one_machine: float
+    contradicts: bool
+    left_out: str = ""
+
+
 class MatcherIdentity(_Frozen):
     """Which method matched, and the SHA-256 of the network whose opinion counted, where there is one."""
 
@@ -362,6 +403,9 @@ class Answer(_Frozen):
     """What a recording of the machine in order said; null without one."""
     suggestions: tuple[Suggestion, ...]
     """What would tell the first hypotheses apart, the best first."""
+    recordings: tuple[RecordingShare, ...] = ()
+    """Of a common answer to several recordings, what each has contributed; empty for one. Then `provenance`, `evidence`
+    and `drive_speed_rpm` are of the first that counts."""
     warnings: tuple[str, ...]
     provenance: Provenance
 

@@ -68,6 +68,10 @@ class FoundSpectra:
         own = [row for row, entry in enumerate(self.entries) if entry.hypothesis.label == label]
         return np.array(own if stratum != "wide" else [], np.int64)
 
+    def individuals(self, rows: IntArray) -> IntArray:
+        """Each case is of a machine of its own."""
+        return rows
+
     def packed(self, rows: IntArray) -> FloatArray:
         """Spectra of rows, (m, G, 33)."""
         return self.spectra[rows]

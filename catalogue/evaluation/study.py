@@ -10,8 +10,9 @@ from functools import partial
 from itertools import product
 from typing import Any
 
-from jointplay.catalogue.diagnosing.diagnosis import Question, answer
+from jointplay.catalogue.diagnosing.diagnosis import answer
 from jointplay.catalogue.diagnosing.joint_states import plays_of_fits
+from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.evaluation.cross_checks import METHODS, OWN, Matcher, MethodLibrary, as_matcher
 from jointplay.catalogue.evaluation.differences import with_differences

@@ -135,7 +135,7 @@ class Rows:
     clearance : ndarray, shape (n, joints)
         Radial clearances, m; NaN where a joint is in order.
     case : ndarray of int, shape (n,)
-        Entry of the catalogue that a row was made from.
+        Simulated machine that a row is of.
     joints : tuple of str
         Columns of `clearance`.
     levels : int

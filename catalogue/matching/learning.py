@@ -60,6 +60,9 @@ class SpectraSource(Protocol):
     ) -> IntArray:
         """Rows of a hypothesis."""
 
+    def individuals(self, rows: IntArray) -> IntArray:
+        """Which machine each of some rows is of, (m,): entries at several speeds may be of one."""
+
     def packed(self, rows: IntArray) -> PackedArray:
         """Spectra of rows, (m, G, 33): :data:`jointplay.catalogue.storage.cross_power.COLUMNS`."""
 
@@ -190,7 +193,8 @@ def training_set(
         weight = None if weights is None else weights[chosen[entry]]
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
         prior = Prior().weight(known.joints, len(matrix.joints), most)
-        sets.append(DrawnFeatures(known.label, known.joints, features, log_clearance, chosen[entry], prior, weight))
+        machine = matrix.individuals(chosen)[entry]
+        sets.append(DrawnFeatures(known.label, known.joints, features, log_clearance, machine, prior, weight))
     return TrainingSet(tuple(sets), watched, sensing.plain_count)
 
 

@@ -41,7 +41,7 @@ class DrawnFeatures:
         Natural logarithm of the radial clearances in m; k = len(joints), or 0 where the clearances of a hypothesis
         are not to be told apart.
     entry : ndarray of int, shape (n,)
-        Which simulated case the row was made from. Rows of one case differ only in noise, so they stay together
+        Which simulated machine the row is of. Rows of one differ only in noise, or speed, so they stay together
         whenever rows are held out.
     prior : float
         Weight of the hypothesis before the measurement, > 0; only ratios matter.

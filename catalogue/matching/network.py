@@ -204,7 +204,7 @@ class NetworkTraining:
         counts = []
         classes = _classes(matrix, learning, speed)
         for known, rows in classes:
-            apart = int(np.sum(is_held_out(rows)))
+            apart = int(np.sum(is_held_out(matrix.individuals(rows))))
             if min(apart, len(rows) - apart) < LEAST_ON_EITHER_SIDE:
                 return False
             if known.joints:
@@ -346,7 +346,7 @@ def _pools(matrix: SpectraSource, learning: Learning, speed: float | None) -> li
     """
     learning = replace(learning, most=learning.reach)
     return [
-        [rows[~is_held_out(rows)] for _, rows in _classes(matrix, each, speed)]
+        [rows[~is_held_out(matrix.individuals(rows))] for _, rows in _classes(matrix, each, speed)]
         for each in (learning, replace(learning, mode="robust"))
     ]
 

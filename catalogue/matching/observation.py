@@ -295,6 +295,7 @@ def observe(
     copies: IntArray,
     seed: int | Sequence[int] = 0,
     edges_hz: FloatArray | None = None,
+    noise_seed: int | Sequence[int] | None = None,
 ) -> tuple[FloatArray, IntArray]:
     """Draw feature vectors of catalogue entries as a measurement would show them.
 
@@ -311,6 +312,9 @@ def observe(
         The same seed gives the same draws.
     edges_hz : ndarray, shape (G + 1 or more,), optional
         Edges of the feature bands, Hz; needed where the discrepancy has transfer functions.
+    noise_seed : int or sequence of int, optional
+        Seed of what differs from one recording of a machine by the same sensors to the next, where there are several:
+        the noise. Gains and what the model does not know stay with `seed`.
 
     Returns
     -------
@@ -352,6 +356,8 @@ def observe(
             cross *= product
             apart = mean[:, bands.other] * mean[:, bands.band].conj()
             cyclic *= np.where((bands.other == bands.band)[:, None], squared[:, bands.band], apart)
+    if noise_seed is not None:
+        generator = np.random.default_rng(noise_seed)
     shift = discrepancy.noise_level_db * generator.normal(size=(len(entry), 1, clean.shape[2]))
     noise = sensing.noise * 10.0 ** (0.1 * shift)
     cells = 0.5 * sensing.degrees_of_freedom[None, :, None]

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations
 
+import numpy as np
+
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.driving import speed_path
 from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum, seed_from
@@ -16,12 +18,14 @@ from jointplay.catalogue.plans.parameters import (
     MachineNumbers,
     Scatter,
     check_drawable,
+    is_of_the_day,
     load_order,
     ripple_order,
 )
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import Distribution, log_uniform, unit_draws
 from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
 
@@ -118,9 +122,11 @@ def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
 def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
     """Every case of a plan for a machine: by hypothesis, stratum, speed, then by draw.
 
-    Draw i of a hypothesis, stratum and speed is point i of one space-filling sequence over clearances, contact law
-    and all that is uncertain; it does not depend on what else the plan asks for. So a plan with more draws or
-    hypotheses contains the cases of the smaller one, and any number of first draws covers everything evenly.
+    Draw i of a hypothesis and stratum is point i of one space-filling sequence over clearances, contact law and all
+    that is uncertain: one machine, the same at every speed, but for what is of the day
+    (:func:`~jointplay.catalogue.plans.parameters.is_of_the_day`). It does not depend on what else the plan asks for. So
+    a plan with more draws or hypotheses contains the cases of the smaller one, and any number of first draws covers
+    everything evenly.
 
     Raises
     ------
@@ -154,11 +160,13 @@ class _Drawing:
         opened = (*hypothesis.joints, *others)
         spread = plan.spread(self.machine, stratum)
         laws = plan.law_weights(self.machine)
-        seed = seed_from(plan.seed, hypothesis.label, stratum, float(sequence.speed))
         # Coordinates: clearances, contact law, silence, then what is uncertain in alphabetical order, contacts joint by
         # joint.
-        columns = sum(len(opened) if path in SHARED else 1 for path in spread)
-        points = unit_draws(seed, len(opened) + 2 + columns, sequence.count)
+        columns = len(opened) + 2 + sum(len(opened) if path in SHARED else 1 for path in spread)
+        # A draw is the same machine at every speed.
+        points = unit_draws(self._seed(sequence, 1.0), columns, sequence.count)
+        if sequence.speed != 1.0:
+            self._change_the_day(points[:, len(opened) + 2 :], sequence, spread, len(opened))
         ranges = {joint: self._range(joint, len(hypothesis.joints)) for joint in hypothesis.joints}
         variants = {law: self._variant(spread, law) for law in laws}
         scatters = {law: self._scatter(variant, spread, laws) for law, variant in variants.items()}
@@ -187,6 +195,30 @@ class _Drawing:
                 variant=variants[law],
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
+
+    def _seed(self, sequence: Sequence, speed: float) -> int:
+        return seed_from(self.plan.seed, sequence.hypothesis.label, sequence.stratum, speed)
+
+    def _change_the_day(
+        self, points: FloatArray, sequence: Sequence, spread: Mapping[str, Distribution], joints: int
+    ) -> None:
+        """Draw anew, in points (n, columns) of what is uncertain, what is not of the machine but of the day."""
+        first = 0
+        columns: list[int] = []
+        ends: list[float] = []
+        for path in sorted(spread):
+            count = joints if path in SHARED else 1
+            if is_of_the_day(path):
+                columns += range(first, first + count)
+                ends += [spread[path].zero or 0.0] * count
+            first += count
+        if not columns:
+            return
+        zero = np.array(ends)
+        anew = unit_draws(self._seed(sequence, float(sequence.speed)), len(columns), sequence.count)
+        # A joint without oil has none on any day.
+        chosen = np.array(columns)
+        points[:, chosen] = np.where(points[:, chosen] < zero, points[:, chosen], zero + (1.0 - zero) * anew)
 
     def _range(self, joint: str, worn: int) -> tuple[float, float]:
         """Least and largest clearance of a joint that wears, alone or together with others, m."""

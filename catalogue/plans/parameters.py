@@ -54,6 +54,18 @@ def check_ground(machine: Machine) -> None:
                 raise PlanError(machine.name, f"supports.{i}.motion.{k}", None, rule)
 
 
+_OF_THE_DAY = re.compile(r"drive\.(speed|effort_factor|speed_factor)|load(\..+)?|film\.viscosity|.*\.film\.viscosity")
+
+
+def is_of_the_day(path: str) -> bool:
+    """Whether what is drawn by a path is another from one recording of a machine to the next.
+
+    So are its speed within what is drawn of it, its process load, and the oil, which is as warm as the day; all else
+    belongs to the machine.
+    """
+    return _OF_THE_DAY.fullmatch(path) is not None
+
+
 def ripple_order(path: str) -> int | None:
     """The order of a short path ``ripple.2.sin``; None for any other path."""
     match = _RIPPLE.fullmatch(path)

@@ -211,6 +211,20 @@ class FeatureMatrix:
             rows = rows[self._columns.column("speed")[rows] == self.nearest_speed(speed)]
         return rows
 
+    def individuals(self, rows: IntArray) -> IntArray:
+        """Which machine each of some rows is of: entries of one draw at several speeds are of one (m,)."""
+        return self._individual[rows]
+
+    @cached_property
+    def _individual(self) -> IntArray:
+        sizes = [block.stop - block.start for block in self._header.blocks]
+        block = np.repeat(np.arange(len(sizes)), sizes)
+        drawn = [block, self._columns.column("draw")[: len(self)], *self._columns.column("clearance")[: len(self)].T]
+        _, first, number = np.unique(np.stack(drawn, axis=1), axis=0, return_index=True, return_inverse=True)
+        # In the order in which they come, so that where there is one speed machines have the numbers of the rows.
+        found: IntArray = np.argsort(np.argsort(first, kind="stable"), kind="stable")[np.ravel(number)]
+        return found
+
     def nearest_speed(self, speed: float) -> float:
         """Return the one of :attr:`speeds` that is nearest to a drive speed [rad/s], as a ratio."""
         borders = np.sqrt(np.array(self.speeds[1:]) * self.speeds[:-1])

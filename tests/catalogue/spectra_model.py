@@ -74,6 +74,10 @@ class SpectraModel:
         """There is one."""
         return 1.0
 
+    def individuals(self, rows: IntArray) -> IntArray:
+        """Each is of a machine of its own."""
+        return rows
+
     def packed(self, rows: IntArray) -> FloatArray:
         """Spectra of rows."""
         chosen: FloatArray = self.powers[rows]

@@ -11,7 +11,8 @@ import pytest
 from jointplay.catalogue.diagnosing import as_found
 from jointplay.catalogue.diagnosing.as_found import LEAST_CASES, Refined, refine, sets_to_simulate
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
-from jointplay.catalogue.diagnosing.diagnosis import Question, answer
+from jointplay.catalogue.diagnosing.diagnosis import answer
+from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.stroke_loads import StrokeLoads, find_load
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded

@@ -117,6 +117,17 @@ def test_rows_are_found_by_hypothesis_draw_and_speed(mapped: FeatureMatrix) -> N
     assert len(mapped.rows("A", "wide")) == len(mapped.rows("Z")) == 0
 
 
+def test_individuals_are_draws_whatever_the_speed(mapped: FeatureMatrix) -> None:
+    table = mapped.table(mapped.all_rows)
+    number = mapped.individuals(mapped.all_rows)
+    told = [*zip(table.hypothesis.tolist(), table.stratum.tolist(), table.draw.tolist(), strict=True)]
+    assert len(set(number.tolist())) == len(set(told))
+    assert len({*zip(number.tolist(), told, strict=True)}) == len(set(told))
+    # Numbers are given in the order of the rows.
+    assert (np.diff(np.maximum.accumulate(number)) <= 1).all()
+    assert number[0] == 0
+
+
 def test_failed_cases_are_rows_behind_the_others(mapped: FeatureMatrix) -> None:
     keys = [entry.key for entry in entries_of(ALL, MACHINE)]
     failed = mapped.table(mapped.failed_rows)

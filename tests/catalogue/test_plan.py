@@ -106,6 +106,29 @@ def test_more_of_anything_extends(larger: dict[str, Any]) -> None:
     assert not plan_of().difference(plan_of(**larger), QUICK_RETURN)
 
 
+def test_a_draw_is_one_machine_at_every_speed() -> None:
+    """Clearances and what belongs to the machine are the same; load, speed and oil are of the day."""
+    uncertain = {
+        "drive.speed": {"factor_uniform": [0.97, 1.03]},
+        "contact.damping": {"lognormal": 0.4},
+        "frame.mass": {"lognormal": 0.1},
+        "load": {"uniform": [-10, 10]},
+    }
+    plan = plan_of(uncertain=uncertain, speeds=[1.0, 0.5], hypotheses=["singles"], wide={"draws": 0})
+    entries = entries_of(plan, QUICK_RETURN)
+    by_draw = {(e.hypothesis.label, e.draw, e.speed): e for e in entries}
+    others = [(e, by_draw[e.hypothesis.label, e.draw, 0.5]) for e in entries if e.speed == 1.0]
+    assert len(others) == len(entries) / 2
+    for one, other in others:
+        assert (one.joints, one.clearances, one.variant) == (other.joints, other.clearances, other.variant)
+        assert one.parameters.keys() == other.parameters.keys()
+        differ = {path for path, value in one.parameters.items() if other.parameters[path] != value}
+        assert differ == {path for path in one.parameters if path.startswith(("drive.speed", "load", "links."))}
+        assert "drive.speed" in differ
+        ratio = other.parameters["drive.speed"] / one.parameters["drive.speed"]
+        assert 0.5 * 0.97 / 1.03 < ratio < 0.5 * 1.03 / 0.97
+
+
 @pytest.mark.parametrize("other", [{"seed": 2}, {"sample_rate": 14000}, {"uncertain": {}}, {"bands": {"orders": 30}}])
 def test_other_numbers_are_other_entries(other: dict[str, Any]) -> None:
     assert not set(keys(plan_of())) & set(keys(plan_of(**other)))

@@ -1,0 +1,156 @@
+"""What one recording says: matched, looked at for other causes, simulated anew where that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from jointplay.catalogue.diagnosing.answer import EffortSpent, Verdict
+from jointplay.catalogue.diagnosing.as_found import refine
+from jointplay.catalogue.diagnosing.baseline import KnownMachine
+from jointplay.catalogue.diagnosing.causes import NamedCause
+from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
+from jointplay.catalogue.diagnosing.question import Question
+from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judge, needs_cause
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, Observed, one_thread
+from jointplay.catalogue.matching.observation import Sensing
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.suspension import with_filed_suspension
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """What one recording says.
+
+    Parameters
+    ----------
+    prepared : PreparedMeasurement
+        As it was compared.
+    sha256 : str
+        Of the recording.
+    sensing : Sensing
+    feature : ndarray, shape (d,)
+    result : MatchResult
+        Posterior of what is worn.
+    causes : tuple of NamedCause
+        Other than play, the most probable first.
+    p_value : float
+    verdict : Verdict
+    spent : EffortSpent
+    known : KnownMachine, optional
+        What a recording of the machine in order has shown.
+    weighed : bool
+        Whether entries counted by how near they are to that.
+    """
+
+    prepared: PreparedMeasurement
+    sha256: str
+    sensing: Sensing
+    feature: FloatArray
+    result: MatchResult
+    causes: tuple[NamedCause, ...]
+    p_value: float
+    verdict: Verdict
+    spent: EffortSpent
+    known: KnownMachine | None = None
+    weighed: bool = False
+
+
+def hear(
+    prepared: PreparedMeasurement,
+    sha256: str,
+    catalogue: Catalogue,
+    question: Question,
+    library: ModelLibrary,
+    *,
+    known: KnownMachine | None = None,
+    without: tuple[str, ...] = (),
+    most: int | None = None,
+) -> Heard:
+    """Return what a recording says that has been prepared; arguments as for
+    :func:`~jointplay.catalogue.diagnosing.diagnosis.answer`.
+    """
+    weights = None
+    if known:
+        prepared = known.baseline.correct(prepared, catalogue.machine)
+        # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
+        if all(step.name != "suspension" for step in prepared.steps):
+            weights = known.weights(catalogue)
+    look = partial(_match, catalogue=catalogue, library=library, question=question, without=without, most=most)
+    sensing, feature, result = look(prepared, weights)
+    causes: tuple[NamedCause, ...] = ()
+    if not prepared.flaws and (question.effort != "fast" or needs_cause(result)):
+        with one_thread():
+            causes = find_causes(prepared, catalogue, result)
+    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws)
+    if causes and causes[0].suspension:
+        # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
+        seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
+        other_sensing, other_feature, other = look(seen, None)
+        if (other.trusted_p_value or 0.0) > (result.trusted_p_value or 0.0) and not needs_cause(other):
+            prepared, sensing, feature, result = seen, other_sensing, other_feature, other
+            p_value, verdict = judge(other, question.coverage)
+            verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
+    spent = EffortSpent(simulations=0, generations=0, note="")
+    if question.effort == "thorough" and library.simulates_anew:
+        if prepared.flaws:
+            spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
+        elif causes and not causes[0].name.startswith("load"):
+            spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
+        elif weights is not None:
+            note = "the baseline says more of the machine's numbers than its file, which is simulated"
+            spent = EffortSpent(simulations=0, generations=0, note=note)
+        else:
+            refined = refine(
+                prepared,
+                Observed(sensing, feature, watched_levels(prepared), prepared.drive_speed),
+                catalogue,
+                result,
+                result.set(question.coverage).labels,
+                mode=question.mode,
+                prior=question.prior,
+                cases=question.cases,
+            )
+            was_changed, p_before = needs_cause(result), result.trusted_p_value
+            result, causes = refined.result, (refined.load,) if refined.load else causes
+            spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
+            if refined.simulations:
+                p_value, verdict = judge(result, question.coverage, causes)
+                if was_changed and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
+                    # With a load that the file does not have it is not in order, however well that explains it.
+                    verdict = "unknown" if verdict == "unknown" else "changed"
+                elif p_before is not None and p_before < DOUBTED_BELOW and verdict == "worn":
+                    verdict = "worn" if result.p_worn >= SURE_ABOVE else "unknown"  # as without the simulation
+    return Heard(
+        prepared, sha256, sensing, feature, result, causes, p_value, verdict, spent, known, weights is not None
+    )
+
+
+def _match(
+    prepared: PreparedMeasurement,
+    weights: FloatArray | None,
+    *,
+    catalogue: Catalogue,
+    library: ModelLibrary,
+    question: Question,
+    without: tuple[str, ...],
+    most: int | None,
+) -> tuple[Sensing, FloatArray, MatchResult]:
+    """How a recording is seen, its features, and what the catalogue says of them."""
+    sensing = exact_sensing(prepared)
+    feature = features_of(prepared, sensing)
+    result = library.answer(
+        sensing,
+        feature,
+        watched_levels(prepared),
+        question.effort,
+        question.mode,
+        speed=prepared.drive_speed,
+        weights=weights,
+        without=without,
+        most=most,
+    )
+    return sensing, feature, question.prior.apply(result, len(catalogue.matrix.joints))

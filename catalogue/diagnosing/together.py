@@ -1,0 +1,232 @@
+"""Several recordings of one machine in one state: one answer, and what each recording has contributed to it."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jointplay.catalogue.diagnosing.answer import Diagnosis, EffortSpent, RecordingShare
+from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
+from jointplay.catalogue.diagnosing.causes import NamedCause
+from jointplay.catalogue.diagnosing.diagnosis import diagnose
+from jointplay.catalogue.diagnosing.hearing import Heard, hear
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
+from jointplay.catalogue.diagnosing.telling import tell
+from jointplay.catalogue.diagnosing.verdict import judge, needs_cause
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, library_of
+from jointplay.catalogue.matching.modes import Effort, ModeAsked
+from jointplay.catalogue.matching.prior import Prior
+from jointplay.catalogue.matching.together import Together, match_together
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+from jointplay.catalogue.measurements.measurement import Recording
+from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
+
+CONTRADICTS_BELOW = 0.05
+"""A recording that is so much likelier to be of another machine, or of another day of its wear, contradicts."""
+
+
+def diagnose_together(
+    recordings: Sequence[Recording | MeasuredSpectrum],
+    catalogue: Catalogue,
+    *,
+    speeds: Sequence[float | None] | None = None,
+    effort: Effort = "standard",
+    mode: ModeAsked = "auto",
+    mapping: Mapping[str, str] | None = None,
+    coverage: float = 0.95,
+    cases: int = 2304,
+    prior: Prior | None = None,
+    baseline: Recording | None = None,
+    library: ModelLibrary | None = None,
+) -> Diagnosis:
+    """Say which joints are worn, by how much, and how sure that is, from several recordings of one machine.
+
+    The machine is taken to be in the same state in all of them; speeds, loads and sensors may differ.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording or MeasuredSpectrum
+        One is answered as :func:`~jointplay.catalogue.diagnosing.diagnosis.diagnose` does. The same bytes given twice
+        count once.
+    catalogue : Catalogue
+        Of the same machine, best with several speeds.
+    speeds : sequence of float or None, optional
+        Drive speed of each, rad/s; estimated where it is not given.
+    effort, mode, mapping, coverage, cases, prior, baseline, library
+        As there; cases are for each recording.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    MeasurementError
+        A recording cannot be compared.
+    DiagnosisError
+        A setting breaks a rule, there are no or too many recordings, or the catalogue holds too little.
+    """
+    question = Question(effort, mode, coverage, cases, prior or Prior())
+    given = list(speeds) if speeds is not None else [None] * len(recordings)
+    if not 1 <= len(recordings) <= MOST_TOGETHER:
+        raise DiagnosisError(f"measurements: {len(recordings)}: must be 1 to {MOST_TOGETHER}")
+    if len(given) != len(recordings):
+        raise DiagnosisError(f"speed: {len(given)} for {len(recordings)} measurements: must be one for each, or none")
+    different = {recording.sha256: (recording, speed) for recording, speed in zip(recordings, given, strict=True)}
+    if len(different) == 1:
+        return diagnose(
+            recordings[0],
+            catalogue,
+            speed=given[0],
+            effort=effort,
+            mode=mode,
+            mapping=mapping,
+            coverage=coverage,
+            cases=cases,
+            prior=prior,
+            baseline=baseline,
+            library=library,
+        )
+    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed)
+    known = None
+    if baseline is not None:
+        in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)
+        known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
+    shelf = library or library_of(catalogue)
+    heard = []
+    for recording, speed in different.values():
+        prepared = prepare(recording, catalogue.machine, mapping, speed, *scale)
+        heard.append(hear(prepared, recording.sha256, catalogue, question, shelf, known=known))
+    warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))
+    return conclude(heard, catalogue, question, shelf, mapping=mapping, warnings=warnings)
+
+
+def conclude(
+    heard: Sequence[Heard],
+    catalogue: Catalogue,
+    question: Question,
+    library: ModelLibrary,
+    *,
+    mapping: Mapping[str, str] | None = None,
+    warnings: Sequence[str] = (),
+) -> Diagnosis:
+    """Return the common answer to what several recordings say, two or more."""
+    reasons = _left_out(heard)
+    used = [each for each, reason in zip(heard, reasons, strict=True) if not reason]
+    speeds = [catalogue.matrix.nearest_speed(each.prepared.drive_speed) for each in used]
+    joined = match_together([each.result for each in used], _prior(used[0].result, catalogue, question), speeds)
+    causes = _causes(used)
+    flaws = used[0].prepared.flaws if all(each.prepared.flaws for each in used) else ()
+    p_value, verdict = judge(joined.result, question.coverage, causes, flaws)
+    together = replace(
+        used[0],
+        result=joined.result,
+        causes=causes,
+        p_value=p_value,
+        verdict=verdict,
+        spent=EffortSpent(
+            simulations=sum(each.spent.simulations for each in heard),
+            generations=max(each.spent.generations for each in heard),
+            note="; ".join(dict.fromkeys(each.spent.note for each in heard if each.spent.note)),
+        ),
+    )
+    shares = _shares(heard, reasons, joined)
+    told = [*warnings, *(f"{each.prepared.name}: {line}" for each in used[1:] for line in each.prepared.warnings)]
+    told += [f"{share.measurement}: left out: {share.left_out}" for share in shares if share.left_out]
+    told += [
+        f"{share.measurement}: contradicts the others: alone it says {share.alone}, they say {share.without}"
+        for share in shares
+        if share.contradicts
+    ]
+    return tell(
+        together,
+        catalogue,
+        question,
+        library,
+        mapping=mapping,
+        suggesting=question.effort != "fast",
+        recordings=shares,
+        warnings=told,
+    )
+
+
+def _left_out(heard: Sequence[Heard]) -> list[str]:
+    """Why each recording is left out, empty where it counts: where others are explained, it is not."""
+    reasons = [
+        "its sensors contradict each other"
+        if each.prepared.flaws
+        else "no state of the machine explains it"
+        if needs_cause(each.result)
+        else ""
+        for each in heard
+    ]
+    sound = sum(
+        not reason and (each.result.trusted_p_value or 1.0) >= DOUBTED_BELOW
+        for each, reason in zip(heard, reasons, strict=True)
+    )
+    # What most recordings have is of the machine, not of a recording.
+    if 2 * sound <= len(heard):
+        flawed = [reason if each.prepared.flaws else "" for each, reason in zip(heard, reasons, strict=True)]
+        return flawed if not all(flawed) else [""] * len(heard)
+    return reasons
+
+
+def _prior(result: MatchResult, catalogue: Catalogue, question: Question) -> FloatArray:
+    most = max(len(match.joints) for match in result.hypotheses)
+    count = len(catalogue.matrix.joints)
+    return np.array([question.prior.weight(match.joints, count, most) for match in result.hypotheses])
+
+
+def _causes(heard: Sequence[Heard]) -> tuple[NamedCause, ...]:
+    """Causes that half of the recordings or more name, of the mean of their probabilities, the most probable first."""
+    found: dict[str, list[NamedCause]] = defaultdict(list)
+    for each in heard:
+        for cause in {cause.name: cause for cause in reversed(each.causes)}.values():
+            found[cause.name].append(cause)
+    joined = [
+        replace(
+            named[0],
+            size=statistics.median(cause.size for cause in named),
+            probability=math.fsum(cause.probability for cause in named) / len(heard),
+        )
+        for named in found.values()
+        if 2 * len(named) >= len(heard)
+    ]
+    return tuple(sorted(joined, key=lambda cause: -cause.probability))
+
+
+def _shares(heard: Sequence[Heard], reasons: Sequence[str], joined: Together) -> list[RecordingShare]:
+    """What each recording has contributed."""
+    shares, used = [], 0
+    for each, reason in zip(heard, reasons, strict=True):
+        counts = not reason
+        # What was left out changes nothing: without it the answer is the same.
+        others = joined.without[used] if counts else joined.result
+        likelier = math.exp(min(joined.for_one_machine[used], 50.0)) if counts else 1.0
+        shares.append(
+            RecordingShare(
+                measurement=each.prepared.name,
+                sha256=each.sha256,
+                drive_speed_rpm=each.prepared.drive_speed * 30.0 / math.pi,
+                alone=each.result.best.label,
+                p_alone=min(1.0, each.result.best.probability),
+                verdict=each.verdict,
+                weight=float(joined.weights[used]) if counts else 0.0,
+                without=others.best.label,
+                p_without=min(1.0, others.best.probability),
+                one_machine=likelier,
+                contradicts=likelier < CONTRADICTS_BELOW,
+                left_out=reason,
+            )
+        )
+        used += counts
+    return shares

@@ -1,0 +1,216 @@
+"""Several recordings of one machine: one posterior of what is worn and by how much.
+
+The likelihood of a state - which joints are worn, with which clearances - is the product of what each recording says of
+it, tempered: sensors, mounts and all that the model does not know are the same in every recording of a machine, so that
+a second one does not say as much again. Recordings that are alike count for less together than apart, as measurements
+with correlated errors do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import log_softmax, logsumexp
+
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
+from jointplay.solver.arrays import FloatArray, IntArray
+
+ALIKE_AT_ONE_SPEED, ALIKE = 0.6, 0.3
+"""Correlation of what two recordings of a machine have wrong, at one stored speed and at two."""
+
+SLIP = 1e-3
+"""Share of recordings that say nothing of the machine, whatever they look like: none rules a state out alone."""
+
+LEAST_DENSITY = 0.02
+"""Of a clearance in any recording, against what was likely before: intervals do not always hold."""
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How far recordings of one machine have the same wrong.
+
+    Parameters
+    ----------
+    at_one_speed, apart : float
+        Correlations of recordings at the same stored speed, and at two; 0 <= apart <= at_one_speed < 1.
+    """
+
+    at_one_speed: float = ALIKE_AT_ONE_SPEED
+    apart: float = ALIKE
+
+    def weights(self, speeds: Sequence[float]) -> FloatArray:
+        """Return what each recording counts (n,), by its stored speed; one alone counts 1.
+
+        Notes
+        -----
+        The weights of the best linear estimate from equally good measurements of this correlation R: w = R^-1 1, all
+        above 0 (C. R. Rao, Linear Statistical Inference and Its Applications, 2nd ed. (1973), 4a).
+        """
+        same = np.equal.outer(np.array(speeds), np.array(speeds))
+        correlation = np.where(same, self.at_one_speed, self.apart)
+        np.fill_diagonal(correlation, 1.0)
+        found = np.asarray(np.linalg.solve(correlation, np.ones(len(speeds))), np.float64)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """What several recordings say of one machine.
+
+    Parameters
+    ----------
+    result : MatchResult
+        The common answer.
+    weights : ndarray, shape (n,)
+        What each recording counts.
+    for_one_machine : ndarray, shape (n,)
+        How much likelier each recording is as one of the machine of all others than of any other, ln.
+    without : tuple of MatchResult
+        The common answer of all others, for each.
+    """
+
+    result: MatchResult
+    weights: FloatArray
+    for_one_machine: FloatArray
+    without: tuple[MatchResult, ...]
+
+
+def match_together(
+    results: Sequence[MatchResult], prior: FloatArray, speeds: Sequence[float], likeness: Likeness | None = None
+) -> Together:
+    """Join what recordings of one machine say.
+
+    Parameters
+    ----------
+    results : sequence of MatchResult
+        Of each recording, all with the same hypotheses.
+    prior : ndarray, shape (hypotheses,)
+        Probability of each hypothesis of the first result beforehand, as all results have it.
+    speeds : sequence of float
+        Stored speed that each was matched at.
+    likeness : Likeness, optional
+    """
+    if len(results) == 1:
+        return Together(results[0], np.ones(1), np.zeros(1), (results[0],))
+    alike = likeness or Likeness()
+    said = _Said.of(results, prior)
+    everyone = np.arange(len(results))
+    weights = alike.weights(speeds)
+    result, _ = said.join(everyone, weights)
+    without, for_one = [], []
+    for i in everyone:
+        others = np.delete(everyone, i)
+        of_others = alike.weights([speeds[int(k)] for k in others])
+        rest, rest_total = said.join(others, of_others)
+        _, own_total = said.join(np.array([i]), np.ones(1))
+        _, total = said.join(np.append(others, i), np.append(of_others, 1.0))
+        without.append(rest)
+        for_one.append(total - rest_total - own_total)
+    return Together(result, weights, np.array(for_one), tuple(without))
+
+
+@dataclass(frozen=True, eq=False)
+class _Said:
+    """What recordings say of every hypothesis, against what was likely before.
+
+    Parameters
+    ----------
+    results : sequence of MatchResult
+    log_prior : ndarray, shape (h,)
+    evidence : ndarray, shape (n, h)
+        ln of how much likelier each hypothesis has become.
+    densities : for each hypothesis and joint, (points (p,), probability beforehand (p,), ln ratio (n, p))
+    """
+
+    results: Sequence[MatchResult]
+    log_prior: FloatArray
+    evidence: FloatArray
+    densities: Sequence[Sequence[tuple[FloatArray, FloatArray, FloatArray]]]
+
+    @classmethod
+    def of(cls, results: Sequence[MatchResult], prior: FloatArray) -> _Said:
+        first = results[0].hypotheses
+        matches = [{match.label: match for match in result.hypotheses} for result in results]
+        share = prior / prior.sum()
+        found = np.array([[own[match.label].probability for match in first] for own in matches])
+        slipped = (1.0 - SLIP) * found + SLIP * share
+        densities = [
+            [_densities([own[match.label].clearances[j] for own in matches]) for j in range(len(match.clearances))]
+            for match in first
+        ]
+        return cls(results, np.log(share), np.log(slipped) - np.log(share), densities)
+
+    def join(self, chosen: IntArray, weights: FloatArray) -> tuple[MatchResult, float]:
+        """The answer of some recordings, and ln of how much likelier they are together than by chance."""
+        first = self.results[chosen[0]]
+        by_label = {match.label: h for h, match in enumerate(self.results[0].hypotheses)}
+        log_weight = self.log_prior + weights @ self.evidence[chosen]
+        laws: list[list[FloatArray]] = []
+        for h, joints in enumerate(self.densities):
+            laws.append([])
+            for _, before, ratio in joints:
+                log_law = np.log(before) + weights @ ratio[chosen]
+                agreed = float(logsumexp(log_law))
+                log_weight[h] += agreed
+                laws[-1].append(np.exp(log_law - agreed))
+        probability = np.exp(log_softmax(log_weight))
+        matches = []
+        for label, h in by_label.items():
+            own = [next(m for m in self.results[i].hypotheses if m.label == label) for i in chosen]
+            clearances = tuple(
+                _estimate(own[0].clearances[j].joint, self.densities[h][j][0], law) for j, law in enumerate(laws[h])
+            )
+            matches.append(
+                replace(
+                    own[0],
+                    probability=float(probability[h]),
+                    clearances=clearances,
+                    distance_db=math.sqrt(math.fsum(each.distance_db**2 for each in own) / len(own)),
+                    p_value=_least([each.p_value for each in own]),
+                )
+            )
+        trusted = [p for p in (self.results[i].trusted_p_value for i in chosen) if p is not None]
+        joined = replace(
+            first,
+            hypotheses=tuple(sorted(matches, key=lambda match: -match.probability)),
+            mode="robust" if any(self.results[i].mode == "robust" for i in chosen) else "trusted",
+            trusted_p_value=_least(trusted) if trusted else None,
+            notes=tuple(dict.fromkeys(note for i in chosen for note in self.results[i].notes)),
+        )
+        return joined, float(logsumexp(log_weight))
+
+
+def _densities(estimates: Sequence[ClearanceEstimate]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Cells of ln(clearance) (p + 1,), probability of each beforehand, and ln of how much denser each recording has it.
+
+    Clearances are log-uniform beforehand.
+    """
+    courses = [estimate.course or _log_normal(estimate) for estimate in estimates]
+    edges = np.unique(np.concatenate([course[0] for course in courses]))
+    before = np.diff(edges) / (edges[-1] - edges[0])
+    below = np.array([np.interp(edges, *course, left=0.0, right=1.0) for course in courses])
+    ratio = np.log(np.maximum(np.diff(below, axis=1) / before, LEAST_DENSITY))
+    return edges, before, ratio
+
+
+def _log_normal(estimate: ClearanceEstimate) -> tuple[FloatArray, FloatArray]:
+    """The course of an estimate that has none: over five half widths of its interval."""
+    low, high = np.log(estimate.low), np.log(estimate.high)
+    edges = np.linspace(low - 2.0 * (high - low), high + 2.0 * (high - low), 121)
+    return edges, estimate.below(edges)
+
+
+def _estimate(joint: str, edges: FloatArray, law: FloatArray) -> ClearanceEstimate:
+    """Median and interval of probabilities (p,) of cells (p + 1,) of ln(clearance)."""
+    below = np.concatenate([[0.0], np.cumsum(law)])
+    below /= below[-1]
+    low, median, high = np.exp(np.interp([0.05, 0.5, 0.95], below, edges)).tolist()
+    return ClearanceEstimate(joint, median, low, high, (edges, below))
+
+
+def _least(p_values: Sequence[float]) -> float:
+    """The least of n p-values by Bonferroni's bound."""
+    return min(1.0, len(p_values) * min(p_values))

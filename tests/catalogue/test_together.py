@@ -1,0 +1,197 @@
+"""Several recordings of one machine: the arithmetic of their common answer, and answers from end to end."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recordings import RECORDINGS
+from scipy.special import ndtr
+
+from jointplay.catalogue.diagnosing.answer import Diagnosis
+from jointplay.catalogue.diagnosing.diagnosis import diagnose
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+from jointplay.catalogue.diagnosing.together import diagnose_together
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.together import SLIP, Likeness, match_together
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
+from jointplay.catalogue.storage.store import Catalogue
+
+EDGES = np.linspace(math.log(20e-6), math.log(2e-3), 2001)
+PRIOR = np.array([0.25, 0.4, 0.35])
+APART = Likeness(0.0, 0.0)
+
+
+def said(probabilities: tuple[float, float, float], centres_um: tuple[float, float], width: float = 0.2) -> MatchResult:
+    """What one recording says of three hypotheses; clearances have normal laws of ln c."""
+    nothing = np.zeros(0)
+    found = [HypothesisMatch("healthy", (), probabilities[0], (), 1.0, 0.5, nothing, nothing)]
+    for joint, probability, centre in zip("AB", probabilities[1:], centres_um, strict=True):
+        below = ndtr((EDGES - math.log(1e-6 * centre)) / width)
+        below = (below - below[0]) / (below[-1] - below[0])
+        low, median, high = np.exp(np.interp([0.05, 0.5, 0.95], below, EDGES)).tolist()
+        clearance = ClearanceEstimate(joint, median, low, high, (EDGES, below))
+        found.append(HypothesisMatch(joint, (joint,), probability, (clearance,), 2.0, 0.4, nothing, nothing))
+    return MatchResult(tuple(found), trusted_p_value=0.4)
+
+
+def test_weights_are_those_of_equally_correlated_errors() -> None:
+    likeness = Likeness(0.6, 0.25)
+    for count in (1, 2, 5):
+        assert likeness.weights([1.0] * count) == pytest.approx(np.full(count, 1 / (1 + 0.6 * (count - 1))))
+        assert likeness.weights([0.5 + k for k in range(count)]).sum() == pytest.approx(
+            count / (1 + 0.25 * (count - 1))
+        )
+
+
+def test_a_recording_more_never_takes_anything_away() -> None:
+    draw = np.random.default_rng(1)
+    for _ in range(50):
+        likeness = Likeness(*np.sort(draw.uniform(0, 0.95, 2))[::-1])
+        speeds: list[float] = []
+        total = 0.0
+        for speed in draw.choice([0.8, 1.0, 1.2], 8):
+            speeds.append(float(speed))
+            weights = likeness.weights(speeds)
+            assert weights.min() > 0.0
+            assert weights.sum() >= total - 1e-12
+            total = weights.sum()
+
+
+def test_independent_recordings_multiply() -> None:
+    """Normal laws of equal width about 100 and 120 um: about their geometric mean, narrower by the root of two."""
+    one, other = said((0.1, 0.6, 0.3), (100, 300)), said((0.2, 0.5, 0.3), (120, 300))
+    joined = match_together([one, other], PRIOR, [1.0, 1.2], APART).result
+    ((clearance,),) = [match.clearances for match in joined.hypotheses if match.label == "A"]
+    # A law that is nowhere below a fiftieth of what was likely before is a little wider than the product.
+    assert clearance.median == pytest.approx(math.sqrt(100e-6 * 120e-6), rel=0.005)
+    assert math.log(clearance.high / clearance.low) == pytest.approx(2 * 1.645 * 0.2 / math.sqrt(2), rel=0.02)
+    width, span = 0.2, EDGES[-1] - EDGES[0]
+    agree = [
+        span / math.sqrt(4 * math.pi) / width * math.exp(-0.25 * (math.log(b / a) / width) ** 2)
+        for a, b in ((100, 120), (300, 300))
+    ]
+    weight = np.array([0.1 * 0.2, 0.6 * 0.5 * agree[0], 0.3 * 0.3 * agree[1]]) / PRIOR
+    expected = weight / weight.sum()
+    found = [joined.probability(label) for label in ("healthy", "A", "B")]
+    assert found == pytest.approx(expected.tolist(), rel=0.03)
+
+
+def test_clearances_that_agree_tell() -> None:
+    """Both recordings think A as likely as B, but only of B are they of one size."""
+    one, other = said((0.02, 0.49, 0.49), (60, 300)), said((0.02, 0.49, 0.49), (600, 310))
+    joined = match_together([one, other], PRIOR, [1.0, 0.8], APART).result
+    assert joined.best.label == "B"
+    assert joined.best.probability > 0.99
+
+
+def test_a_recording_that_says_nothing_changes_nothing() -> None:
+    one, nothing = said((0.1, 0.6, 0.3), (100, 300)), said((0.25, 0.4, 0.35), (200, 200), width=100.0)
+    joined = match_together([one, nothing], PRIOR, [1.0, 1.2], APART)
+    for label in ("healthy", "A", "B"):
+        assert joined.result.probability(label) == pytest.approx(one.probability(label), abs=3 * SLIP)
+    assert joined.for_one_machine == pytest.approx([0.0, 0.0], abs=0.05)
+
+
+def test_alike_recordings_count_less() -> None:
+    """Of one speed, as alike as can be, two say what one says."""
+    one = said((0.1, 0.6, 0.3), (100, 300))
+    joined = match_together([one, one], PRIOR, [1.0, 1.0], Likeness(0.999, 0.3)).result
+    assert joined.probability("A") == pytest.approx(0.6, abs=0.01)
+    clearance = next(match for match in joined.hypotheses if match.label == "A").clearances[0]
+    assert math.log(clearance.high / clearance.low) == pytest.approx(2 * 1.645 * 0.2, rel=0.05)
+
+
+def test_the_order_does_not_matter() -> None:
+    parts = [said((0.1, 0.6, 0.3), (100, 300)), said((0.2, 0.5, 0.3), (120, 300)), said((0.3, 0.3, 0.4), (90, 500))]
+    forth = match_together(parts, PRIOR, [1.0, 1.0, 1.2])
+    back = match_together(parts[::-1], PRIOR, [1.2, 1.0, 1.0])
+    assert back.weights[::-1] == pytest.approx(forth.weights)
+    for label in ("healthy", "A", "B"):
+        assert back.result.probability(label) == pytest.approx(forth.result.probability(label), rel=1e-9)
+
+
+def test_one_that_contradicts_stands_out() -> None:
+    worn, other = said((0.0, 1.0, 0.0), (200, 200)), said((0.0, 0.0, 1.0), (200, 200))
+    joined = match_together([worn, worn, worn, other], PRIOR, [0.8, 1.0, 1.2, 1.0])
+    assert joined.result.best.label == "A"
+    assert joined.for_one_machine[3] < math.log(0.05)
+    assert (joined.for_one_machine[:3] > 0.0).all()
+
+
+def recording(number: int) -> Recording:
+    return read_measurement(RECORDINGS / f"slider-crank-{number:02}.csv.gz")
+
+
+def part(whole: Recording, number: int) -> Recording:
+    """The first or second half of a recording."""
+    half = len(whole.signal) // 2
+    signal = np.ascontiguousarray(whole.signal[number * half : (number + 1) * half])
+    return replace(whole, name=f"{whole.name} {number}", signal=signal, sha256=hashlib.sha256(signal).hexdigest())
+
+
+@pytest.fixture(scope="module")
+def halves(small_catalogue: Catalogue) -> Diagnosis:
+    return diagnose_together([part(recording(2), 0), part(recording(2), 1)], small_catalogue)
+
+
+def test_two_halves_of_a_recording(halves: Diagnosis, small_catalogue: Catalogue) -> None:
+    whole = diagnose(recording(2), small_catalogue)
+    assert halves.verdict == whole.verdict == "worn"
+    assert halves.hypotheses[0].label == whole.hypotheses[0].label
+    assert [share.alone for share in halves.recordings] == [halves.hypotheses[0].label] * 2
+    assert all(share.one_machine > 1.0 and not share.contradicts and not share.left_out for share in halves.recordings)
+    assert 1.0 < sum(share.weight for share in halves.recordings) < 2.0
+    assert halves.id != whole.id
+    assert Diagnosis.model_validate_json(halves.to_json()) == halves
+
+
+def test_the_same_file_twice_counts_once(small_catalogue: Catalogue) -> None:
+    once, twice = (diagnose_together([recording(2)] * count, small_catalogue) for count in (1, 2))
+    assert once == diagnose(recording(2), small_catalogue)
+    assert twice.hypotheses == once.hypotheses
+    three = diagnose_together([part(recording(2), 0), part(recording(2), 1), part(recording(2), 1)], small_catalogue)
+    assert len(three.recordings) == 2
+    assert "1 given twice: counted once" in three.warnings
+
+
+def test_recordings_of_two_machines_contradict(small_catalogue: Catalogue) -> None:
+    """Two halves with one worn joint, and a recording of a machine with another."""
+    odd = recording(3)
+    answer = diagnose_together([part(recording(2), 0), part(recording(2), 1), odd], small_catalogue)
+    shares = {share.measurement: share for share in answer.recordings}
+    assert shares[odd.name].contradicts
+    assert shares[odd.name].without == diagnose(recording(2), small_catalogue).hypotheses[0].label
+    assert any(line.startswith(f"{odd.name}: contradicts the others") for line in answer.warnings)
+
+
+def test_one_that_is_spoiled_is_left_out(halves: Diagnosis, small_catalogue: Catalogue) -> None:
+    """A foreign force in the low orders: nothing that the catalogue knows explains it, the others are explained."""
+    whole = part(recording(2), 1)
+    time = np.arange(len(whole.signal)) / whole.sample_rate
+    signal = whole.signal + 10.0 * np.sin(2 * math.pi * 1.0 * halves.drive_speed_rpm / 60.0 * time)[:, None]
+    spoiled = replace(whole, name="spoiled", signal=signal, sha256=hashlib.sha256(signal).hexdigest())
+    two = [part(recording(2), 0), whole]
+    answer = diagnose_together([*two, spoiled], small_catalogue)
+    share = answer.recordings[2]
+    assert share.left_out
+    assert share.weight == 0.0
+    assert answer.verdict == halves.verdict
+    assert answer.hypotheses == halves.hypotheses
+
+
+@pytest.mark.parametrize(
+    ("count", "speeds", "message"),
+    [
+        (0, None, r"measurements: 0: must be 1 to 20"),
+        (MOST_TOGETHER + 1, None, r"measurements: 21: must be 1 to 20"),
+        (2, [60.0], r"speed: 1 for 2 measurements: must be one for each, or none"),
+    ],
+)
+def test_refusals(count: int, speeds: list[float] | None, message: str, small_catalogue: Catalogue) -> None:
+    with pytest.raises(DiagnosisError, match=message):
+        diagnose_together([recording(2)] * count, small_catalogue, speeds=speeds)
