@@ -1,10 +1,11 @@
 """Diagnoses of recordings by the second simulator of the tests, which shares no code with the product, and the truth.
 
     PYTHONPATH=tests python -m second_simulator --protocol singles --machine four-bar --count 12 --out recordings
-    python -m benchmarks.real_machines recordings --catalogues DIR [--before DIR] [--keep answers.json]
+    python -m benchmarks.real_machines recordings --catalogues DIR [--before DIR] [--together] [--keep answers.json]
 
 Recordings are named MACHINE-PROTOCOL-NUMBER; those of the same machines before anything was the matter, which the
-second simulator makes with --before, have the same names in another folder and serve as baselines. Every figure is a
+second simulator makes with --before, have the same names in another folder and serve as baselines; those of the same
+machines at other speeds (--factor) have one answer with --together. Every figure is a
 count with its 95 % interval (Wilson 1927).
 """
 
@@ -23,7 +24,7 @@ from typing import Any, cast
 
 from jointplay.app.tables import table
 from jointplay.catalogue.diagnosing.answer import Diagnosis
-from jointplay.catalogue.diagnosing.diagnosis import diagnose
+from jointplay.catalogue.diagnosing.together import diagnose_together
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
@@ -69,19 +70,29 @@ class Judged:
         return ", ".join(names)
 
 
-def judge(folder: Path, catalogues: Path, effort: Effort, only: str, before: Path | None = None) -> Iterable[Judged]:
-    """Diagnose all recordings of a folder whose machines have a catalogue, beside what was recorded before."""
+def judge(
+    folder: Path, catalogues: Path, effort: Effort, only: str, before: Path | None = None, *, together: bool = False
+) -> Iterable[Judged]:
+    """Diagnose all recordings of a folder whose machines have a catalogue, beside what was recorded before.
+
+    Each by itself, or those of one machine together.
+    """
     opened: dict[str, Catalogue] = {}
     for truth_file in sorted(folder.rglob("truth.json")):
+        groups: dict[str, list[tuple[Path, Mapping[str, Any]]]] = defaultdict(list)
         for name, truth in sorted(json.loads(truth_file.read_text()).items()):
-            file, machine = truth_file.with_name(f"{name}.npz"), truth["machine"]
-            if only not in name or not file.exists() or not (catalogues / machine).is_dir():
-                continue
-            protocol = name.removeprefix(f"{machine}-").rpartition("-")[0]
+            file = truth_file.with_name(f"{name}.npz")
+            if only in name and file.exists() and (catalogues / truth["machine"]).is_dir():
+                groups[truth.get("of", name) if together else name].append((file, truth))
+        for name, recorded in groups.items():
+            truth = recorded[0][1]
+            machine = truth["machine"]
+            protocol = truth.get("of", name).removeprefix(f"{machine}-").rpartition("-")[0]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
-            baseline = None if before is None else read_measurement(next(before.rglob(file.name)))
+            baseline = None if before is None else read_measurement(next(before.rglob(f"{name}.npz")))
             try:
-                answer: Diagnosis = diagnose(read_recording(file), catalogue, effort=effort, baseline=baseline)
+                recordings = [read_recording(file) for file, _ in recorded]
+                answer: Diagnosis = diagnose_together(recordings, catalogue, effort=effort, baseline=baseline)
             except CatalogueError as error:
                 yield Judged(name, protocol, truth, None, str(error))
                 continue
@@ -229,6 +240,16 @@ def log_loss(found: Sequence[Judged]) -> tuple[float, int]:
     return (sum(losses) / len(losses) if losses else math.nan), len(losses)
 
 
+def log_loss_of_sets(found: Sequence[Judged]) -> float:
+    """Mean of -ln P of the set of worn joints, over all answers."""
+    losses = []
+    for item in found:
+        ranked = (item.answer or {}).get("hypotheses") or []
+        own = sum(each["probability"] for each in ranked if frozenset(each["joints"]) == item.worn)
+        losses += [-math.log(max(own, 1e-6))] if ranked else []
+    return sum(losses) / len(losses) if losses else math.nan
+
+
 def shown(item: Judged) -> tuple[str, ...]:
     """One line of the list of answers."""
     worn = ", ".join(f"{joint} {um:.0f}" for joint, um in item.truth["worn_um"].items()) or "-"
@@ -253,15 +274,19 @@ def main() -> int:
     parser.add_argument("--effort", choices=("fast", "standard", "thorough"), default="standard")
     parser.add_argument("--only", default="", help="recordings with this in their name")
     parser.add_argument("--before", type=Path, help="folder of recordings of the same machines before")
+    parser.add_argument("--together", action="store_true", help="one answer to all recordings of a machine")
     parser.add_argument("--keep", type=Path, help="file for truths and answers")
     given = parser.parse_args()
-    found = list(judge(given.recordings, given.catalogues, cast(Effort, given.effort), given.only, given.before))
+    effort = cast(Effort, given.effort)
+    asked = (given.recordings, given.catalogues, effort, given.only, given.before)
+    found = list(judge(*asked, together=given.together))
     head = ("recording", "worn [um]", "else", "verdict", "first three", "clearance [um]", "causes", "p")
     print(table(head, [shown(item) for item in found]))
     print(table(("protocol", "machine", "rule", "seen", "95 %"), figures(found)))
     held, count = intervals_held(found)
     loss, joints = log_loss(found)
     print(f"90 % intervals hold {held} of {count}; log-loss of P(worn) {loss:.3f} over {joints} joints")
+    print(f"log-loss of the set of worn joints {log_loss_of_sets(found):.3f}")
     print("candidate sets hold {} of {}".format(*sets_held(found)))
     for series, size in first_seen(found).items():
         print(f"growing wear, {series}: seen from {size:.0f} um on")

@@ -42,7 +42,13 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     try:
         map_sensors(measurement, found.machine)
         field = "speed"
-        prepared = prepare(measurement, found.machine, scheme=found.scheme, nominal=found.recipe.nominal_drive_speed)
+        prepared = prepare(
+            measurement,
+            found.machine,
+            scheme=found.scheme,
+            nominal=found.recipe.nominal_drive_speed,
+            near=found.drive_speeds,
+        )
     except MeasurementError as error:
         return {**answer, "warnings": list(measurement.warnings), "field": field, "message": str(error)}
     estimate = prepared.speed

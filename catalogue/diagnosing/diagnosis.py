@@ -66,7 +66,7 @@ def diagnose(
         A setting breaks a rule, or the catalogue holds too little.
     """
     question = Question(effort, mode, coverage, cases, prior or Prior())
-    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed)
+    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
     prepared = prepare(measurement, catalogue.machine, mapping, speed, *scale)
     known = None
     if baseline is not None:

@@ -96,7 +96,7 @@ def diagnose_together(
             baseline=baseline,
             library=library,
         )
-    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed)
+    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
     known = None
     if baseline is not None:
         in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)

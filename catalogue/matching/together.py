@@ -18,7 +18,7 @@ from scipy.special import log_softmax, logsumexp
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
 from jointplay.solver.arrays import FloatArray, IntArray
 
-ALIKE_AT_ONE_SPEED, ALIKE = 0.6, 0.3
+ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
 """Correlation of what two recordings of a machine have wrong, at one stored speed and at two."""
 
 SLIP = 1e-3

@@ -8,6 +8,7 @@ are: the drive's angle is taken as uniform rotation plus a slow polynomial, and 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,6 +150,29 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
             raise MeasurementError(source, rule=rule)
         tracks.append(_track(block, rate, coarse, contrast))
     return _join(tracks, [len(block) / rate for block in blocks])
+
+
+def likeliest_speed(signal: npt.ArrayLike, sample_rate: float, speeds: Sequence[float]) -> float:
+    """Return the one of some drive speeds [rad/s] about which orders stand out most, in the first revolutions.
+
+    Parameters
+    ----------
+    signal, sample_rate
+        As for :func:`estimate_speed`.
+    speeds : sequence of float
+        At least one; those that are too slow or too fast for the recording count for nothing.
+    """
+    values = np.asarray(signal, dtype=np.float64)
+    values = np.where(np.isfinite(values), values, 0.0)
+    contrasts = []
+    for speed in speeds:
+        turn = abs(speed) / (2.0 * math.pi)
+        if len(values) / sample_rate * turn < MIN_REVOLUTIONS or sample_rate < 8.0 * turn:
+            contrasts.append(-math.inf)
+            continue
+        block = values[: round(BLOCK_REVOLUTIONS / turn * sample_rate)]
+        contrasts.append(comb_speed(*thin(block, sample_rate, turn), turn)[1])
+    return float(speeds[int(np.argmax(contrasts))])
 
 
 def thin(values: FloatArray, sample_rate: float, turn: float) -> tuple[FloatArray, float]:

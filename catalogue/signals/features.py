@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.drivespeed import SEARCH_RANGE, SpeedEstimate, SpeedTrack, track_speed
+from jointplay.catalogue.measurements.drivespeed import (
+    SEARCH_RANGE,
+    SpeedEstimate,
+    SpeedTrack,
+    likeliest_speed,
+    track_speed,
+)
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.tacho import track_of, usual_speed
@@ -70,6 +76,7 @@ def prepare(
     speed: float | None = None,
     scheme: BandScheme | None = None,
     nominal: float | None = None,
+    near: Sequence[float] = (),
 ) -> PreparedMeasurement:
     """Make a recording ready to be compared.
 
@@ -85,6 +92,9 @@ def prepare(
         The catalogue's; the default is that of the machine's nominal speed.
     nominal : float, optional
         Nominal drive speed [rad/s] of the catalogue; the default is the machine's, which a motor has to be run for.
+    near : sequence of float, optional
+        Drive speeds [rad/s] that the catalogue has, where there are several: a recording is looked for about the one
+        whose orders stand out most.
 
     Returns
     -------
@@ -107,6 +117,8 @@ def prepare(
     _refuse_short(measurement.name, measurement.duration, expected, allowance=0.1 if speed is None else 0.0)
 
     sensing, sensor_step = _sensors(measurement, machine, mapping, expected)
+    if speed is None and by_pulses is None and len(near) > 1:
+        nominal = expected = likeliest_speed(measurement.signal[:, list(sensing.columns)], rate, near)
     warnings = [*measurement.warnings, *sensing.warnings]
     first, last, part_step, unsteady = _steady_part(measurement, sensing, expected)
     doubt: list[str] = []

@@ -175,6 +175,11 @@ class Catalogue:
         return self._manifest.recipe.scheme
 
     @property
+    def drive_speeds(self) -> tuple[float, ...]:
+        """Drive speeds [rad/s] about which it has entries, rising."""
+        return tuple(factor * self.matrix.nominal_speed for factor in self.matrix.speeds)
+
+    @property
     def size(self) -> int:
         """Bytes of its shards."""
         sealed = self._manifest.seal

@@ -9,7 +9,7 @@ import pytest
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, estimate_speed, track_speed
+from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, estimate_speed, likeliest_speed, track_speed
 from jointplay.catalogue.measurements.measurement import read_measurement
 
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
@@ -55,6 +55,26 @@ def test_mean_speed_of_drives_that_wander(hertz: float, seconds: float, within: 
     assert np.abs(errors).max() < within
     # The uncertainty is worth its name: root mean square of 20 scores within a factor of two of one.
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 2.0
+
+
+@pytest.mark.parametrize("factors", [(0.8, 1.0, 1.2), (0.5, 1.0), (0.5, 1.0, 1.5), (0.25, 0.5, 1.0, 2.0)])
+def test_which_of_several_speeds(factors: tuple[float, ...]) -> None:
+    """Also of speeds whose orders are those of another one: halves, three halves and doubles."""
+    rng = np.random.default_rng(5)
+    speeds = [2 * np.pi * 4.0 * factor for factor in factors]
+    for _ in range(10):
+        for speed in speeds:
+            signal, _, _ = comb(rng, speed / (2 * np.pi) * rng.uniform(0.95, 1.05), 8.0)
+            signal[100:140] = np.nan  # a drop-out
+            assert likeliest_speed(signal, 2000.0, speeds) == speed
+
+
+@pytest.mark.parametrize("name", sorted(NOMINAL_RPM))
+def test_which_of_several_speeds_recordings_have(name: str) -> None:
+    speeds = [NOMINAL_RPM[name] * np.pi / 30 * factor for factor in (0.5, 0.8, 1.0, 1.2, 2.0)]
+    for number in (1, 2, 3):
+        found = read_measurement(RECORDINGS / f"{name}-{number:02}.csv.gz")
+        assert likeliest_speed(found.signal, found.sample_rate, speeds) == speeds[2]
 
 
 def test_course_of_the_speed() -> None:

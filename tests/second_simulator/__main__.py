@@ -23,11 +23,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--before", action="store_true", help="of the same machines, before anything was the matter")
+    parser.add_argument("--factor", type=float, default=1.0, help="on the drive speed, of the same machines once more")
     given = parser.parse_args()
+    if not 0.1 <= given.factor <= 10.0:
+        parser.error(f"--factor: {given.factor:g}: must be from 0.1 to 10")
     machine = read(given.machine)
     for number in range(1, given.count + 1):
         began = time.perf_counter()
-        name, made = write(machine, given.protocol, number, given.seed, given.out, before=given.before)
+        asked = (machine, given.protocol, number, given.seed, given.out)
+        name, made = write(*asked, before=given.before, factor=given.factor)
         print(f"{name}: {f'{time.perf_counter() - began:.1f} s' if made else 'kept'}", flush=True)
 
 

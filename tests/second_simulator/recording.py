@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from second_simulator.individual import Individual
+from second_simulator.individual import Individual, recorded_anew
 from second_simulator.machine import Array, Machine
 from second_simulator.protocols import individual_before, individual_of
 from second_simulator.sensors import FINE_RATE, RATE, decimated, logged, point_accelerations
@@ -60,21 +60,36 @@ def truth_of(individual: Individual, made: Run) -> dict[str, Any]:
 
 
 def write(
-    machine: Machine, protocol: str, number: int, seed: int, folder: Path, *, before: bool = False
+    machine: Machine,
+    protocol: str,
+    number: int,
+    seed: int,
+    folder: Path,
+    *,
+    before: bool = False,
+    factor: float = 1.0,
 ) -> tuple[str, bool]:
     """Make one recording where it is not there yet; return its name, and whether it was made.
 
-    With ``before``, of the same machine when nothing was the matter with it yet.
+    With ``before``, of the same machine when nothing was the matter with it yet; with a ``factor``, of the same machine
+    in the same state, recorded once more at so many times its drive speed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    name = f"{machine.name}-{protocol}-{number:02d}"
+    first = f"{machine.name}-{protocol}-{number:02d}"
+    name = first if factor == 1.0 else f"{first}-at-{factor:g}"
     truth_file, file = folder / "truth.json", folder / f"{name}.npz"
     truths = json.loads(truth_file.read_text()) if truth_file.exists() else {}
     if name in truths and file.exists():
         return name, False
     of = individual_before if before else individual_of
     individual = of(machine, protocol, number, lambda *parts: stream(seed, machine.name, protocol, *parts))
-    draw = stream(seed, machine.name, protocol, number, "before" if before else "recording")
+    again: dict[str, Any] = {}
+    visit: list[object] = ["before" if before else "recording"]
+    if factor != 1.0:
+        again, visit = {"of": first, "speed_factor": factor}, [*visit, factor]
+        recorded_anew(individual, stream(seed, machine.name, protocol, number, "visit", factor))
+        individual.speed *= factor
+    draw = stream(seed, machine.name, protocol, number, *visit)
     columns, made = recorded(individual, draw)
     columns = _dropped(columns, individual, draw)
     units = json.dumps({name: "s" if name == "time" else "m/s2" for name in columns})
@@ -84,7 +99,7 @@ def write(
         np.savez_compressed(stream_out, units=np.array(units), **small)  # type: ignore[arg-type]
     os.replace(unfinished, file)
     truths = json.loads(truth_file.read_text()) if truth_file.exists() else {}
-    truths[name] = {**truth_of(individual, made), "seed": seed, "duration_s": float(columns["time"][-1])}
+    truths[name] = {**truth_of(individual, made), **again, "seed": seed, "duration_s": float(columns["time"][-1])}
     unfinished = truth_file.with_suffix(".part")
     unfinished.write_text(json.dumps(truths, indent=1))
     os.replace(unfinished, truth_file)

@@ -86,6 +86,21 @@ def test_same_seed_same_recording_and_what_is_there_is_kept(tmp_path: Path) -> N
     assert recording.write(machine, "singles", 1, 1, tmp_path / "a") == ("slider-crank-singles-01", False)
 
 
+def test_once_more_at_another_speed(tmp_path: Path) -> None:
+    """The same machine in the same state, by the same sensors; another speed, and other noise."""
+    machine = read("slider-crank")
+    names = [recording.write(machine, "pairs", 1, 1, tmp_path, factor=factor)[0] for factor in (1.0, 0.8)]
+    assert names == ["slider-crank-pairs-01", "slider-crank-pairs-01-at-0.8"]
+    first, again = (json.loads((tmp_path / "truth.json").read_text())[name] for name in names)
+    assert again["of"] == names[0]
+    assert "of" not in first
+    assert again["speed_rpm"] == pytest.approx(0.8 * first["speed_rpm"], rel=0.05)
+    for same in ("worn_um", "clearances_um", "contact", "frame_mass_factor", "gain"):
+        assert again[same] == first[same]
+    for other in ("noise_rms", "wander_max"):
+        assert again[other] != first[other]
+
+
 @pytest.mark.parametrize("machine", MACHINES)
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_protocols_are_what_they_say(machine: str, protocol: str) -> None:
