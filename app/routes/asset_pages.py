@@ -19,6 +19,7 @@ from jointplay.app.problems import Problem
 from jointplay.app.routes.assets import check_baseline
 from jointplay.app.routes.pages import REFUSALS, context
 from jointplay.app.schemas.assets import AssetIn, AssetName
+from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
@@ -27,7 +28,7 @@ from jointplay.app.words import spell_moment
 
 router = APIRouter(prefix="/assets")
 
-FIELDS = ("external_id", "machine", "notes", "baseline")
+FIELDS = ("external_id", "machine", "notes", "baseline", "from")
 SHOWN = 200
 
 
@@ -85,6 +86,26 @@ async def change(request: Request, external_id: str) -> Response:
         except REFUSALS:
             return await show_list(request, None, {}, problem)
     return RedirectResponse(f"/assets/{external_id}", status_code=303)
+
+
+@router.post("/{external_id}/together")
+async def together(request: Request, external_id: str) -> Response:
+    """Diagnose the recordings of an asset from one of them on together, and go to the answer."""
+    service = of_request(request)
+    try:
+        given = await plain_form(request)
+        if "from" not in given:
+            raise BadFieldError("choose a recording", field="from")
+        first = await run_in_threadpool(service.store.measurement, given["from"])
+        asked = {"asset": external_id, "catalogue": given.get("catalogue", ""), "since": first.created_at.isoformat()}
+        row = await service.diagnose(validate(DiagnosisRequest, asked))
+    except REFUSALS as error:
+        problem = problem_from(error)
+        try:
+            return await show_asset(request, external_id, None, None, problem)
+        except REFUSALS:
+            return await show_list(request, None, {}, problem)
+    return RedirectResponse(f"/diagnoses/{row.id}", status_code=303)
 
 
 def check_form(given: dict[str, str]) -> tuple[str, AssetIn]:

@@ -210,7 +210,8 @@ def _shares(heard: Sequence[Heard], reasons: Sequence[str], joined: Together) ->
     for each, reason in zip(heard, reasons, strict=True):
         counts = not reason
         # What was left out changes nothing: without it the answer is the same.
-        others = joined.without[used] if counts else joined.result
+        best = joined.result.best
+        without, p_without = joined.without[used] if counts else (best.label, best.probability)
         likelier = math.exp(min(joined.for_one_machine[used], 50.0)) if counts else 1.0
         shares.append(
             RecordingShare(
@@ -221,8 +222,8 @@ def _shares(heard: Sequence[Heard], reasons: Sequence[str], joined: Together) ->
                 p_alone=min(1.0, each.result.best.probability),
                 verdict=each.verdict,
                 weight=float(joined.weights[used]) if counts else 0.0,
-                without=others.best.label,
-                p_without=min(1.0, others.best.probability),
+                without=without,
+                p_without=min(1.0, p_without),
                 one_machine=likelier,
                 contradicts=likelier < CONTRADICTS_BELOW,
                 left_out=reason,

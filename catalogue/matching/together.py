@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import log_softmax, logsumexp
 
+from jointplay.catalogue.matching.curves import log_sum_exp
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
 from jointplay.solver.arrays import FloatArray, IntArray
 
@@ -68,14 +68,14 @@ class Together:
         What each recording counts.
     for_one_machine : ndarray, shape (n,)
         How much likelier each recording is as one of the machine of all others than of any other, ln.
-    without : tuple of MatchResult
-        The common answer of all others, for each.
+    without : tuple of (str, float)
+        Most probable hypothesis by all others, and its probability, for each.
     """
 
     result: MatchResult
     weights: FloatArray
     for_one_machine: FloatArray
-    without: tuple[MatchResult, ...]
+    without: tuple[tuple[str, float], ...]
 
 
 def match_together(
@@ -94,22 +94,23 @@ def match_together(
     likeness : Likeness, optional
     """
     if len(results) == 1:
-        return Together(results[0], np.ones(1), np.zeros(1), (results[0],))
+        best = results[0].best
+        return Together(results[0], np.ones(1), np.zeros(1), ((best.label, best.probability),))
     alike = likeness or Likeness()
     said = _Said.of(results, prior)
     everyone = np.arange(len(results))
     weights = alike.weights(speeds)
-    result, _ = said.join(everyone, weights)
     without, for_one = [], []
     for i in everyone:
         others = np.delete(everyone, i)
         of_others = alike.weights([speeds[int(k)] for k in others])
-        rest, rest_total = said.join(others, of_others)
-        _, own_total = said.join(np.array([i]), np.ones(1))
-        _, total = said.join(np.append(others, i), np.append(of_others, 1.0))
-        without.append(rest)
+        rest, rest_total = said.weigh(others, of_others)
+        _, own_total = said.weigh(np.array([i]), np.ones(1))
+        _, total = said.weigh(np.append(others, i), np.append(of_others, 1.0))
+        lead = int(rest.argmax())
+        without.append((results[0].hypotheses[lead].label, float(rest[lead])))
         for_one.append(total - rest_total - own_total)
-    return Together(result, weights, np.array(for_one), tuple(without))
+    return Together(said.join(weights), weights, np.array(for_one), tuple(without))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,44 +144,40 @@ class _Said:
         ]
         return cls(results, np.log(share), np.log(slipped) - np.log(share), densities)
 
-    def join(self, chosen: IntArray, weights: FloatArray) -> tuple[MatchResult, float]:
-        """The answer of some recordings, and ln of how much likelier they are together than by chance."""
-        first = self.results[chosen[0]]
-        by_label = {match.label: h for h, match in enumerate(self.results[0].hypotheses)}
+    def weigh(self, chosen: IntArray, weights: FloatArray) -> tuple[FloatArray, float]:
+        """Probabilities (h,) by some recordings, and ln of how much likelier they are together than by chance."""
         log_weight = self.log_prior + weights @ self.evidence[chosen]
-        laws: list[list[FloatArray]] = []
         for h, joints in enumerate(self.densities):
-            laws.append([])
             for _, before, ratio in joints:
-                log_law = np.log(before) + weights @ ratio[chosen]
-                agreed = float(logsumexp(log_law))
-                log_weight[h] += agreed
-                laws[-1].append(np.exp(log_law - agreed))
-        probability = np.exp(log_softmax(log_weight))
+                log_weight[h] += float(log_sum_exp(np.log(before) + weights @ ratio[chosen]))
+        total = float(log_sum_exp(log_weight))
+        return np.exp(log_weight - total), total
+
+    def join(self, weights: FloatArray) -> MatchResult:
+        """The answer of all recordings."""
+        results, first = self.results, self.results[0]
+        probability, _ = self.weigh(np.arange(len(results)), weights)
+        by_label = [{match.label: match for match in result.hypotheses} for result in results]
         matches = []
-        for label, h in by_label.items():
-            own = [next(m for m in self.results[i].hypotheses if m.label == label) for i in chosen]
+        for match, joints, share in zip(first.hypotheses, self.densities, probability.tolist(), strict=True):
+            own = [known[match.label] for known in by_label]
             clearances = tuple(
-                _estimate(own[0].clearances[j].joint, self.densities[h][j][0], law) for j, law in enumerate(laws[h])
+                _estimate(found.joint, edges, np.log(before) + weights @ ratio)
+                for found, (edges, before, ratio) in zip(match.clearances, joints, strict=True)
             )
+            distance = math.sqrt(math.fsum(each.distance_db**2 for each in own) / len(own))
+            p_value = _least([each.p_value for each in own])
             matches.append(
-                replace(
-                    own[0],
-                    probability=float(probability[h]),
-                    clearances=clearances,
-                    distance_db=math.sqrt(math.fsum(each.distance_db**2 for each in own) / len(own)),
-                    p_value=_least([each.p_value for each in own]),
-                )
+                replace(match, probability=share, clearances=clearances, distance_db=distance, p_value=p_value)
             )
-        trusted = [p for p in (self.results[i].trusted_p_value for i in chosen) if p is not None]
-        joined = replace(
+        trusted = [each.trusted_p_value for each in results if each.trusted_p_value is not None]
+        return replace(
             first,
             hypotheses=tuple(sorted(matches, key=lambda match: -match.probability)),
-            mode="robust" if any(self.results[i].mode == "robust" for i in chosen) else "trusted",
+            mode="robust" if any(each.mode == "robust" for each in results) else "trusted",
             trusted_p_value=_least(trusted) if trusted else None,
-            notes=tuple(dict.fromkeys(note for i in chosen for note in self.results[i].notes)),
+            notes=tuple(dict.fromkeys(note for each in results for note in each.notes)),
         )
-        return joined, float(logsumexp(log_weight))
 
 
 def _densities(estimates: Sequence[ClearanceEstimate]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -203,9 +200,9 @@ def _log_normal(estimate: ClearanceEstimate) -> tuple[FloatArray, FloatArray]:
     return edges, estimate.below(edges)
 
 
-def _estimate(joint: str, edges: FloatArray, law: FloatArray) -> ClearanceEstimate:
-    """Median and interval of probabilities (p,) of cells (p + 1,) of ln(clearance)."""
-    below = np.concatenate([[0.0], np.cumsum(law)])
+def _estimate(joint: str, edges: FloatArray, log_law: FloatArray) -> ClearanceEstimate:
+    """Median and interval of ln of weights (p,) of cells (p + 1,) of ln(clearance)."""
+    below = np.concatenate([[0.0], np.cumsum(np.exp(log_law - log_law.max()))])
     below /= below[-1]
     low, median, high = np.exp(np.interp([0.05, 0.5, 0.95], below, edges)).tolist()
     return ClearanceEstimate(joint, median, low, high, (edges, below))

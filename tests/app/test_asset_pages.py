@@ -190,3 +190,26 @@ def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> No
 def test_a_past_without_wear_is_drawn() -> None:
     drawn = chart([diagnosed(2, "in_order")], {"m2": measured(2)}, [])
     assert drawn["joints"] == [] and "No joint was found worn." in drawn["summary"]
+
+
+def test_recordings_of_an_asset_have_one_answer(client: httpx.Client, worn: bytes) -> None:
+    noted(client, "page-several")
+    keys = []
+    for name in ("monday.csv", "tuesday.csv"):
+        # The same bytes under another name are another measurement, and count once.
+        key = client.post(f"{API}/measurements", files={"file": (name, worn)}).json()["id"]
+        client.put(f"{API}/assets/page-several/measurements/{key}")
+        keys.append(key)
+        shown = client.get("/assets/page-several").text
+        assert ("Diagnose together" in shown) == (len(keys) > 1)
+    catalogue = re.search(r'name="catalogue" value="([^"]*)"', shown)
+    assert catalogue is not None
+    asked = {"from": keys[0], "catalogue": catalogue[1]}
+    answer = client.post("/assets/page-several/together", data=asked)
+    assert answer.status_code == 303
+    found = client.get(f"{API}{answer.headers['location']}").json()
+    assert found["measurements"] == keys
+    assert found["asset"] == "page-several"
+    refused = client.post("/assets/page-several/together", data={"catalogue": catalogue[1]})
+    assert refused.status_code == 422
+    assert error_of(refused.text, "from") == "choose a recording"
