@@ -227,7 +227,7 @@ def report(result: Diagnosis) -> str:
     if result.effort_spent.note:
         parts.append(f"simulated anew: {result.effort_spent.note}")
     if result.suggestions:
-        parts += ["What would tell them apart:", indent(suggestions(result))]
+        parts += ["What would tell them apart, diagnosed together with this:", indent(suggestions(result))]
     parts += [f"warning: {line}" for line in result.warnings]
     return "\n".join(parts)
 

@@ -102,9 +102,16 @@ def diagnose_together(
         in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)
         known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
     shelf = library or library_of(catalogue)
+    columns = {name for recording, _ in different.values() for name in recording.channel_names}
     heard = []
     for recording, speed in different.values():
-        prepared = prepare(recording, catalogue.machine, mapping, speed, *scale)
+        # A column that only some have is mapped there; one that none has is refused by name.
+        own = {
+            column: sensor
+            for column, sensor in (mapping or {}).items()
+            if column in recording.channel_names or column not in columns
+        }
+        prepared = prepare(recording, catalogue.machine, own, speed, *scale)
         heard.append(hear(prepared, recording.sha256, catalogue, question, shelf, known=known))
     warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))
     return conclude(heard, catalogue, question, shelf, mapping=mapping, warnings=warnings)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from jointplay.app.figures.plot import plot
     from jointplay.catalogue.building.build import build
     from jointplay.catalogue.diagnosing.diagnosis import diagnose
+    from jointplay.catalogue.diagnosing.together import diagnose_together
     from jointplay.catalogue.evaluation.study import evaluate
     from jointplay.catalogue.measurements.measured_spectrum import read_recording
     from jointplay.catalogue.measurements.measurement import Recording
@@ -43,6 +44,7 @@ __all__ = [
     "__version__",
     "build",
     "diagnose",
+    "diagnose_together",
     "evaluate",
     "load_machine",
     "load_plan",
@@ -55,6 +57,7 @@ _HOMES = {
     "app.figures.plot": ("plot",),
     "catalogue.building.build": ("build",),
     "catalogue.diagnosing.diagnosis": ("diagnose",),
+    "catalogue.diagnosing.together": ("diagnose_together",),
     "catalogue.evaluation.study": ("evaluate",),
     "catalogue.measurements.measured_spectrum": ("read_recording",),
     "catalogue.measurements.measurement": ("Recording",),

@@ -15,7 +15,7 @@ from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.diagnosing.together import diagnose_together
-from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.together import SLIP, Likeness, match_together
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
@@ -157,6 +157,16 @@ def test_the_same_file_twice_counts_once(small_catalogue: Catalogue) -> None:
     three = diagnose_together([part(recording(2), 0), part(recording(2), 1), part(recording(2), 1)], small_catalogue)
     assert len(three.recordings) == 2
     assert "1 given twice: counted once" in three.warnings
+
+
+def test_columns_may_be_named_otherwise_in_each(halves: Diagnosis, small_catalogue: Catalogue) -> None:
+    one, other = part(recording(2), 0), part(recording(2), 1)
+    channels = (replace(other.channels[0], name="Kanal 1"), *other.channels[1:])
+    renamed = replace(other, channels=channels, sha256="0" * 64)
+    mapped = diagnose_together([one, renamed], small_catalogue, mapping={"Kanal 1": other.channels[0].name})
+    assert mapped.hypotheses == halves.hypotheses
+    with pytest.raises(MeasurementError, match="'Kanal 2': is mapped but not in the recording"):
+        diagnose_together([one, renamed], small_catalogue, mapping={"Kanal 2": other.channels[0].name})
 
 
 def test_recordings_of_two_machines_contradict(small_catalogue: Catalogue) -> None:
