@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +21,7 @@ from jointplay.catalogue.diagnosing.answer import Suggestion
 from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.together import Likeness
 from jointplay.catalogue.signals.feature_bands import join_bands
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensors import free_motions
@@ -51,7 +52,12 @@ SAME_POINT = 1e-6
 
 
 def suggest(
-    catalogue: Catalogue, prepared: PreparedMeasurement, result: MatchResult, *, count: int = 5
+    catalogue: Catalogue,
+    prepared: PreparedMeasurement,
+    result: MatchResult,
+    *,
+    others: Sequence[float] = (),
+    count: int = 5,
 ) -> tuple[Suggestion, ...]:
     """Rank what would tell the first hypotheses apart.
 
@@ -62,6 +68,8 @@ def suggest(
         The recording that was matched.
     result : MatchResult
         Its answer.
+    others : sequence of float
+        Drive speeds [rad/s] of further recordings that the answer is of.
     count : int
         Suggestions at most.
 
@@ -76,7 +84,7 @@ def suggest(
     The separation is that of the best linear combination of levels (Fisher's), learned from half of the entries and
     measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
     middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
-    two recordings at different speeds to err independently.
+    several recordings count as they do in a common answer (:class:`~jointplay.catalogue.matching.together.Likeness`).
     """
     contenders = [match for match in result.hypotheses[:CONTENDERS] if match.probability >= LEAST_PROBABILITY]
     if len(contenders) < 2:
@@ -84,19 +92,18 @@ def suggest(
     question = _Separation(catalogue, prepared, tuple(contenders))
     if len(contenders) < 2 or not question.answerable(prepared.drive_speed):
         return ()
-    now = question.squared_distances(exact_sensing(prepared), prepared.drive_speed)
+    heard = [prepared.drive_speed, *others]
+    now = question.of_recordings(heard)
     error_now = question.error(now)
     if error_now < LEAST_ERROR:
         return ()
     found = []
     for kind, what, sensing in _more_sensors(prepared, catalogue.machine):
-        error = question.error(question.squared_distances(sensing, prepared.drive_speed))
+        error = question.error(question.of_recordings(heard, sensing))
         found.append(question.suggestion(kind, what, error_now, error))
-    for speed in question.other_speeds():
-        there = question.squared_distances(exact_sensing(prepared), speed)
-        found.append(
-            question.suggestion("speed", f"{speed * 30 / math.pi:.4g} rpm", error_now, question.error(now + there))
-        )
+    for speed in question.other_speeds(heard):
+        error = question.error(question.of_recordings([*heard, speed]))
+        found.append(question.suggestion("speed", f"{speed * 30 / math.pi:.4g} rpm", error_now, error))
     worth = [each for each in found if each.error < (1.0 - LEAST_GAIN) * each.error_now]
     return tuple(sorted(worth, key=lambda each: each.error)[:count])
 
@@ -117,12 +124,21 @@ class _Separation:
         """Whether every hypothesis has entries enough at a drive speed [rad/s]."""
         return all(len(self.matrix.rows(match.label, speed=speed)) >= LEAST_ENTRIES // 2 for match in self.contenders)
 
-    def other_speeds(self) -> list[float]:
-        """Speeds [rad/s] of the catalogue's plan but the one of the recording, those with entries enough."""
+    def other_speeds(self, heard: Sequence[float]) -> list[float]:
+        """Speeds [rad/s] of the catalogue's plan but those next to recordings, those with entries enough."""
         nominal = abs(self.catalogue.recipe.nominal_drive_speed)
         speeds = [nominal * factor for factor in self.catalogue.plan.speeds]
-        near = min(speeds, key=lambda speed: abs(math.log(speed / self.prepared.drive_speed)))
-        return [speed for speed in speeds if speed != near and self.answerable(speed)]
+        near = {min(speeds, key=lambda speed: abs(math.log(speed / turned))) for turned in heard}
+        return [speed for speed in speeds if speed not in near and self.answerable(speed)]
+
+    def of_recordings(self, speeds: Sequence[float], sensing: Sensing | None = None) -> FloatArray:
+        """Squared separation of every pair of hypotheses by recordings at some drive speeds."""
+        seen = sensing or exact_sensing(self.prepared)
+        stored = [self.matrix.nearest_speed(speed) for speed in speeds]
+        at = {factor: self.squared_distances(seen, speed) for factor, speed in zip(stored, speeds, strict=True)}
+        weights = Likeness().weights(stored)
+        found: FloatArray = weights @ np.array([at[factor] for factor in stored])
+        return found
 
     def rows(self, match: HypothesisMatch, speed: float) -> IntArray:
         """Entries of a hypothesis whose clearances lie within its intervals, or nearest to them."""

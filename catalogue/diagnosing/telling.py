@@ -75,9 +75,12 @@ def tell(
     ]
     with one_thread():
         joints = joint_states(result, catalogue, question.coverage)
+    others = [
+        share.drive_speed_rpm * math.pi / 30.0 for share in recordings if share.weight and share.sha256 != heard.sha256
+    ]
     unclear = suggesting and heard.verdict in ("worn", "in_order") and result.best.probability < CLEAR
     with one_thread():
-        suggestions = suggest(catalogue, prepared, result) if unclear else ()
+        suggestions = suggest(catalogue, prepared, result, others=others) if unclear else ()
     provenance = Provenance(
         measurement=prepared.name,
         measurement_sha256=heard.sha256,

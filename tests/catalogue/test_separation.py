@@ -130,3 +130,7 @@ def test_speeds_that_the_catalogue_holds(tmp_path: Path) -> None:
     speeds = [each for each in found if each.kind == "speed"]
     assert [each.what for each in speeds] == ["480 rpm"]
     assert speeds[0].separation > speeds[0].separation_now
+    # Recorded there as well, nothing is left to record at another speed.
+    both = suggest(catalogue, recorded(catalogue, (0,)), answer(("A", 0.5), ("B", 0.5)), others=[50.0], count=30)
+    assert not [each for each in both if each.kind == "speed"]
+    assert {each.error_now for each in both} == {speeds[0].error}
