@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
+from jointplay.app.words import Moment
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import LARGEST, Prior
@@ -194,10 +195,10 @@ class DiagnosisRequest(Shape):
         ),
     ]
     since: Annotated[
-        datetime | None,
+        Moment | None,
         Field(default=None, description="In place of measurements: all of `asset` stored from this moment on."),
     ]
-    until: Annotated[datetime | None, Field(default=None, description="With `since`: those stored before this moment.")]
+    until: Annotated[Moment | None, Field(default=None, description="With `since`: those stored before this moment.")]
     catalogue: Annotated[str, Field(min_length=1, max_length=255, description="Id or name of a catalogue.")]
     speed: Annotated[
         StrictFloat | StrictStr | None,

@@ -81,6 +81,7 @@ def test_all_of_an_asset_in_a_window(client: httpx.Client, two: list[str]) -> No
         ({"measurements": []}, "measurements"),
         ({"measurements": ["0" * 32] * 21}, "measurements"),
         ({"since": "2026-01-01T00:00:00Z"}, "asset"),
+        ({"since": "2026-01-01T00:00:00", "asset": "x"}, "since"),
         ({"measurement": "0" * 32, "until": "2026-01-01T00:00:00Z"}, "until"),
         ({"measurements": ["0" * 32], "speed": "600 rpm"}, "speed"),
     ],
