@@ -49,7 +49,7 @@ def diagnosis_row(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, A
         "percent": words.probability(result),
         "sent": spell_moment(measurement.created_at),
         "diagnosed": spell_moment(row.created_at),
-        "recording": measurement.name,
+        "recording": f"{len(result.recordings)} recordings" if result.recordings else measurement.name,
         "effort": result.effort,
     }
 

@@ -10,7 +10,7 @@ from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.rows import Comparison, comparisons, deciding, hypothesis_rows, joint_rows, order, recording_rows
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
-from jointplay.catalogue.diagnosing.answer import BandEvidence
+from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence
 from jointplay.solver.machines.machine import parse_machine
 
 SHOWN_HYPOTHESES = 12
@@ -37,7 +37,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "remarks": words.remarks(result),
         "joints": joint_rows(result),
         "machine": result.machine,
-        "speed": f"{result.drive_speed_rpm:.5g} rpm",
+        "speed": speeds(result),
         "recording": f"{len(result.recordings)} recordings" if result.recordings else measurement.name,
         "recordings": recording_rows(result),
         "asset": row.request.get("asset"),
@@ -53,6 +53,13 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "decided": [decision(comparison, band) for comparison, band in decided],
         "charts": [chart(comparison, [band for other, band in decided if other is comparison]) for comparison in found],
     }
+
+
+def speeds(result: Answer) -> str:
+    """Return the drive speed of a recording, or the lowest and highest of several."""
+    turned = [share.drive_speed_rpm for share in result.recordings] or [result.drive_speed_rpm]
+    low, high = (f"{speed:.5g}" for speed in (min(turned), max(turned)))
+    return f"{low} rpm" if low == high else f"{low} to {high} rpm"
 
 
 def decision(comparison: Comparison, band: BandEvidence) -> dict[str, str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -115,6 +115,8 @@ class _Separation:
     catalogue: Catalogue
     prepared: PreparedMeasurement
     contenders: tuple[HypothesisMatch, ...]
+    known: dict[float, FloatArray] = field(default_factory=dict)
+    """Separation by the recording's own sensors, by stored speed."""
 
     @property
     def matrix(self) -> FeatureMatrix:
@@ -132,12 +134,17 @@ class _Separation:
         return [speed for speed in speeds if speed not in near and self.answerable(speed)]
 
     def of_recordings(self, speeds: Sequence[float], sensing: Sensing | None = None) -> FloatArray:
-        """Squared separation of every pair of hypotheses by recordings at some drive speeds."""
-        seen = sensing or exact_sensing(self.prepared)
+        """Squared separation of every pair of hypotheses by recordings at some drive speeds, the first by other sensors
+        where these are given.
+        """
         stored = [self.matrix.nearest_speed(speed) for speed in speeds]
-        at = {factor: self.squared_distances(seen, speed) for factor, speed in zip(stored, speeds, strict=True)}
-        weights = Likeness().weights(stored)
-        found: FloatArray = weights @ np.array([at[factor] for factor in stored])
+        for factor, speed in zip(stored, speeds, strict=True):
+            if factor not in self.known:
+                self.known[factor] = self.squared_distances(exact_sensing(self.prepared), speed)
+        apart = [self.known[factor] for factor in stored]
+        if sensing is not None:
+            apart[0] = self.squared_distances(sensing, speeds[0])
+        found: FloatArray = Likeness().weights(stored) @ np.array(apart)
         return found
 
     def rows(self, match: HypothesisMatch, speed: float) -> IntArray:
