@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, TimeLimitError, WorkerDiedError
+from jointplay.app.figures.pictures import response_picture
 from jointplay.app.jobs import tasks
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
@@ -30,6 +31,7 @@ from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.solver.errors import UnitError
+from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.units import ANGULAR_SPEED, to_si
 
 
@@ -141,6 +143,13 @@ class Service:
         self.metrics.count_diagnosis(outcome.value)
         diagnosis = self.new_diagnosis(request, asked, outcome.value)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
+
+    async def draw_response(self, machine: Machine, phase: bool) -> str:
+        """Return how the frame of a machine answers to forces, as SVG; empty where its file does not say."""
+        if not machine.has_response:
+            return ""
+        drawn: str = await self.pool.run(response_picture, machine, phase)
+        return drawn
 
     def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked]:
         """Return the measurements that a request names, and what else it names.

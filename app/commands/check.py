@@ -41,6 +41,7 @@ def command(
         check_ending(drawing)
     if response is not None:
         from jointplay.app.figures import plots
+        from jointplay.app.figures.responses import draw_response
 
         plots.check_ending(response)
     from jointplay.solver.cases.remarks import find_remarks
@@ -58,9 +59,12 @@ def command(
 
         save_drawing(found, state.joints, drawing)
     if response is not None:
-        if found.response is None:
-            raise OutputError(f"--response: {found.name}: its file gives no frequency response (response: ...)")
-        plots.save(plots.draw_response(found), response)
+        if not found.has_response:
+            rule = (
+                "its file gives no frequency response of sensors (response: ..., or modes: ... of a frame that moves)"
+            )
+            raise OutputError(f"--response: {found.name}: {rule}")
+        plots.save(draw_response(found), response)
     matrix = matrix_of(found, state)
     notes = find_remarks(found, state)
     if as_json:

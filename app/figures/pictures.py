@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,14 @@ def machine_picture(machine: Machine, probabilities: Mapping[str, float]) -> str
         if probability >= FAINTEST
     }
     return machine_svg(machine, colours, f"{machine.name}, joints coloured by the probability of wear")
+
+
+@lru_cache(maxsize=4)
+def response_picture(machine: Machine, phase: bool) -> str:
+    """Return what the frame of a machine answers to forces as SVG: a task for workers."""
+    from jointplay.app.figures.responses import response_svg  # loads the simulation, too
+
+    return response_svg(machine, phase)
 
 
 def check_ending(path: Path) -> None:

@@ -16,11 +16,7 @@ from jointplay.app.figures.outputs import check_output
 from jointplay.app.figures.simulation_file import ALWAYS, AskedSpectra, SimulationFile
 from jointplay.app.rows import Comparison, comparisons, hypothesis_rows
 from jointplay.catalogue.diagnosing.answer import Diagnosis
-from jointplay.solver.cases.answers import say_band
 from jointplay.solver.cases.history import MOTIONS
-from jointplay.solver.cases.remarks import strong_orders
-from jointplay.solver.equations.drive import drive_rates
-from jointplay.solver.machines.response import FORCES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,56 +130,6 @@ def draw_cascade(
     axes.set_xscale("log")
     axes.set_ylabel("speed [rpm]")
     axes.set_xlabel("order of the drive")
-
-
-def draw_response(machine: Machine) -> Figure:
-    """Draw what sensors answer to each force, magnitude above phase, over frequency and orders of the drive.
-
-    Orders that the drive shakes the frame with are lines. What the response does not know is not drawn, and grey where
-    the drive's own frequency lies there.
-
-    Parameters
-    ----------
-    machine : Machine
-        With a frequency response.
-    """
-    response = machine.response
-    assert response is not None
-    frequency = np.array(response.frequency)
-    shown = frequency > 0
-    frequency, names = frequency[shown], tuple(sensor.name for sensor in machine.sensors)
-    answers = response.accelerances(names, np.array(response.frequency))[shown]
-    drive = abs(drive_rates(machine, {})[0]) / (2 * math.pi)
-    missing = bool(drive) and drive < frequency[0]
-    figure = Figure(figsize=(13, 7), layout="constrained")
-    figure.suptitle(f"{machine.name}, forces at the centre of gravity of {machine.frame}\n{say_band(machine)}")
-    grid = figure.subplots(2, len(FORCES), sharex=True)
-    for column, force in enumerate(FORCES):
-        above, below = grid[:, column]
-        unit = "m/s2/(N m)" if force == "moment" else "m/s2/N"
-        above.set_title(f"to {force} [{unit}]", fontsize="medium")
-        for index, name in enumerate(names):
-            answer = answers[:, index, column]
-            above.loglog(frequency, np.abs(answer), linewidth=0.9, label=name)
-            phase = np.degrees(np.angle(answer))
-            breaks = np.flatnonzero(np.abs(np.diff(phase)) > 180) + 1  # from -180 to 180 is no jump
-            below.semilogx(np.insert(frequency, breaks, np.nan), np.insert(phase, breaks, np.nan), linewidth=0.9)
-        below.set_xlim(0.8 * drive if missing else frequency[0], frequency[-1])
-        below.set_ylim(-190, 190)
-        below.set_yticks(range(-180, 181, 90))
-        below.set_xlabel("frequency [Hz]; above, order of the drive" if drive else "frequency [Hz]")
-        for axes in (above, below):
-            axes.grid(alpha=0.3, which="both")
-            if missing:
-                axes.axvspan(0.8 * drive, frequency[0], color="0.88")
-            for order in strong_orders(machine) if drive else ():
-                axes.axvline(order * drive, color="0.3", linewidth=1.0, linestyle="--")
-        if drive:
-            above.secondary_xaxis("top", functions=(lambda x: x / drive, lambda x: x * drive)).tick_params(labelsize=8)
-    grid[0, 0].legend(fontsize="small")
-    grid[0, 0].set_ylabel("magnitude")
-    grid[1, 0].set_ylabel("phase [deg]")
-    return figure
 
 
 def plot_diagnosis(result: Diagnosis, name: str, path: Path) -> None:

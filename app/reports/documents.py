@@ -25,6 +25,7 @@ GUTTER = 5 * MM
 FIGURE_HEIGHT = 46 * MM
 ACCENT, SOFT, LINE, BACK = "#1f5fa8", "#566373", "#d4dae1", "#f3f5f8"
 SIDES = {"worn": "#c2570c", "in_order": "#1d7a46", "changed": "#6b4fa0", "unknown": "#7a5b00"}
+RESPONSE = "What the frame answers to forces. Dashed: orders that the drive shakes it with."
 
 _lock = threading.Lock()  # the library keeps fonts and styles for the whole process
 
@@ -71,6 +72,7 @@ def content(report: Report, figures: ReportFigures, wide: float) -> list[Any]:
         heading("Mechanism"),
         drawing(figures.mechanism, half, 1.35 * FIGURE_HEIGHT),
         text("The deeper the colour of a joint, the more probable its wear.", 6.8, SOFT),
+        *([drawing(figures.response, half, FIGURE_HEIGHT), text(RESPONSE, 6.8, SOFT)] if figures.response else []),
     ]
     told = [heading("What would tell the first two apart"), *texts(report.suggestions, bullet=True)]
     done = [heading("Recommended inspection"), *texts(report.inspection, bullet=True)]
@@ -225,7 +227,9 @@ def html(report: Report, figures: ReportFigures) -> str:
         SVG of our own making.
     """
     template = environment().get_template("report.html")
-    return template.render(report=report, figures=figures, style=style(), joint_columns=JOINT_COLUMNS)
+    return template.render(
+        report=report, figures=figures, response=RESPONSE, style=style(), joint_columns=JOINT_COLUMNS
+    )
 
 
 def policy() -> str:

@@ -35,20 +35,25 @@ CAPTION = (
 
 @dataclass(frozen=True)
 class ReportFigures:
-    """The figures of a report, each one SVG element, and what is said below the spectra."""
+    """The figures of a report, each one SVG element, and what is said below the spectra.
+
+    ``response`` is that of the machine's frame, empty where its file does not say it.
+    """
 
     mechanism: str
+    response: str
     spectra: tuple[str, ...]
     caption: str
 
 
-def figures_of(row: DiagnosisRow) -> ReportFigures:
-    """Return the figures of a stored diagnosis."""
+def figures_of(row: DiagnosisRow, response: str = "") -> ReportFigures:
+    """Return the figures of a stored diagnosis, beside the response of its machine's frame."""
     machine = parse_machine(row.machine)
     channels = comparisons(row.answer)
     more = len(channels) - SHOWN_SPECTRA
     return ReportFigures(
         mechanism(machine, row.answer.joint_probabilities),
+        response,
         tuple(spectrum(each) for each in channels[:SHOWN_SPECTRA]),
         f"{CAPTION} Not drawn: {more} more, which are in the answer itself." if more > 0 else CAPTION,
     )

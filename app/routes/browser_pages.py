@@ -65,6 +65,7 @@ async def catalogue(request: Request, name: str) -> Response:
         return templates.TemplateResponse(
             request, "entry_fragment.html", {**members, "fields": FIELDS}, status, headers
         )
+    members["response"] = await service.draw_response(offer.machine, phase=True)
     whole = await context(request, **members, title=f"{offer.description.name}: jointplay")
     return templates.TemplateResponse(request, "catalogue.html", whole, status, headers)
 

@@ -16,6 +16,8 @@ from jointplay.app.reports.content import Report, report_of
 from jointplay.app.reports.documents import html, pdf, policy
 from jointplay.app.reports.figures import ReportFigures, figures_of
 from jointplay.app.service import Service, of_request
+from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.solver.machines.machine import parse_machine
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
@@ -38,7 +40,10 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
     """Return the report of a diagnosis, one page for a work order, as HTML or PDF by `Accept` or `format`."""
     service = of_request(request)
     media = FORMATS[format] if format else chosen_type(request, (HTML_TYPE, PDF_TYPE))
-    said, figures = await run_in_threadpool(find_report, service, key)
+    row = await run_in_threadpool(service.store.diagnosis, key)
+    machine = await run_in_threadpool(parse_machine, row.machine)
+    response = await service.draw_response(machine, phase=False)
+    said, figures = await run_in_threadpool(find_report, service, row, response)
     page = await run_in_threadpool(html, said, figures)
     digest = hashlib.sha256(page.encode()).hexdigest()
     if media == HTML_TYPE:
@@ -55,7 +60,7 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
     return answer
 
 
-def find_report(service: Service, key: str) -> tuple[Report, ReportFigures]:
-    """Return what the report of a stored diagnosis says and shows."""
-    row = service.store.diagnosis(key)
-    return report_of(row, service.store.measurement(row.measurement), row.request.get("asset")), figures_of(row)
+def find_report(service: Service, row: DiagnosisRow, response: str) -> tuple[Report, ReportFigures]:
+    """Return what the report of a stored diagnosis says and shows, the response of the frame drawn already."""
+    measurement = service.store.measurement(row.measurement)
+    return report_of(row, measurement, row.request.get("asset")), figures_of(row, response)

@@ -14,14 +14,15 @@ from jointplay.catalogue.signals.sensors import free_motions
 from jointplay.catalogue.signals.suspension import accelerance, on_mounts
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.modes import swing
 from jointplay.solver.spectra.sensor import sensor_transform
 
 
 @dataclass(frozen=True)
 class Response:
-    """Transfer function H = 1 + g r^2 / (1 - r^2 + 2 i z r), r = f / frequency, from the rigid frame to each sensor.
+    """Transfer function from the rigid frame to each sensor, 1 + g times how a mode swings.
 
-    A gain g of 1 is a sensor on a spring: H = (1 + 2 i z r) / (1 - r^2 + 2 i z r) but for the damping's share.
+    A gain g of 1 is a sensor on a spring: H = (1 + 2 i z r) / (1 - r^2 + 2 i z r), r = f / frequency.
 
     Parameters
     ----------
@@ -42,8 +43,8 @@ class Response:
         if not any(self.gains):
             return signal
         count = len(signal)
-        r = np.fft.rfftfreq(count, 1.0 / sample_rate)[:, None] / self.frequency
-        function = 1.0 + np.array(self.gains) * r**2 / (1.0 - r**2 + 2j * self.damping * r)
+        ratio = np.fft.rfftfreq(count, 1.0 / sample_rate)[:, None] / self.frequency
+        function = 1.0 + np.array(self.gains) * swing(ratio, self.damping)
         passed: FloatArray = np.fft.irfft(np.fft.rfft(signal, axis=0) * function, n=count, axis=0)
         return passed
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from jointplay.catalogue.matching.coherence import pairs_of
 from jointplay.solver.arrays import ComplexArray, FloatArray
+from jointplay.solver.machines.modes import swing
 
 #: Points of a band over which the squared magnitude of a response is averaged; a resonance of 1 % damping lies well
 #: within a third octave and is not missed by them (0.3 dB of the band's mean at worst).
@@ -32,8 +33,8 @@ class RandomTransfer:
 
     Notes
     -----
-    H_c = 1 + sum over k of g_kc r^2 / (1 - r^2 + 2 i z_k r), r = f / f_k: accelerance of modes excited through the
-    rigid body, D. J. Ewins, Modal Testing, 2nd ed. (2000), chapter 2.
+    H_c = 1 + sum over k of g_kc times :func:`~jointplay.solver.machines.modes.swing` of f / f_k and z_k: modes that are
+    excited through the rigid body.
     """
 
     modes: tuple[int, int] = (1, 3)
@@ -80,9 +81,8 @@ class RandomTransfer:
         # Single precision in slices: the levels need no more, and 800 draws of 320 frequencies stay in the cache.
         for start in range(0, count, 256):
             rows = slice(start, start + 256)
-            ratio = frequency[None, None, :] / natural[rows, :, None].astype(np.float32)
-            square = ratio * ratio
-            mode = square / (1.0 - square + 2j * damping[rows, :, None].astype(np.float32) * ratio)
+            ratio = np.asarray(frequency[None, None, :] / natural[rows, :, None].astype(np.float32), np.float32)
+            mode = swing(ratio, damping[rows, :, None].astype(np.float32))
             response = 1.0 + np.einsum("nkc,nkf->ncf", gain[rows].astype(np.float32), mode, optimize=True)
             magnitude = response.real**2 + response.imag**2
             squared[rows] = np.swapaxes(magnitude.reshape(*magnitude.shape[:2], bands, POINTS).mean(axis=3), 1, 2)

@@ -43,8 +43,8 @@ def wrench_on_frame(
         wrench[:, free] = sum(motion[:, free] @ matrix.T for matrix, motion in parts)
         return wrench
     lines = np.fft.rfft(acceleration[:, free], axis=0)[1:]
-    s = 2j * np.pi * np.arange(1, len(lines) + 1)[:, None, None] * (sample_rate / len(acceleration))
-    forces = (suspension.mass + damping / s + stiffness / s**2) @ lines[:, :, None]
+    frequency: FloatArray = np.arange(1.0, len(lines) + 1.0) * (sample_rate / len(acceleration))
+    forces = suspension.apparent_mass(frequency) @ lines[:, :, None]
     wrench[:, free] = np.fft.irfft(np.pad(forces[:, :, 0], ((1, 0), (0, 0))), len(acceleration), axis=0)
     return wrench
 

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from scipy import linalg
 
-from jointplay.solver.arrays import FloatArray
+from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.driven_link import beside_drive
 from jointplay.solver.cases.rates import ContactRates
 from jointplay.solver.equations.model import Model
@@ -190,6 +190,11 @@ class Suspension:
     motions: tuple[str, ...]
     mass: FloatArray
     gradients: tuple[FloatArray, FloatArray]
+
+    def apparent_mass(self, frequency: FloatArray) -> ComplexArray:
+        """Forces for a unit of each acceleration, (f, k, k), at frequencies > 0, Hz."""
+        s = 2j * np.pi * frequency[:, None, None]
+        return np.asarray(self.mass - self.gradients[1] / s - self.gradients[0] / s**2)
 
 
 def suspension_of(model: Model, p: Sequence[float]) -> Suspension:

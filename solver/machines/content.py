@@ -67,6 +67,15 @@ class MachineContent(Part):
         return self.drive.link if isinstance(self.drive, PositionDrive) else ""
 
     @property
+    def has_response(self) -> bool:
+        """Whether sensors are known to answer to forces on the frame otherwise than a rigid body on its supports.
+
+        By a frequency response, or by modes: of a frame that is free to move, or all of it is prescribed.
+        """
+        bends = bool(self.modes) and self.driven_link != self.frame
+        return bool(self.sensors) and (self.response is not None or bends)
+
+    @property
     def clearances(self) -> dict[str, float]:
         """Half the play (m) of the joints to which the file gives one: the fault where no other is asked for."""
         found = {name: joint.clearance for name, joint in self.joints.items()}

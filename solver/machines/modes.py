@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
-from jointplay.solver.arrays import FloatArray
+from jointplay.solver.arrays import AnyComplexArray, FloatArray
 from jointplay.solver.machines import units
 from jointplay.solver.machines.fields import Point, QuantityField, VectorField
 from jointplay.solver.machines.parts import Part
@@ -71,3 +72,22 @@ def shapes_at(modes: Sequence[FrameMode], points: Sequence[tuple[float, float]])
     """Displacements of modes at points of the frame that carry something, (points, modes, 2)."""
     found = [[mode.displacement_at(at) for mode in modes] for at in points]
     return np.array(found, dtype=np.float64).reshape(len(points), len(modes), 2)
+
+
+def swing(ratio: NDArray[np.floating], damping: NDArray[np.floating] | float) -> AnyComplexArray:
+    """How far a mode swings against what moves it, for a unit motion of that: r^2 / (1 - r^2 + 2 i z r).
+
+    Parameters
+    ----------
+    ratio : array of floats
+        r, frequency over that of the mode; its precision is that of the result.
+    damping : array, or float
+        z, ratio to critical, broadcast against `ratio`.
+
+    Notes
+    -----
+    Accelerance between two points of a frame that hangs freely, without its rigid motion, is minus this times the
+    product of the shape at both over the modal mass. D. J. Ewins, Modal Testing, 2nd ed. (2000), chapter 2.
+    """
+    square = ratio * ratio
+    return np.asarray(square / (1.0 - square + 2j * damping * ratio))
