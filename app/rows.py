@@ -132,7 +132,7 @@ def recording_rows(result: Answer) -> list[RecordingRow]:
             f"{share.drive_speed_rpm:.6g} rpm",
             f"{share.alone}, {percent(share.p_alone)}",
             f"{share.weight:.2f}" if share.weight else "",
-            f"{share.without}, {percent(share.p_without)}",
+            f"{share.without}, {percent(share.p_without)}" if share.without else "–",
             f"left out: {share.left_out}" if share.left_out else "contradicts" if share.contradicts else "agrees",
             share.contradicts or bool(share.left_out),
         )

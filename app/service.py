@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from sqlalchemy.orm import Session
@@ -182,14 +182,21 @@ class Service:
             return [self.store.measurement(request.measurement)]
         if request.speed not in (None, ""):
             raise BadFieldError(f"speed: {request.speed}: is for one measurement alone", field="speed")
+        known = None if asset is None or asset.baseline is None else self.store.measurement(asset.baseline)
         if request.measurements is not None:
-            return [self.store.measurement(key) for key in request.measurements]
+            named = [self.store.measurement(key) for key in request.measurements]
+            for row in named:
+                if known is not None and row.sha256 == known.sha256:
+                    said = f"measurements: {row.id}: is the baseline that the others are compared with"
+                    raise BadFieldError(said, field="measurements")
+            return named
         if asset is None:
             raise BadFieldError("since: needs an asset", field="asset")
         assert request.since is not None
-        rows = self.store.measurements_between(
-            measurements_of(asset.external_id), request.since, request.until, MOST_TOGETHER + 1
-        )
+        window = (request.since, request.until)
+        rows = self.store.measurements_between(measurements_of(asset.external_id), *window, MOST_TOGETHER + 2)
+        # What the others are compared with is no evidence of the present state.
+        rows = [row for row in rows if known is None or row.sha256 != known.sha256]
         if not 1 <= len(rows) <= MOST_TOGETHER:
             count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
             raise BadFieldError(
@@ -208,8 +215,7 @@ class Service:
         speed = speed_of(request.speed)
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
-        named = {request.measurement, *(request.measurements or ())}
-        baseline = None if asset is None else self.baseline_of(asset, named)
+        baseline = None if asset is None else self.baseline_of(asset, request.measurement)
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
         question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baseline)
@@ -245,9 +251,9 @@ class Service:
             raise BadFieldError(said, field="asset")
         return found
 
-    def baseline_of(self, asset: AssetRow, measurements: Collection[str | None]) -> tuple[str, str, Told] | None:
+    def baseline_of(self, asset: AssetRow, measurement: str | None) -> tuple[str, str, Told] | None:
         """Return where the baseline of an asset lies and how to read it; none for the baseline itself."""
-        if asset.baseline is None or asset.baseline in measurements:
+        if asset.baseline is None or asset.baseline == measurement:
             return None
         row = self.store.measurement(asset.baseline)
         return str(self.store.path_of(row.sha256)), row.name, row.told

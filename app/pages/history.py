@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 from jointplay.app import words
@@ -66,8 +67,13 @@ def finding_row(row: FindingRow) -> dict[str, Any]:
 
 
 def latest(diagnoses: Sequence[DiagnosisRow]) -> list[DiagnosisRow]:
-    """Return the newest diagnosis of each recording, of a list with the newest first."""
-    return list({row.measurement: row for row in reversed(diagnoses)}.values())
+    """Return the newest diagnosis of each recording, or of several together, of a list with the newest first."""
+    return list({row.measurements: row for row in reversed(diagnoses)}.values())
+
+
+def sent(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow]) -> datetime:
+    """Return when the recording of a diagnosis was sent, or the last of several."""
+    return max(measurements[key].created_at for key in row.measurements)
 
 
 def chart(
@@ -77,12 +83,12 @@ def chart(
 
     A recording stands at the time when it was sent, with its newest diagnosis.
     """
-    shown = sorted(latest(diagnoses), key=lambda row: measurements[row.measurement].created_at)
+    shown = sorted(latest(diagnoses), key=lambda row: sent(row, measurements))
     points: dict[str, list[dict[str, float]]] = {}
     order: list[str] = []
     events: list[dict[str, Any]] = []
     for row in shown:
-        at = measurements[row.measurement].created_at.timestamp()
+        at = sent(row, measurements).timestamp()
         order += [name for name in row.machine["joints"] if name not in order]
         worn = words.named_joints(row.answer)
         if not worn:

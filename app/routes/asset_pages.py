@@ -176,7 +176,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     row = found.asset(external_id)
     rows = store.diagnoses(paging.decode_number(cursor), SHOWN + 1, among=diagnoses_of(external_id))
     diagnoses, following = paging.cut(rows, SHOWN)
-    used = {each.measurement for each in diagnoses}
+    used = {key for each in diagnoses for key in each.measurements}
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
     measurements = {each.id: each for each in store.measurements(None, len(used), among)}
     own = store.measurements(None, SHOWN, measurements_of(external_id))

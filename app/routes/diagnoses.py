@@ -56,7 +56,7 @@ def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
         "id": row.id,
         "created_at": row.created_at,
         "measurement": row.measurement,
-        "measurements": row.request.get("measurements") or [row.measurement],
+        "measurements": list(row.measurements),
         "asset": row.request.get("asset"),
         "catalogue": row.catalogue,
     }

@@ -113,7 +113,12 @@ async def diagnosis(request: Request, key: str) -> Response:
     asked = {"measurement": row.measurement, "catalogue": row.request["catalogue"]}
     if row.request.get("asset"):
         asked["asset"] = row.request["asset"]
-    members = await context(request, result=shown, title=f"{shown['short']}: jointplay", again=urlencode(asked))
+    members = await context(
+        request,
+        result=shown,
+        title=f"{shown['short']}: jointplay",
+        again="" if shown["recordings"] else urlencode(asked),
+    )
     return templates.TemplateResponse(request, "result.html", members)
 
 

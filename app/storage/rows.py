@@ -60,6 +60,11 @@ class DiagnosisRow(Base):
     request: Mapped[dict[str, Any]]
     result: Mapped[dict[str, Any]]
 
+    @property
+    def measurements(self) -> tuple[str, ...]:
+        """Ids of all measurements that have this answer."""
+        return tuple(self.request.get("measurements") or [self.measurement])
+
     @cached_property
     def answer(self) -> Diagnosis:
         """What was answered."""

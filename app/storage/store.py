@@ -75,7 +75,8 @@ class NewDiagnosis:
 
     def row(self) -> dict[str, Any]:
         """Return the members of the row."""
-        said = f"{self.measurement} {self.catalogue} {self.result.hash}"
+        of = " ".join(self.request.get("measurements") or [self.measurement])
+        said = f"{of} {self.catalogue} {self.result.hash}"
         if self.request.get("asset"):
             said += f" {self.request['asset']}"
         return {

@@ -300,7 +300,7 @@ class RecordingShare(_Frozen):
     weight : float
         What it counts: 1 alone, less beside others, which have the same wrong; 0 where it was left out.
     without, p_without : str, float
-        Most probable hypothesis by all others, and its probability.
+        Most probable hypothesis by all others that count, and its probability; empty and 0 where there are none.
     one_machine : float
         How many times likelier this recording is as one of the machine of the others, in the same state, than as one of
         any other; below 1 it contradicts them.

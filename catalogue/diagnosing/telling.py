@@ -47,6 +47,7 @@ def tell(
     suggesting: bool = False,
     recordings: Sequence[RecordingShare] = (),
     warnings: Sequence[str] = (),
+    said: Sequence[object] = (),
 ) -> Diagnosis:
     """Return the answer.
 
@@ -60,6 +61,8 @@ def tell(
         What each of several has contributed.
     warnings : sequence of str
         Besides those of this recording.
+    said : sequence
+        What the question consists of besides, as of further recordings.
     """
     prepared, result, known = heard.prepared, heard.result, heard.known
     candidates = result.set(question.coverage)
@@ -111,7 +114,7 @@ def tell(
                 # What a sender has said of the file: units, sensitivities, a full scale.
                 list(prepared.notes),
                 known and [known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
-                *([[each.sha256, each.drive_speed_rpm] for each in recordings]),
+                *said,
             ]
         )[:32],
         "machine": catalogue.machine.name,

@@ -17,7 +17,7 @@ from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.hearing import Heard, hear
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
 from jointplay.catalogue.diagnosing.telling import tell
-from jointplay.catalogue.diagnosing.verdict import judge, needs_cause
+from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, library_of
@@ -76,17 +76,18 @@ def diagnose_together(
         A setting breaks a rule, there are no or too many recordings, or the catalogue holds too little.
     """
     question = Question(effort, mode, coverage, cases, prior or Prior())
+    question.prior.check(catalogue.matrix.joints)
     given = list(speeds) if speeds is not None else [None] * len(recordings)
     if not 1 <= len(recordings) <= MOST_TOGETHER:
         raise DiagnosisError(f"measurements: {len(recordings)}: must be 1 to {MOST_TOGETHER}")
     if len(given) != len(recordings):
         raise DiagnosisError(f"speed: {len(given)} for {len(recordings)} measurements: must be one for each, or none")
-    different = {recording.sha256: (recording, speed) for recording, speed in zip(recordings, given, strict=True)}
+    different = _different(recordings, given)
     if len(different) == 1:
         return diagnose(
-            recordings[0],
+            different[0][0],
             catalogue,
-            speed=given[0],
+            speed=different[0][1],
             effort=effort,
             mode=mode,
             mapping=mapping,
@@ -96,22 +97,23 @@ def diagnose_together(
             baseline=baseline,
             library=library,
         )
+    columns = {name for recording, _ in different for name in recording.channel_names}
+    columns.update(baseline.channel_names if baseline is not None else ())
+
+    def own(recording: Recording | MeasuredSpectrum) -> dict[str, str]:
+        """A column that only some have is mapped there; one that none has is refused by name."""
+        names = recording.channel_names
+        return {name: said for name, said in (mapping or {}).items() if name in names or name not in columns}
+
     scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
     known = None
     if baseline is not None:
-        in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)
+        in_order = prepare(baseline, catalogue.machine, own(baseline), None, *scale)
         known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
     shelf = library or library_of(catalogue)
-    columns = {name for recording, _ in different.values() for name in recording.channel_names}
     heard = []
-    for recording, speed in different.values():
-        # A column that only some have is mapped there; one that none has is refused by name.
-        own = {
-            column: sensor
-            for column, sensor in (mapping or {}).items()
-            if column in recording.channel_names or column not in columns
-        }
-        prepared = prepare(recording, catalogue.machine, own, speed, *scale)
+    for recording, speed in different:
+        prepared = prepare(recording, catalogue.machine, own(recording), speed, *scale)
         heard.append(hear(prepared, recording.sha256, catalogue, question, shelf, known=known))
     warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))
     return conclude(heard, catalogue, question, shelf, mapping=mapping, warnings=warnings)
@@ -134,6 +136,10 @@ def conclude(
     causes = _causes(used)
     flaws = used[0].prepared.flaws if all(each.prepared.flaws for each in used) else ()
     p_value, verdict = judge(joined.result, question.coverage, causes, flaws)
+    is_sure = verdict == "worn" and joined.result.p_worn >= SURE_ABOVE
+    if 2 * sum(each.verdict == "changed" for each in used) >= len(used) and verdict != "unknown" and not is_sure:
+        # Each alone is never in order, and worn only where that is nearly sure: nor are they together.
+        verdict = "changed"
     together = replace(
         used[0],
         result=joined.result,
@@ -163,7 +169,27 @@ def conclude(
         suggesting=question.effort != "fast",
         recordings=shares,
         warnings=told,
+        said=[[each.sha256, each.prepared.drive_speed, list(each.prepared.notes)] for each in heard],
     )
+
+
+def _different(
+    recordings: Sequence[Recording | MeasuredSpectrum], speeds: Sequence[float | None]
+) -> list[tuple[Recording | MeasuredSpectrum, float | None]]:
+    """Recordings with their speeds, each once."""
+    found: dict[str, tuple[Recording | MeasuredSpectrum, float | None]] = {}
+    for recording, speed in zip(recordings, speeds, strict=True):
+        first, its_speed = found.setdefault(recording.sha256, (recording, speed))
+        if (first.channels, its_speed) != (recording.channels, speed) or not np.array_equal(
+            _values(first), _values(recording)
+        ):
+            rule = "is given twice, and something else is said of it: give it once"
+            raise DiagnosisError(f"measurements: {recording.name}: {rule}")
+    return list(found.values())
+
+
+def _values(recording: Recording | MeasuredSpectrum) -> FloatArray:
+    return recording.signal if isinstance(recording, Recording) else recording.density
 
 
 def _left_out(heard: Sequence[Heard]) -> list[str]:

@@ -153,6 +153,8 @@ class NetworkShelf:
         asked = [self._arrangement, repr(_whole(learning)), learning.reach, repr(self._training), self._place(speed)]
         if learning.subject != "hypotheses":
             asked.append(learning.subject)
+        if len(self._matrix.speeds) > 1:
+            asked.append("individuals")  # are held out at all speeds at once
         return f"{self._matrix.id[:12]}-{content_digest([self._matrix.id, FEATURES_VERSION, MATCHER_VERSION, *asked])}"
 
 

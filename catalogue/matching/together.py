@@ -69,7 +69,7 @@ class Together:
     for_one_machine : ndarray, shape (n,)
         How much likelier each recording is as one of the machine of all others than of any other, ln.
     without : tuple of (str, float)
-        Most probable hypothesis by all others, and its probability, for each.
+        Most probable hypothesis by all others, and its probability, for each; empty where there are no others.
     """
 
     result: MatchResult
@@ -94,8 +94,7 @@ def match_together(
     likeness : Likeness, optional
     """
     if len(results) == 1:
-        best = results[0].best
-        return Together(results[0], np.ones(1), np.zeros(1), ((best.label, best.probability),))
+        return Together(results[0], np.ones(1), np.zeros(1), (("", 0.0),))
     alike = likeness or Likeness()
     said = _Said.of(results, prior)
     everyone = np.arange(len(results))

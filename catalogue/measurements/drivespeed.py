@@ -20,6 +20,8 @@ from jointplay.solver.arrays import ComplexArray, FloatArray
 
 #: Speeds looked at, to either side of nominal.
 SEARCH_RANGE = 0.10
+#: Parts of a recording in which one of several speeds is looked for, and revolutions of one at the slowest of them.
+LOUDEST, LOUD_REVOLUTIONS = 3, 15.0
 #: Orders in the comb, and at the end of the phase tracking.
 COMB_ORDERS = 8
 TRACKED_ORDERS = 16
@@ -152,8 +154,10 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
     return _join(tracks, [len(block) / rate for block in blocks])
 
 
-def likeliest_speed(signal: npt.ArrayLike, sample_rate: float, speeds: Sequence[float]) -> float:
-    """Return the one of some drive speeds [rad/s] about which orders stand out most, in the first revolutions.
+def likeliest_speed(signal: npt.ArrayLike, sample_rate: float, speeds: Sequence[float]) -> float | None:
+    """Return the one of some drive speeds [rad/s] about which orders stand out most; None where they do of none.
+
+    Looked at where the recording is loudest: it may begin before the machine does.
 
     Parameters
     ----------
@@ -164,15 +168,17 @@ def likeliest_speed(signal: npt.ArrayLike, sample_rate: float, speeds: Sequence[
     """
     values = np.asarray(signal, dtype=np.float64)
     values = np.where(np.isfinite(values), values, 0.0)
+    turns = [abs(speed) / (2.0 * math.pi) for speed in speeds]
+    revolutions = len(values) / sample_rate * min(turns)
+    blocks = np.array_split(values, max(1, math.ceil(revolutions / LOUD_REVOLUTIONS)))
+    loudest = sorted(blocks, key=lambda block: -float(np.sum(np.var(block, axis=0))))[:LOUDEST]
     contrasts = []
-    for speed in speeds:
-        turn = abs(speed) / (2.0 * math.pi)
-        if len(values) / sample_rate * turn < MIN_REVOLUTIONS or sample_rate < 8.0 * turn:
-            contrasts.append(-math.inf)
-            continue
-        block = values[: round(BLOCK_REVOLUTIONS / turn * sample_rate)]
-        contrasts.append(comb_speed(*thin(block, sample_rate, turn), turn)[1])
-    return float(speeds[int(np.argmax(contrasts))])
+    for turn in turns:
+        fits = [b for b in loudest if len(b) / sample_rate * turn >= MIN_REVOLUTIONS and sample_rate >= 8.0 * turn]
+        found = [comb_speed(*thin(block, sample_rate, turn), turn)[1] for block in fits]
+        contrasts.append(max(found, default=-math.inf))
+    best = int(np.argmax(contrasts))
+    return float(speeds[best]) if contrasts[best] >= COMB_CONTRAST_DB else None
 
 
 def thin(values: FloatArray, sample_rate: float, turn: float) -> tuple[FloatArray, float]:

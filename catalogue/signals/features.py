@@ -106,19 +106,23 @@ def prepare(
         No column matches a sensor, the recording is shorter than three revolutions, does not reach order 20, or its
         speed cannot be found.
     """
-    if isinstance(measurement, MeasuredSpectrum):
-        return prepare_spectrum(measurement, machine, mapping, speed, scheme, nominal)
     nominal = nominal or nominal_drive_speed(machine)
+    if isinstance(measurement, MeasuredSpectrum):
+        turned = nominal if speed is not None else _nearest_of(measurement, machine, mapping, nominal, near)
+        return prepare_spectrum(measurement, machine, mapping, speed, scheme, turned)
     rate = measurement.sample_rate
     if speed is not None and not (abs(speed) > 0 and math.isfinite(speed)):
         raise MeasurementError(measurement.name, value=speed, rule="drive speed must be finite and not zero")
     by_pulses = measurement.turns if speed is None else None
     expected = speed or (nominal if by_pulses is None else usual_speed(by_pulses, rate))
-    _refuse_short(measurement.name, measurement.duration, expected, allowance=0.1 if speed is None else 0.0)
+    several = near if speed is None and by_pulses is None and len(near) > 1 else ()
+    fastest = max(map(abs, several), default=expected)
+    _refuse_short(measurement.name, measurement.duration, fastest, allowance=0.1 if speed is None else 0.0)
 
     sensing, sensor_step = _sensors(measurement, machine, mapping, expected)
-    if speed is None and by_pulses is None and len(near) > 1:
-        nominal = expected = likeliest_speed(measurement.signal[:, list(sensing.columns)], rate, near)
+    if several:
+        found = likeliest_speed(measurement.signal[:, list(sensing.columns)], rate, several)
+        nominal = expected = found or nominal
     warnings = [*measurement.warnings, *sensing.warnings]
     first, last, part_step, unsteady = _steady_part(measurement, sensing, expected)
     doubt: list[str] = []
@@ -336,6 +340,23 @@ def _flaws_note(flaws: tuple[SensorContradiction, ...], sensing: SensorMap) -> s
     if np.linalg.matrix_rank(sensing.transform) < len(sensing.sensors):
         return "agree as parts of one rigid frame"
     return "no more than the motions they see: nothing to check them by"
+
+
+def _nearest_of(
+    spectrum: MeasuredSpectrum,
+    machine: Machine,
+    mapping: Mapping[str, str] | None,
+    nominal: float,
+    near: Sequence[float],
+) -> float:
+    """The first of some drive speeds, from the nominal one on, about which a spectrum has orders; else the nominal."""
+    for speed in sorted(near, key=lambda each: abs(math.log(abs(each / nominal)))):
+        try:
+            prepare_spectrum(spectrum, machine, mapping, None, None, speed)
+        except MeasurementError:
+            continue
+        return speed
+    return nominal
 
 
 def _refuse_short(name: str, duration: float, speed: float, allowance: float = 0.0) -> float:

@@ -145,7 +145,12 @@ def diagnosed(number: int, verdict: str, made: int = 0, effort: str = "fast", **
     result = diagnosis(verdict=verdict, joints=joints, effort=effort, hypotheses=shown).model_dump(mode="json")
     machine = {"joints": {"O": {}, "A": {}, "B": {}}}
     return DiagnosisRow(
-        id=f"d{number}{made}", measurement=f"m{number}", created_at=day(number + made), machine=machine, result=result
+        id=f"d{number}{made}",
+        measurement=f"m{number}",
+        created_at=day(number + made),
+        machine=machine,
+        request={},
+        result=result,
     )
 
 

@@ -41,7 +41,7 @@ def test_what_each_has_contributed(client: httpx.Client, together: dict[str, Any
     assert together["measurement"] == two[0]
     assert len(together["recordings"]) == 2
     for share in together["recordings"]:
-        assert 0.0 <= share["weight"] <= 1.0
+        assert 0.0 < share["weight"] < 1.0
     assert client.get(f"{API}/diagnoses/{together['id']}").json() == together
 
 
@@ -71,6 +71,34 @@ def test_all_of_an_asset_in_a_window(client: httpx.Client, two: list[str]) -> No
     assert [item["id"] for item in listed] == [answer.json()["id"]]
     early = {**body, "until": began.isoformat()}
     assert_problem(client.post(f"{API}/diagnoses", json=early), 422)
+
+
+def test_the_baseline_is_no_evidence(client: httpx.Client, two: list[str]) -> None:
+    """In a window it is what the others are compared with; among named ones it is refused."""
+    asset = "press-with-baseline"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank", "baseline": sent(client, 1)})
+    for key in (sent(client, 1, asset), *(sent(client, number, asset) for number in (2, 5))):
+        assert key
+    body = {"asset": asset, "catalogue": "slider-crank", "effort": "fast"}
+    answer = client.post(f"{API}/diagnoses", json={**body, "since": "2026-01-01T00:00:00Z"})
+    assert answer.status_code == 201, answer.text
+    assert sorted(answer.json()["measurements"]) == sorted(two)
+    assert answer.json()["baseline"] is not None
+    refused = client.post(f"{API}/diagnoses", json={**body, "measurements": [*two, sent(client, 1)]})
+    assert_problem(refused, 422, "is the baseline that the others are compared with")
+
+
+def test_an_answer_to_equal_bytes_is_one_of_its_own(client: httpx.Client, two: list[str]) -> None:
+    """Two measurements of the same bytes say what one says, but the answer is to both."""
+    name = "slider-crank-02.csv.gz"
+    other = client.post(f"{API}/measurements", files={"file": (f"copy-{name}", (RECORDINGS / name).read_bytes())})
+    keys = [two[0], other.json()["id"]]
+    body = {"catalogue": "slider-crank", "effort": "fast"}
+    one = client.post(f"{API}/diagnoses", json={**body, "measurement": two[0]}).json()
+    both = client.post(f"{API}/diagnoses", json={**body, "measurements": keys}).json()
+    assert both["id"] != one["id"]
+    assert both["measurements"] == keys
+    assert both["hypotheses"] == one["hypotheses"]
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,15 @@ def test_which_of_several_speeds_recordings_have(name: str) -> None:
     for number in (1, 2, 3):
         found = read_measurement(RECORDINGS / f"{name}-{number:02}.csv.gz")
         assert likeliest_speed(found.signal, found.sample_rate, speeds) == speeds[2]
+        # A recording that begins before the machine does.
+        still = round(90 * 60 / NOMINAL_RPM[name] * found.sample_rate)
+        quiet = 3e-3 * found.signal.std(axis=0) * np.random.default_rng(1).normal(size=(still, found.signal.shape[1]))
+        assert likeliest_speed(np.concatenate([quiet, found.signal]), found.sample_rate, speeds) == speeds[2]
+
+
+def test_noise_has_none_of_several_speeds() -> None:
+    noise = np.random.default_rng(2).normal(size=(40_000, 2))
+    assert likeliest_speed(noise, 2000.0, [2 * np.pi * 4.0, 2 * np.pi * 5.0]) is None
 
 
 def test_course_of_the_speed() -> None:

@@ -13,12 +13,16 @@ from scipy.special import ndtr
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
-from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
-from jointplay.catalogue.diagnosing.together import diagnose_together
+from jointplay.catalogue.diagnosing.hearing import hear
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
+from jointplay.catalogue.diagnosing.together import conclude, diagnose_together
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.model_library import library_of
+from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import SLIP, Likeness, match_together
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
+from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
 
 EDGES = np.linspace(math.log(20e-6), math.log(2e-3), 2001)
@@ -192,6 +196,33 @@ def test_one_that_is_spoiled_is_left_out(halves: Diagnosis, small_catalogue: Cat
     assert share.weight == 0.0
     assert answer.verdict == halves.verdict
     assert answer.hypotheses == halves.hypotheses
+
+
+def test_what_is_changed_alone_is_not_in_order_together(small_catalogue: Catalogue) -> None:
+    library, question = library_of(small_catalogue), Question()
+    scale = (small_catalogue.scheme, small_catalogue.recipe.nominal_drive_speed)
+    told = {}
+    for number in (1, 2):
+        heard = []
+        for half in (part(recording(number), 0), part(recording(number), 1)):
+            prepared = prepare(half, small_catalogue.machine, None, None, *scale)
+            heard.append(hear(prepared, half.sha256, small_catalogue, question, library))
+        for verdicts in (("changed", "changed"), (heard[0].verdict, "changed"), (heard[0].verdict, heard[1].verdict)):
+            seen = [replace(each, verdict=verdict) for each, verdict in zip(heard, verdicts, strict=True)]
+            told[number, verdicts.count("changed")] = conclude(seen, small_catalogue, question, library).verdict
+    assert [told[1, count] for count in (0, 1, 2)] == ["in_order", "changed", "changed"]
+    assert [told[2, count] for count in (0, 1, 2)] == ["worn", "worn", "worn"]  # nearly sure
+
+
+def test_the_same_bytes_read_otherwise_are_refused(small_catalogue: Catalogue) -> None:
+    one = recording(2)
+    with pytest.raises(DiagnosisError, match="is given twice, and something else is said of it"):
+        diagnose_together([one, replace(one, signal=2.0 * one.signal)], small_catalogue)
+
+
+def test_joints_of_the_prior_are_checked(small_catalogue: Catalogue) -> None:
+    with pytest.raises(DiagnosisError, match=r"prior\.joints\.Z: must be one of the joints A, B, O"):
+        diagnose_together([part(recording(2), 0), part(recording(2), 1)], small_catalogue, prior=Prior(joints={"Z": 2}))
 
 
 @pytest.mark.parametrize(
