@@ -154,7 +154,7 @@ def test_diagnoses_are_listed_newest_first(client: httpx.Client, diagnosis: http
 @pytest.mark.parametrize(
     ("body", "status", "text"),
     [
-        ({"catalogue": "slider-crank"}, 422, "measurement: Field required"),
+        ({"catalogue": "slider-crank"}, 422, "measurement: give one of measurement, measurements, or since with asset"),
         ({"measurement": "0" * 32, "catalogue": "slider-crank"}, 404, "measurement 0000"),
         ({"measurement": "ID", "catalogue": "nonsense"}, 404, "catalogue: nonsense"),
         ({"measurement": "ID", "catalogue": "slider-crank", "effort": "much"}, 422, "effort"),
