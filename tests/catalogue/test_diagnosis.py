@@ -119,7 +119,15 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
         "candidate_set", "coverage", "widened", "goodness_of_fit", "evidence", "warnings", "joints", "causes",
         "sensors", "prior",
     }  # fmt: skip
-    assert set(content) == documented | {"mode", "effort_spent", "baseline", "suggestions", "provenance", "hash"}
+    assert set(content) == documented | {
+        "mode",
+        "effort_spent",
+        "baseline",
+        "suggestions",
+        "provenance",
+        "hash",
+        "recordings",
+    }
     first = content["hypotheses"][0]
     assert set(first) == {"label", "joints", "probability", "distance_db"}
     assert set(first["joints"]["B"]) == {"clearance_um", "interval_um"}
