@@ -44,9 +44,9 @@ def draw_response(machine: Machine, phase: bool = True) -> Figure:
     drive = abs(drive_rates(machine, {})[0]) / (2 * math.pi)
     missing = bool(drive) and drive < frequency[0]
     figure = Figure(figsize=(10, 4.4) if phase else (6.4, 3.0), layout="constrained")
-    figure.suptitle(
-        say_response(machine, response), x=0.01, horizontalalignment="left", fontsize="medium" if phase else "small"
-    )
+    # A name may be any line of text, with $ in it.
+    title = figure.suptitle(say_response(machine, response), x=0.01, horizontalalignment="left", parse_math=False)
+    title.set_fontsize("medium" if phase else "small")
     shares = (3, 2) if phase else (1,)
     grid = figure.subplots(len(shares), len(FORCES), sharex=True, squeeze=False, height_ratios=shares)
     for column, (force, unit) in enumerate(UNITS.items()):

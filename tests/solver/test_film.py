@@ -178,7 +178,8 @@ def test_a_load_that_turns(order: int) -> None:
     thrown = mass * (order * omega) ** 2 * CLEARANCE * ratio
     assert thrown > 0.03 * size
     assert np.abs(place[-1000:] - place[-1]).max() < 1e-6
-    assert abs(size + (film + thrown) * place[-1] / ratio) < 1e-5 * size
+    # Measured: 2.6e-6, 7.9e-6, 3.9e-6.
+    assert abs(size + (film + thrown) * place[-1] / ratio) < 3e-5 * size
 
 
 def test_a_weight_and_an_unbalance_as_large() -> None:
