@@ -38,7 +38,7 @@ from jointplay.solver.machines.machine import Machine
 
 #: Rate, 1/s, at which a film may settle the velocity of the lighter link at most. What is faster would cost steps for
 #: nothing; measured in ``docs/measured/solver.md``.
-FASTEST = 1e7
+FASTEST = 1e8
 #: Thinnest film, in parts of the clearance: beyond, the difference of large numbers leaves no digits.
 _THINNEST = 1e-3
 #: Square of a velocity, m2/s2, that counts as none; its root has a derivative.
