@@ -1,0 +1,78 @@
+"""Causes other than play over a machine's life: whether one is there, since when, and how its size moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from jointplay.catalogue.diagnosing.answer import Answer, Cause
+from jointplay.catalogue.following.play import YEAR
+
+COMES, GOES = 0.1 / YEAR, 0.05 / YEAR
+"""How often a cause comes, and goes, 1/s."""
+
+THERE_AT_FIRST = 0.05
+"""Probability beforehand."""
+
+LEAST_SAID, MOST_SAID = 0.25, 30.0
+"""How much likelier a recording makes a cause, at least, where it does not name it, and at most."""
+
+
+@dataclass(frozen=True)
+class CauseState:
+    """A cause other than play, by the last recording.
+
+    Parameters
+    ----------
+    name, unit : str
+    probability : float
+        To be there.
+    size : float
+        By the recordings since it came, at the last one.
+    per_year : float
+        By how much the size moves; 0 where fewer than three recordings say it.
+    since : datetime or None
+        First recording from which on it was likelier than not.
+    """
+
+    name: str
+    unit: str
+    probability: float
+    size: float
+    per_year: float
+    since: datetime | None
+
+
+def follow_causes(answers: Sequence[tuple[datetime, Answer]]) -> Mapping[str, CauseState]:
+    """Return the causes that some answer names, by what all of them say, in the order of time."""
+    named = dict.fromkeys(cause.name for _, answer in answers for cause in answer.causes)
+    return {name: _follow(name, answers) for name in named}
+
+
+def _follow(name: str, answers: Sequence[tuple[datetime, Answer]]) -> CauseState:
+    there, before = THERE_AT_FIRST, None
+    since: datetime | None = None
+    told: list[tuple[datetime, Cause]] = []
+    for at, answer in answers:
+        passed = (at - before).total_seconds() if before else 0.0
+        there += (1.0 - there) * (1.0 - math.exp(-COMES * passed)) - there * (1.0 - math.exp(-GOES * passed))
+        before = at
+        said = next((cause for cause in answer.causes if cause.name == name), None)
+        share = min(said.probability, 1.0 - 1e-9) if said else 0.0
+        likelier = min(max(share / (1.0 - share), LEAST_SAID), MOST_SAID)
+        there = there * likelier / (there * likelier + 1.0 - there)
+        if said:
+            told.append((at, said))
+        since = since or at if there > 0.5 else None
+    lately = [(at, cause) for at, cause in told if since is None or at >= since]
+    times = np.array([(at - lately[-1][0]).total_seconds() / YEAR for at, _ in lately])
+    sizes = np.array([cause.size for _, cause in lately])
+    if len(lately) < 3 or np.ptp(times) == 0.0:
+        return CauseState(name, lately[-1][1].unit, there, float(np.median(sizes)), 0.0, since)
+    weights = np.sqrt([cause.probability for _, cause in lately])
+    slope, size = np.polyfit(times, sizes, 1, w=weights).tolist()
+    return CauseState(name, lately[-1][1].unit, there, size, slope, since)
