@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Answer, Cause
 from jointplay.catalogue.following.play import YEAR
+from jointplay.catalogue.following.state import CauseFollowed
 
 COMES, GOES = 0.1 / YEAR, 0.05 / YEAR
 """How often a cause comes, and goes, 1/s."""
@@ -22,38 +22,13 @@ LEAST_SAID, MOST_SAID = 0.25, 30.0
 """How much likelier a recording makes a cause, at least, where it does not name it, and at most."""
 
 
-@dataclass(frozen=True)
-class CauseState:
-    """A cause other than play, by the last recording.
-
-    Parameters
-    ----------
-    name, unit : str
-    probability : float
-        To be there.
-    size : float
-        By the recordings since it came, at the last one.
-    per_year : float
-        By how much the size moves; 0 where fewer than three recordings say it.
-    since : datetime or None
-        First recording from which on it was likelier than not.
-    """
-
-    name: str
-    unit: str
-    probability: float
-    size: float
-    per_year: float
-    since: datetime | None
-
-
-def follow_causes(answers: Sequence[tuple[datetime, Answer]]) -> Mapping[str, CauseState]:
+def follow_causes(answers: Sequence[tuple[datetime, Answer]]) -> Mapping[str, CauseFollowed]:
     """Return the causes that some answer names, by what all of them say, in the order of time."""
     named = dict.fromkeys(cause.name for _, answer in answers for cause in answer.causes)
     return {name: _follow(name, answers) for name in named}
 
 
-def _follow(name: str, answers: Sequence[tuple[datetime, Answer]]) -> CauseState:
+def _follow(name: str, answers: Sequence[tuple[datetime, Answer]]) -> CauseFollowed:
     there, before = THERE_AT_FIRST, None
     since: datetime | None = None
     told: list[tuple[datetime, Cause]] = []
@@ -72,7 +47,7 @@ def _follow(name: str, answers: Sequence[tuple[datetime, Answer]]) -> CauseState
     times = np.array([(at - lately[-1][0]).total_seconds() / YEAR for at, _ in lately])
     sizes = np.array([cause.size for _, cause in lately])
     if len(lately) < 3 or np.ptp(times) == 0.0:
-        return CauseState(name, lately[-1][1].unit, there, float(np.median(sizes)), 0.0, since)
-    weights = np.sqrt([cause.probability for _, cause in lately])
-    slope, size = np.polyfit(times, sizes, 1, w=weights).tolist()
-    return CauseState(name, lately[-1][1].unit, there, size, slope, since)
+        slope, size = 0.0, float(np.median(sizes))
+    else:
+        slope, size = np.polyfit(times, sizes, 1, w=np.sqrt([cause.probability for _, cause in lately])).tolist()
+    return CauseFollowed(unit=lately[-1][1].unit, probability=there, size=size, per_year=slope, since=since)

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.following.causes import CauseState, follow_causes
+from jointplay.catalogue.following.causes import follow_causes
 from jointplay.catalogue.following.evidence import read_answer, read_measured, weigh
 from jointplay.catalogue.following.play import (
     AXIS,
     REPAIRS,
+    YEAR,
     JointBounds,
     let_pass,
     median_rate,
     quantiles,
     time_to,
 )
+from jointplay.catalogue.following.state import CoursePoint, JointFollowed, Repair, WearState
 from jointplay.catalogue.following.visits import Inspection, Visit, put_in_order
 from jointplay.solver.arrays import FloatArray
 
@@ -39,113 +41,29 @@ NEVER = 100 * 365.25 * 86400.0
 _SHARES = np.array([0.05, 0.5, 0.95])
 
 
-@dataclass(frozen=True)
-class CoursePoint:
-    """What was known of a joint when a recording was heard.
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A machine after the last event.
 
     Parameters
     ----------
-    at : datetime
-    p_worn : float
-        By this recording and all before.
-    clearance : float
-        Median, m.
-    interval, foretold : (float, float)
-        Central 90 % intervals, m: by this recording and all before; and by those before alone.
+    state : WearState
+    belief : ndarray, shape (J, S, X)
+        What is believed of every joint, see :mod:`jointplay.catalogue.following.play`.
     """
 
-    at: datetime
-    p_worn: float
-    clearance: float
-    interval: tuple[float, float]
-    foretold: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class JointFollowed:
-    """A joint after the last recording.
-
-    Parameters
-    ----------
-    p_worn, p_over_limit : float
-    clearance : float
-        Median, m.
-    interval : (float, float)
-        Central 90 % interval, m.
-    rate : float
-        Median of what it grows by, m/s.
-    limit : float
-        Clearance from which it is worn out, m.
-    limit_at : (datetime or None, datetime or None, datetime or None)
-        When it has reached that with probabilities of 0.05, 0.5 and 0.95 if its rate stays; None: not within a century.
-    first_sure_at : datetime or None
-        First recording from which on wear was sure, since the last repair.
-    moved_by : float
-        By how much the last recording has changed `p_worn`.
-    course : tuple of CoursePoint
-    """
-
-    p_worn: float
-    p_over_limit: float
-    clearance: float
-    interval: tuple[float, float]
-    rate: float
-    limit: float
-    limit_at: tuple[datetime | None, datetime | None, datetime | None]
-    first_sure_at: datetime | None
-    moved_by: float
-    course: tuple[CoursePoint, ...]
-
-
-@dataclass(frozen=True)
-class Repair:
-    """A joint that was made as new.
-
-    Parameters
-    ----------
-    at : datetime
-        Of the inspection that says so, or of the recording that shows it first.
-    joint : str
-    probability : float
-        1 where an inspection says so.
-    """
-
-    at: datetime
-    joint: str
-    probability: float
-
-
-@dataclass(frozen=True)
-class WearState:
-    """State of a machine after the last recording.
-
-    Parameters
-    ----------
-    at : datetime
-    joints : mapping of str to JointFollowed
-    causes : mapping of str to CauseState
-        Other than play.
-    repairs : tuple of Repair
-    visits : int
-        Recordings that count.
-    """
-
-    at: datetime
-    joints: Mapping[str, JointFollowed]
-    causes: Mapping[str, CauseState]
-    repairs: tuple[Repair, ...]
-    visits: int
-    belief: FloatArray = field(repr=False, compare=False)
+    state: WearState
+    belief: FloatArray
 
     def foretell(self, at: datetime) -> dict[str, tuple[float, float, float]]:
-        """Return quantiles 0.05, 0.5 and 0.95 of every joint's clearance, m, at a later time, without a repair."""
-        later = let_pass(self.belief, (at - self.at).total_seconds())
-        return {name: _three(later[j].sum(axis=0)) for j, name in enumerate(self.joints)}
+        """Return quantiles 0.05, 0.5 and 0.95 of every joint's clearance, um, at a later time, without a repair."""
+        later = let_pass(self.belief, (at - self.state.at).total_seconds())
+        return {name: _three(later[j].sum(axis=0)) for j, name in enumerate(self.state.joints)}
 
 
 def follow(
     visits: Sequence[Visit], inspections: Sequence[Inspection] = (), *, bounds: Mapping[str, JointBounds]
-) -> WearState:
+) -> Followed:
     """Return a machine's state of wear.
 
     Every joint's clearance grows at a rate of its own that changes now and then, and never falls, but by a repair. What
@@ -187,7 +105,7 @@ def follow(
                     belief[j] /= belief[j].sum()
                 if joint in event.repaired:
                     belief[j], sure[joint] = as_new[j], None
-                    repairs.append(Repair(event.at, joint, 1.0))
+                    repairs.append(Repair(at=event.at, joint=joint, probability=1.0))
             continue
         marginal = belief.sum(axis=1)
         foretold = [_three(row) for row in marginal]
@@ -202,13 +120,16 @@ def follow(
         for j, name in enumerate(names):
             low, median, high = _three(marginal[j])
             ends = (foretold[j][0], foretold[j][2])
-            courses[name].append(CoursePoint(event.at, float(p_worn[j]), median, (low, high), ends))
+            point = CoursePoint(
+                at=event.at, p_worn=float(p_worn[j]), clearance_um=median, interval_um=(low, high), foretold_um=ends
+            )
+            courses[name].append(point)
             if p_worn[j] >= SURE:
                 sure[name] = sure[name] or event.at
             elif p_worn[j] < UNWORN:
                 if sure[name]:
-                    fallen = _first_below(courses[name])
-                    repairs.append(Repair(fallen, name, 1.0 - float(p_worn[j])))
+                    at = _first_below(courses[name])
+                    repairs.append(Repair(at=at, joint=name, probability=1.0 - float(p_worn[j])))
                 sure[name] = None
     heard = [event for event in events if isinstance(event, Visit)]
     last = events[-1].at
@@ -216,8 +137,14 @@ def follow(
         name: _tell(belief[j], bounds[name], last, sure[name], float(moved[j]), tuple(courses[name]))
         for j, name in enumerate(names)
     }
-    causes = follow_causes([(visit.at, visit.answer) for visit in heard])
-    return WearState(last, joints, causes, tuple(repairs), len(heard), belief)
+    state = WearState(
+        at=last,
+        visits=len(heard),
+        joints=joints,
+        causes=follow_causes([(visit.at, visit.answer) for visit in heard]),
+        repairs=tuple(repairs),
+    )
+    return Followed(state, belief)
 
 
 def _check(visits: Sequence[Visit], inspections: Sequence[Inspection], names: Sequence[str]) -> None:
@@ -240,7 +167,8 @@ def _first_below(course: Sequence[CoursePoint]) -> datetime:
 
 
 def _three(marginal: FloatArray) -> tuple[float, float, float]:
-    low, median, high = quantiles(marginal, _SHARES, ALIKE).tolist()
+    """Quantiles 0.05, 0.5 and 0.95 of a clearance, um."""
+    low, median, high = (1e6 * quantiles(marginal, _SHARES, ALIKE)).tolist()
     return low, median, high
 
 
@@ -262,10 +190,10 @@ def _tell(
     return JointFollowed(
         p_worn=min(1.0, float(marginal[bounds.worn].sum())),
         p_over_limit=min(1.0, float(marginal[math.log(bounds.limit) <= AXIS].sum())),
-        clearance=median,
-        interval=(low, high),
-        rate=median_rate(belief),
-        limit=bounds.limit,
+        clearance_um=median,
+        interval_um=(low, high),
+        um_per_year=1e6 * YEAR * median_rate(belief),
+        limit_um=1e6 * bounds.limit,
         limit_at=(early, likely, late),
         first_sure_at=first_sure_at,
         moved_by=moved_by,

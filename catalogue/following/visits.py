@@ -71,9 +71,9 @@ def put_in_order(visits: Sequence[Visit], inspections: Sequence[Inspection]) -> 
     DiagnosisError
         A time has no zone.
     """
-    for each in (*visits, *inspections):
-        if each.at.tzinfo is None:
-            raise DiagnosisError(f"at: {each.at.isoformat()}: must have a time zone")
+    for at in [visit.at for visit in visits] + [found.at for found in inspections]:
+        if at.tzinfo is None:
+            raise DiagnosisError(f"at: {at.isoformat()}: must have a time zone")
     once = {visit.sha256: visit for visit in visits}
     known = {
         (found.at, found.key, *sorted(found.joints.items()), *sorted(found.repaired)): found for found in inspections
