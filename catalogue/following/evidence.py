@@ -25,7 +25,7 @@ COUNTS = 0.6
 HALF_90 = 1.6449
 """Half width of a 90 % interval in standard deviations."""
 
-MEASURED = (0.1, 3e-6)
+MEASURED = (0.05, 3e-6)
 """Error of a clearance that somebody has measured: part of it, and m (standard deviations)."""
 
 
