@@ -15,6 +15,7 @@ from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
 from jointplay.app.pages.history import history
 from jointplay.app.pages.page_forms import messages_of, plain_form
+from jointplay.app.pages.wear_state import show_state
 from jointplay.app.problems import Problem
 from jointplay.app.routes.assets import check_baseline
 from jointplay.app.routes.pages import REFUSALS, context
@@ -65,6 +66,18 @@ async def asset(request: Request, external_id: str) -> Response:
         return await show_asset(request, external_id, request.query_params.get("cursor"))
     except REFUSALS as error:
         return await show_list(request, None, {}, problem_from(error))
+
+
+@router.get("/{external_id}/state")
+async def state(request: Request, external_id: str) -> Response:
+    """Show the state of wear of an asset; its page asks for it when it is there."""
+    service = of_request(request)
+    try:
+        row = await run_in_threadpool(Assets(service.store.database).asset, external_id)
+        members = {"asset": asset_item(row), "state": show_state(await service.follow(external_id))}
+    except REFUSALS as error:
+        return await show_list(request, None, {}, problem_from(error))
+    return await answer_page(request, "state.html", members | {"title": f"{external_id}: jointplay"}, None)
 
 
 @router.post("/{external_id}")

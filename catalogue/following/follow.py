@@ -23,6 +23,7 @@ from jointplay.catalogue.following.play import (
     time_to,
 )
 from jointplay.catalogue.following.state import CoursePoint, JointFollowed, Repair, WearState
+from jointplay.catalogue.following.teaching import Correction
 from jointplay.catalogue.following.visits import Inspection, Visit, put_in_order
 from jointplay.solver.arrays import FloatArray
 
@@ -62,7 +63,11 @@ class Followed:
 
 
 def follow(
-    visits: Sequence[Visit], inspections: Sequence[Inspection] = (), *, bounds: Mapping[str, JointBounds]
+    visits: Sequence[Visit],
+    inspections: Sequence[Inspection] = (),
+    *,
+    bounds: Mapping[str, JointBounds],
+    correction: Correction | None = None,
 ) -> Followed:
     """Return a machine's state of wear.
 
@@ -76,13 +81,15 @@ def follow(
     inspections : sequence of Inspection
     bounds : mapping of str to JointBounds
         Of every joint that may wear.
+    correction : Correction, optional
+        What findings have taught about answers.
 
     Raises
     ------
     DiagnosisError
         There is no recording, a time has no zone, or something is said of a joint that is not known.
     """
-    names = list(bounds)
+    names, taught = list(bounds), correction or Correction()
     _check(visits, inspections, names)
     events = put_in_order(visits, inspections)
     as_new = np.array([bounds[name].as_new() for name in names])
@@ -112,7 +119,7 @@ def follow(
         worn_before = (marginal * is_worn).sum(axis=1)
         share = 1.0 - math.exp(-REPAIRS * passed)
         belief = (1.0 - share) * belief + share * as_new
-        belief = belief * weigh(belief, read_answer(event.answer, bounds))[:, None, :]
+        belief = belief * weigh(belief, read_answer(taught.apply(event.answer), bounds))[:, None, :]
         belief = belief / belief.sum(axis=(1, 2), keepdims=True)
         marginal = belief.sum(axis=1)
         p_worn = np.minimum((marginal * is_worn).sum(axis=1), 1.0)

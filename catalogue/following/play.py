@@ -7,11 +7,15 @@ recording says of several at once is kept as far as it concerns each one (assume
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from jointplay.catalogue.plans.cases import BEYOND_FIT
+from jointplay.catalogue.plans.plan_parts import ClearanceRange
 from jointplay.solver.arrays import BoolArray, FloatArray
+from jointplay.solver.machines.machine import Machine
 
 LEAST, MOST, STEP = 1e-6, 6e-3, 0.03
 """Clearances of the grid, m, and its step in their logarithm."""
@@ -92,6 +96,16 @@ class JointBounds:
         worn = self.worn & (math.log(MOST) > AXIS)
         anywhere = LIKELY_RATES[:, None] * (worn / worn.sum())
         return np.asarray((1.0 - WORN_AT_FIRST) * self.as_new() + WORN_AT_FIRST * anywhere)
+
+
+def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]:
+    """Return what clearances of joints of a machine mean, as its file says and plans have it."""
+    found = {}
+    for name in joints:
+        joint = machine.joints[name]
+        low, high = joint.play_as_new
+        found[name] = JointBounds((low, high), max(ClearanceRange().low, BEYOND_FIT * high), joint.worn_out_from)
+    return found
 
 
 def let_pass(belief: FloatArray, seconds: float) -> FloatArray:

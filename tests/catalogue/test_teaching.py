@@ -15,7 +15,7 @@ from jointplay.catalogue.following.teaching import Correction, Lesson, learn_fro
 def told(draw: np.random.Generator, *, worse: float, bias: float = 0.0) -> tuple[Diagnosis, dict[str, float], str]:
     """An answer of a machine with one worn joint whose errors are so many times what it says, and the truth."""
     worn = JOINTS[draw.integers(3)]
-    true = {name: 8e-6 for name in JOINTS} | {worn: 1e-4 * math.exp(draw.uniform(0.0, 1.5))}
+    true = dict.fromkeys(JOINTS, 8e-06) | {worn: 1e-4 * math.exp(draw.uniform(0.0, 1.5))}
     # Of evidence of mean 2 and variance 4 probabilities are true (logistic); of `worse` times it they are too sure.
     sides = {name: (1.0 if name == worn else -1.0) for name in JOINTS}
     evidence = {name: worse * (side * 2.0 + 2.0 * draw.normal()) for name, side in sides.items()}
