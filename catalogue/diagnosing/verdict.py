@@ -77,7 +77,11 @@ def judge(
 
 def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult) -> tuple[NamedCause, ...]:
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any."""
-    worn = [(match.label, _nearest(catalogue, match, prepared.drive_speed)) for match in result.hypotheses[:1] if match.joints]
+    worn = [
+        (match.label, _nearest(catalogue, match, prepared.drive_speed))
+        for match in result.hypotheses[:1]
+        if match.joints
+    ]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
     # Beside wear it has not been measured.
     mode = None if found or worn else find_mode(prepared, catalogue)
