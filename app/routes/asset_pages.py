@@ -110,7 +110,7 @@ async def together(request: Request, external_id: str) -> Response:
         if "from" not in given:
             raise BadFieldError("choose a recording", field="from")
         first = await run_in_threadpool(service.store.measurement, given["from"])
-        asked = {"asset": external_id, "catalogue": given.get("catalogue", ""), "since": first.created_at.isoformat()}
+        asked = {"asset": external_id, "catalogue": given.get("catalogue", ""), "since": first.measured_at.isoformat()}
         row = await service.diagnose(validate(DiagnosisRequest, asked))
     except REFUSALS as error:
         problem = problem_from(error)
@@ -193,6 +193,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
     measurements = {each.id: each for each in store.measurements(None, len(used), among)}
     own = store.measurements(None, SHOWN, measurements_of(external_id))
+    own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baseline = None if row.baseline is None else store.measurement(row.baseline)
     if baseline is not None and baseline.id not in {each.id for each in recordings}:
@@ -201,7 +202,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     return {
         "asset": asset_item(row),
         "baseline": None if baseline is None else baseline.name,
-        "recordings": [(each.id, f"{each.name}, {spell_moment(each.created_at)}") for each in recordings],
+        "recordings": [(each.id, f"{each.name}, {spell_moment(each.measured_at)}") for each in recordings],
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
         "catalogue": next(
