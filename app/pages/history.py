@@ -91,11 +91,10 @@ def chart(
     """
     shown = sorted(latest(diagnoses), key=lambda row: measured(row, measurements))
     points: dict[str, list[dict[str, float]]] = {}
-    order: list[str] = []
+    order = sorted({name for row in shown for name in row.answer.joints})
     events: list[dict[str, Any]] = []
     for row in shown:
         at = measured(row, measurements).timestamp()
-        order += [name for name in row.answer.joints if name not in order]
         worn = words.named_joints(row.answer)
         if not worn:
             events.append({"at": at, "kind": row.answer.verdict})

@@ -183,7 +183,7 @@ def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> No
     points = {joint["name"]: [(point["at"], point["um"]) for point in joint["points"]] for joint in drawn["joints"]}
     third = day(3).timestamp()
     assert points == {"A": [(third, 80.0)], "B": [(day(1).timestamp(), 105.0), (third, 150.0)]}
-    assert [(joint["name"], joint["look"]) for joint in drawn["joints"]] == [("A", 1), ("B", 2)]
+    assert [(joint["name"], joint["look"]) for joint in drawn["joints"]] == [("A", 0), ("B", 1)]
     assert [(event["kind"], event.get("um")) for event in drawn["events"]] == [
         ("in_order", None),
         ("unknown", None),
