@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,12 +16,15 @@ from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import LEAST_DENSITY
 from jointplay.solver.arrays import FloatArray
 
-SLIP, DOUBTED = 0.03, 0.15
+SLIP, DOUBTED = 0.03, 0.1
 """Share of recordings that say nothing of wear, whatever they look like; and of those that the machine as filed, worn
 or not, does not explain."""
 
 SHOWN = 0.003
 """Share of recordings of a joint, of the clearance from which its wear shows, that call it in order for no reason."""
+
+SHARPENS = 3.0
+"""Power of the clearance, over that from which wear shows, at which the say on how much it is grows."""
 
 HALF_90 = 1.6449
 """Half width of a 90 % interval in standard deviations."""
@@ -66,7 +70,7 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     densities = np.array(
         [
             [
-                edge[0] if found is None else _density(found, bounds[joint]) * edge[1]
+                edge.in_order if found is None else np.minimum(_density(found, bounds[joint]), edge.most) * edge.worn
                 for joint, edge in zip(bounds, edges, strict=True)
                 for found in [match.joints.get(joint)]
             ]
@@ -77,18 +81,34 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     return Evidence(weights, densities, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
 
 
-def _edge(seen: JointState, bounds: JointBounds) -> tuple[FloatArray, FloatArray]:
-    """How likely (X,) a joint is called in order, and worn, by its clearance.
+class _Edge(NamedTuple):
+    """What an answer can say of clearances (X,) near those that count as wear.
 
-    Of the clearance from which wear shows with 95 %, one in twenty is called in order; where none shows, being called
-    in order says nothing.
+    How likely a joint is called in order, and worn; and how much likelier than any other a clearance is at most made by
+    where the answer puts it.
+    """
+
+    in_order: FloatArray
+    worn: FloatArray
+    most: FloatArray
+
+
+def _edge(seen: JointState, bounds: JointBounds) -> _Edge:
+    """Where an answer's say on small wear ends.
+
+    Below the clearance from which wear shows with 95 % an answer knows whether it shows, not how much it is: what looks
+    like 40 um in a sound joint of another machine looks so in every recording of it.
     """
     begins = math.log(bounds.worn_from)
     if seen.detectable_from_um is None:
-        return np.ones(len(AXIS)), np.asarray(AXIS >= begins, np.float64)
-    wide = max(math.log(1e-6 * seen.detectable_from_um) - begins, STEP)
-    falls = math.log(SHOWN) / wide
-    return np.exp(falls * np.maximum(AXIS - begins, 0.0)), np.exp(falls * np.maximum(begins - AXIS, 0.0))
+        return _Edge(np.ones(len(AXIS)), np.asarray(AXIS >= begins, np.float64), np.ones(len(AXIS)))
+    shows = max(math.log(1e-6 * seen.detectable_from_um), begins + STEP)
+    falls = math.log(SHOWN) / (shows - begins)
+    return _Edge(
+        in_order=np.exp(falls * np.maximum(AXIS - begins, 0.0)),
+        worn=np.exp(falls * np.maximum(begins - AXIS, 0.0)),
+        most=np.exp(SHARPENS * np.maximum(AXIS - shows, 0.0)),
+    )
 
 
 def _density(found: JointClearance, bounds: JointBounds) -> FloatArray:

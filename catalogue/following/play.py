@@ -45,7 +45,7 @@ YEAR = 365.25 * 86400.0
 CHANGES = 1.0 / YEAR
 """How often a joint begins to wear at another rate, 1/s."""
 
-REPAIRS = 0.1 / YEAR
+REPAIRS = 0.2 / YEAR
 """How often a joint is made as new without a word, 1/s."""
 
 WORN_AT_FIRST = 0.1

@@ -17,7 +17,7 @@ from jointplay.catalogue.following.evidence import HALF_90, MEASURED
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.solver.arrays import FloatArray
 
-COOLER = 0.7
+COOLER = 0.5
 """Scale of ln(temperature), at least 0, before any finding."""
 
 SHIFT = 0.1
@@ -120,13 +120,12 @@ def learn_from(lessons: Sequence[Lesson]) -> Correction:
     says = np.array([_probability_of_truth(lesson) for lesson in lessons])
     shift, width = 0.0, WIDE_FIRST
     right = np.ones(len(lessons))
-    share = np.exp(-0.5 * (np.log(_TEMPERATURES) / COOLER) ** 2)
-    share /= share.sum()
+    likeliest = 0
     for _ in range(30):
         spread = np.where(np.isfinite(away), width * scatter, 1.0)
         fits = np.where(np.isfinite(away), _normal(away - shift, spread), 1.0)
         strays = np.where(np.isfinite(away), _normal(away, np.hypot(spread, WRONG_SCATTER)), 1.0)
-        true = np.exp(np.log(says) @ share)
+        true = says[:, likeliest]
         right = (1.0 - WRONG) * fits * true / ((1.0 - WRONG) * fits * true + WRONG * strays * 0.5)
         known = np.isfinite(away)
         weight = right[known] / (width * scatter[known]) ** 2
@@ -138,11 +137,9 @@ def learn_from(lessons: Sequence[Lesson]) -> Correction:
             (BELIEVED + squares.sum()) / (BELIEVED + count) * (1.0 + 2.0 * count / (BELIEVED + count) ** 2)
         )
         cost = -right @ np.log(says) + 0.5 * (np.log(_TEMPERATURES) / COOLER) ** 2
-        share = np.exp(cost.min() - cost)
-        share /= share.sum()
-    temperature = float(np.exp(share @ np.log(_TEMPERATURES)))
+        likeliest = int(cost.argmin())
     wrong = tuple(int(place) for place in np.flatnonzero(right < 1.0 - NOTICED))
-    return Correction(temperature, shift, max(1.0, width), len(lessons), wrong)
+    return Correction(float(_TEMPERATURES[likeliest]), shift, max(1.0, width), len(lessons), wrong)
 
 
 def _normal(away: FloatArray, scatter: FloatArray) -> FloatArray:
