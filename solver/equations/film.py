@@ -36,8 +36,8 @@ from jointplay.solver.equations.numbers import Number
 from jointplay.solver.machines.joints import TurningJoint
 from jointplay.solver.machines.machine import Machine
 
-#: Rate, 1/s, at which a film may settle the velocity of the lighter link at most. What is faster would cost steps for
-#: nothing; measured in ``docs/measured/solver.md``.
+#: Rate, 1/s, at which a film may settle the velocity of the lighter link at most. What is faster costs digits and time
+#: and changes nothing; softer ones let light links in tight fits touch. Measured in ``docs/measured/solver.md``.
 FASTEST = 1e8
 #: Thinnest film, in parts of the clearance: beyond, the difference of large numbers leaves no digits.
 _THINNEST = 1e-3

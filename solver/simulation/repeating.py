@@ -27,8 +27,8 @@ from jointplay.solver.spectra.segments import hann
 
 #: Multiples of a revolution that are tried as a period.
 PERIODS = (1, 2)
-#: Periods agree when their bands differ by this part of themselves, root mean square: levels then are 0.004 dB from
-#: those of a long run in the median and 0.5 dB at the 99th percentile, ``docs/measured/solver.md``.
+#: Periods agree when their bands differ by this part of themselves, root mean square: levels then are 0.02 dB from
+#: where they come to rest in the median and 2 dB at the 99th percentile, ``docs/measured/solver.md``.
 AGREEMENT = 0.1
 #: Periods whose accelerations differ by this part of themselves do not agree band by band either.
 HOPELESS = 0.15

@@ -67,6 +67,6 @@ class OilState:
         full = full or unit * math.pi / clearance**3
         masses = [link.mass for link in (state.machine.links[each] for each in joint.links) if link.mass]
         fading = min(1.0, max(0.0, 1 - (size - clearance) / thinnest))
-        share = fading * min(1.0, 1e7 * min(masses, default=1.0) / full)
+        share = fading * min(1.0, 1e8 * min(masses, default=1.0) / full)
         turning = fading * shear * float(omegas[0] - omegas[1])
         return cls(pin, socket, centres, share * force, (share * drag - turning, share * drag + turning))
