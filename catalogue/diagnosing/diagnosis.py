@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
-from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
+from jointplay.catalogue.diagnosing.baseline import KnownMachine
 from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.telling import tell
+from jointplay.catalogue.diagnosing.together import diagnose_together
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary, library_of
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
-from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 
@@ -39,11 +39,13 @@ def diagnose(
     Parameters
     ----------
     measurement : Recording or MeasuredSpectrum
-        Recording of sensors on the frame, or spectra of them.
+        Recording of sensors on the frame, or spectra of them. One in which the drive speed changes is cut into
+        pieces about the speeds of the catalogue, see :func:`~jointplay.catalogue.signals.speedpieces.cut_by_speed`;
+        they have one answer.
     catalogue : Catalogue
         Of the same machine.
     speed : float, optional
-        Drive speed, rad/s; estimated from the recording where it is not given.
+        Drive speed, rad/s; estimated from the recording where it is not given. Nothing is cut where it is.
     effort, mode, coverage, cases, prior
         See :class:`Question`.
     mapping : mapping of str to str, optional
@@ -65,24 +67,19 @@ def diagnose(
     DiagnosisError
         A setting breaks a rule, or the catalogue holds too little.
     """
-    question = Question(effort, mode, coverage, cases, prior or Prior())
-    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
-    prepared = prepare(measurement, catalogue.machine, mapping, speed, *scale)
-    known = None
-    if baseline is not None:
-        in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)
-        known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
-    shown, _ = answer(
-        prepared,
-        measurement.sha256,
+    return diagnose_together(
+        [measurement],
         catalogue,
-        question,
+        speeds=[speed],
+        effort=effort,
+        mode=mode,
         mapping=mapping,
-        known=known,
-        suggesting=effort != "fast",
+        coverage=coverage,
+        cases=cases,
+        prior=prior,
+        baseline=baseline,
         library=library,
     )
-    return shown
 
 
 def answer(

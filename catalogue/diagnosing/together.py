@@ -13,7 +13,6 @@ import numpy as np
 from jointplay.catalogue.diagnosing.answer import Diagnosis, EffortSpent, RecordingShare
 from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.hearing import Heard, hear
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
 from jointplay.catalogue.diagnosing.telling import tell
@@ -27,6 +26,7 @@ from jointplay.catalogue.matching.together import Together, match_together
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.speedpieces import Cut, cut_by_speed
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
 
@@ -55,14 +55,14 @@ def diagnose_together(
     Parameters
     ----------
     recordings : sequence of Recording or MeasuredSpectrum
-        One is answered as :func:`~jointplay.catalogue.diagnosing.diagnosis.diagnose` does. The same bytes given twice
-        count once.
+        The same bytes given twice count once. One in which the drive speed changes is cut into pieces about the speeds
+        of the catalogue, see :func:`~jointplay.catalogue.signals.speedpieces.cut_by_speed`.
     catalogue : Catalogue
         Of the same machine, best with several speeds.
     speeds : sequence of float or None, optional
         Drive speed of each, rad/s; estimated where it is not given.
     effort, mode, mapping, coverage, cases, prior, baseline, library
-        As there; cases are for each recording.
+        As for :func:`~jointplay.catalogue.diagnosing.diagnosis.diagnose`; cases are for each recording.
 
     Returns
     -------
@@ -83,20 +83,6 @@ def diagnose_together(
     if len(given) != len(recordings):
         raise DiagnosisError(f"speed: {len(given)} for {len(recordings)} measurements: must be one for each, or none")
     different = _different(recordings, given)
-    if len(different) == 1:
-        return diagnose(
-            different[0][0],
-            catalogue,
-            speed=different[0][1],
-            effort=effort,
-            mode=mode,
-            mapping=mapping,
-            coverage=coverage,
-            cases=cases,
-            prior=prior,
-            baseline=baseline,
-            library=library,
-        )
     columns = {name for recording, _ in different for name in recording.channel_names}
     columns.update(baseline.channel_names if baseline is not None else ())
 
@@ -112,10 +98,18 @@ def diagnose_together(
         known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
     shelf = library or library_of(catalogue)
     heard = []
-    for recording, speed in different:
-        prepared = prepare(recording, catalogue.machine, own(recording), speed, *scale)
-        heard.append(hear(prepared, recording.sha256, catalogue, question, shelf, known=known))
     warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))
+    for recording, speed in different:
+        cut = Cut((recording,))
+        if speed is None:
+            cut = cut_by_speed(recording, catalogue.machine, catalogue.drive_speeds, own(recording))
+            warnings += cut.left_out
+        for piece in cut.pieces:
+            prepared = prepare(piece, catalogue.machine, own(recording), speed, *scale)
+            heard.append(hear(prepared, piece.sha256, catalogue, question, shelf, known=known))
+    if len(heard) == 1:
+        asks = question.effort != "fast"
+        return tell(heard[0], catalogue, question, shelf, mapping=mapping, suggesting=asks, warnings=warnings)
     return conclude(heard, catalogue, question, shelf, mapping=mapping, warnings=warnings)
 
 

@@ -123,6 +123,8 @@ def prepare(
     if several:
         found = likeliest_speed(measurement.signal[:, list(sensing.columns)], rate, several)
         nominal = expected = found or nominal
+    elif by_pulses is not None and near:
+        nominal = min(near, key=lambda each: abs(math.log(expected / abs(each))))
     warnings = [*measurement.warnings, *sensing.warnings]
     first, last, part_step, unsteady = _steady_part(measurement, sensing, expected)
     doubt: list[str] = []

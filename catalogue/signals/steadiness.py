@@ -233,7 +233,7 @@ def at_mean_speed(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) 
     """
     values = np.ascontiguousarray(np.asarray(signal, dtype=np.float64).T)
     count = values.shape[1]
-    place = _places(count, sample_rate, track)
+    place = places_at_mean_speed(count, sample_rate, track)
     mean = values.mean(axis=1, keepdims=True)
     length = scipy.fft.next_fast_len(count, real=True)
     spectrum = scipy.fft.rfft(values - mean, length)
@@ -244,13 +244,13 @@ def at_mean_speed(signal: npt.ArrayLike, sample_rate: float, track: SpeedTrack) 
 
 def samples_at_mean_speed(mask: BoolArray, sample_rate: float, track: SpeedTrack) -> BoolArray:
     """Samples (n,) of a signal at equal steps of the drive's angle that lie where those of a mask do, or next to it."""
-    place = _places(len(mask), sample_rate, track)
+    place = places_at_mean_speed(len(mask), sample_rate, track)
     found: BoolArray = mask[np.floor(place).astype(np.intp)] | mask[np.ceil(place).astype(np.intp)]
     return found
 
 
-def _places(count: int, sample_rate: float, track: SpeedTrack) -> FloatArray:
-    """Where samples at equal steps of the drive's angle lie, in samples."""
+def places_at_mean_speed(count: int, sample_rate: float, track: SpeedTrack) -> FloatArray:
+    """Where (n,) samples at equal steps of the drive's angle lie, in samples; see :func:`at_mean_speed`."""
     speed = np.interp(np.arange(count) / sample_rate, track.time, track.speed)
     angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
     place = np.interp(np.linspace(0.0, angle[-1], count), angle, np.arange(count, dtype=np.float64))

@@ -167,6 +167,11 @@ class _Smooth:
     suspension: tuple[complex, ...]
 
 
+def modes_of_suspension(machine: Machine) -> tuple[complex, ...]:
+    """Modes of a machine on its supports, without clearances and its drive standing, 1/s: one of each pair."""
+    return _smooth(machine, ()).suspension
+
+
 @keep_by_machine(1024)
 def _smooth(machine: Machine, values: tuple[tuple[str, float], ...]) -> _Smooth:
     """Of the machine without clearances, its drive standing, with the given numbers by path."""

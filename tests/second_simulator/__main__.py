@@ -24,14 +24,21 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--before", action="store_true", help="of the same machines, before anything was the matter")
     parser.add_argument("--factor", type=float, default=1.0, help="on the drive speed, of the same machines once more")
+    parser.add_argument(
+        "--course", default="", help="of the same machines once more, times [s] and factors: 0:0.7,30:1.3"
+    )
     given = parser.parse_args()
+    course = [
+        (float(at), float(factor))
+        for at, _, factor in (each.partition(":") for each in given.course.split(",") if each)
+    ]
     if not 0.1 <= given.factor <= 10.0:
         parser.error(f"--factor: {given.factor:g}: must be from 0.1 to 10")
     machine = read(given.machine)
     for number in range(1, given.count + 1):
         began = time.perf_counter()
         asked = (machine, given.protocol, number, given.seed, given.out)
-        name, made = write(*asked, before=given.before, factor=given.factor)
+        name, made = write(*asked, before=given.before, factor=given.factor, course=course)
         print(f"{name}: {f'{time.perf_counter() - began:.1f} s' if made else 'kept'}", flush=True)
 
 

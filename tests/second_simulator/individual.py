@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,6 +26,7 @@ class Individual:
     """A machine of its own numbers, what is the matter with it, and the loggers' chain of its sensors.
 
     ``causes`` are plain: name, target, size, unit. ``shaking`` gives forces and torques (n, 3) on the frame at times.
+    ``course`` are times [s] of the recording and factors on the drive speed, linear between; then it ends with them.
     """
 
     filed: Machine
@@ -41,6 +42,7 @@ class Individual:
     shaking: Shaking | None = None
     revolutions: float = 40.0
     longest: float = math.inf
+    course: Sequence[tuple[float, float]] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 
     def wear(self, worn: Mapping[str, float]) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,15 +69,19 @@ def write(
     *,
     before: bool = False,
     factor: float = 1.0,
+    course: Sequence[tuple[float, float]] = (),
 ) -> tuple[str, bool]:
     """Make one recording where it is not there yet; return its name, and whether it was made.
 
     With ``before``, of the same machine when nothing was the matter with it yet; with a ``factor``, of the same machine
-    in the same state, recorded once more at so many times its drive speed.
+    in the same state, recorded once more at so many times its drive speed; with a ``course`` of times and factors, once
+    more while its speed changes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     first = f"{machine.name}-{protocol}-{number:02d}"
     name = first if factor == 1.0 else f"{first}-at-{factor:g}"
+    if course:
+        name = f"{first}-over-{'-'.join(f'{number:g}' for point in course for number in point)}"
     truth_file, file = folder / "truth.json", folder / f"{name}.npz"
     truths = json.loads(truth_file.read_text()) if truth_file.exists() else {}
     if name in truths and file.exists():
@@ -89,6 +94,12 @@ def write(
         again, visit = {"of": first, "speed_factor": factor}, [*visit, factor]
         recorded_anew(individual, stream(seed, machine.name, protocol, number, "visit", factor))
         individual.speed *= factor
+    if course:
+        again, visit = {"of": first, "course": [list(point) for point in course]}, [*visit, name]
+        recorded_anew(individual, stream(seed, machine.name, protocol, number, "visit", name))
+        individual.course = course
+        if individual.shaking is not None or factor != 1.0:
+            raise ValueError("a course goes with neither disturbances nor a factor")
     draw = stream(seed, machine.name, protocol, number, *visit)
     columns, made = recorded(individual, draw)
     columns = _dropped(columns, individual, draw)

@@ -57,10 +57,12 @@ def start(machine: Machine, course: Turning) -> tuple[Array, Array]:
 def run(individual: Individual, draw: np.random.Generator, steps: int = STEPS) -> Run:
     """March an individual machine over time."""
     machine = individual.machine
-    course = turning(individual.speed, individual.wander, individual.ripple)
     turn = 2 * math.pi / abs(individual.speed)
     before = math.ceil(max(settling(machine), 3 * turn) * FINE_RATE)
-    count = math.ceil(min(individual.revolutions * turn, individual.longest) * FINE_RATE) + 1
+    whole = individual.course[-1][0] if individual.course else individual.revolutions * turn
+    count = math.ceil(min(whole, individual.longest) * FINE_RATE) + 1
+    begin = (before + 1) / FINE_RATE
+    course = turning(individual.speed, individual.wander, individual.ripple, individual.course, begin)
     q, v = start(machine, course)
     parts: Elements = elements(machine, individual.clearances)
     shaking = np.zeros((0, 3))
@@ -71,7 +73,7 @@ def run(individual: Individual, draw: np.random.Generator, steps: int = STEPS) -
     if not np.isfinite(out[-1]).all():
         raise ArithmeticError(f"the march over {machine.name} with {individual.clearances} diverged")
     # Row k is at time (k + 1) / FINE_RATE.
-    return Run(out[before:], (before + 1) / FINE_RATE, course)
+    return Run(out[before:], begin, course)
 
 
 @numba.njit(cache=True)
