@@ -19,11 +19,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--protocol", choices=[*PROTOCOLS], required=True)
     parser.add_argument("--machine", required=True, help="name of a shipped machine, or a machine file")
-    parser.add_argument("--count", type=int, default=1, help="recordings; of growing wear, 16 are a series")
+    parser.add_argument("--count", type=int, default=1, help="recordings; 16 of growing wear are a series, 30 a life")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--before", action="store_true", help="of the same machines, before anything was the matter")
     parser.add_argument("--factor", type=float, default=1.0, help="on the drive speed, of the same machines once more")
+    parser.add_argument("--model-errors", action="store_true", help="all errors of model and sensors at once")
     given = parser.parse_args()
     if not 0.1 <= given.factor <= 10.0:
         parser.error(f"--factor: {given.factor:g}: must be from 0.1 to 10")
@@ -31,7 +32,7 @@ def main() -> None:
     for number in range(1, given.count + 1):
         began = time.perf_counter()
         asked = (machine, given.protocol, number, given.seed, given.out)
-        name, made = write(*asked, before=given.before, factor=given.factor)
+        name, made = write(*asked, before=given.before, factor=given.factor, model_errors=given.model_errors)
         print(f"{name}: {f'{time.perf_counter() - began:.1f} s' if made else 'kept'}", flush=True)
 
 
