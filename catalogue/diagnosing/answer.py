@@ -15,18 +15,20 @@ Bound = Literal["none", "at_least", "at_most"]
 Condition = Literal["worn", "in_order", "open"]
 
 
-class _Frozen(BaseModel):
+class Frozen(BaseModel):
+    """A shape that does not change, with finite numbers and no other members."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class JointClearance(_Frozen):
+class JointClearance(Frozen):
     """Radial clearance of one joint: median and central 90 % interval, micrometres."""
 
     clearance_um: float
     interval_um: tuple[float, float]
 
 
-class JointState(_Frozen):
+class JointState(Frozen):
     """What a recording says of one joint, whatever the others are like.
 
     Attributes
@@ -58,7 +60,7 @@ class JointState(_Frozen):
     detectable_from_um: float | None
 
 
-class Cause(_Frozen):
+class Cause(Frozen):
     """Something other than play that would make such a recording.
 
     Attributes
@@ -78,7 +80,7 @@ class Cause(_Frozen):
     probability: Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class SensorFlaw(_Frozen):
+class SensorFlaw(Frozen):
     """What is wrong with sensors.
 
     Attributes
@@ -94,7 +96,7 @@ class SensorFlaw(_Frozen):
     said: str
 
 
-class RankedHypothesis(_Frozen):
+class RankedHypothesis(Frozen):
     """One explanation.
 
     Attributes
@@ -115,7 +117,7 @@ class RankedHypothesis(_Frozen):
     distance_db: Annotated[float, Field(ge=0.0)]
 
 
-class GoodnessOfFit(_Frozen):
+class GoodnessOfFit(Frozen):
     """Whether a likely hypothesis explains the recording: share of its own simulated recordings that fit it worse.
 
     Of the candidate set's hypothesis that fits best, which need not be the most probable one.
@@ -124,7 +126,7 @@ class GoodnessOfFit(_Frozen):
     p_value: Annotated[float, Field(gt=0.0, le=1.0)]
 
 
-class BandEvidence(_Frozen):
+class BandEvidence(Frozen):
     """One compared level.
 
     Attributes
@@ -155,7 +157,7 @@ class BandEvidence(_Frozen):
     favours_best: float | None = None
 
 
-class Evidence(_Frozen):
+class Evidence(Frozen):
     """Measured against predicted levels under the best hypothesis: single orders, and bands above them.
 
     Attributes
@@ -170,7 +172,7 @@ class Evidence(_Frozen):
     rival: str | None = None
 
 
-class ModeUsed(_Frozen):
+class ModeUsed(Frozen):
     """How far the model of the machine was believed.
 
     Attributes
@@ -187,7 +189,7 @@ class ModeUsed(_Frozen):
     trusted_p_value: float | None
 
 
-class PriorUsed(_Frozen):
+class PriorUsed(Frozen):
     """What was held likely before the recording.
 
     Attributes
@@ -208,7 +210,7 @@ class PriorUsed(_Frozen):
     numbers: tuple[float, ...]
 
 
-class EffortSpent(_Frozen):
+class EffortSpent(Frozen):
     """What was computed for this answer alone, besides comparing with the catalogue.
 
     Attributes
@@ -224,14 +226,14 @@ class EffortSpent(_Frozen):
     note: str
 
 
-class FittedNumber(_Frozen):
+class FittedNumber(Frozen):
     """What a baseline says of a number: factor on what it should be, and standard deviation of its logarithm."""
 
     factor: float
     scatter: float
 
 
-class BaselineShown(_Frozen):
+class BaselineShown(Frozen):
     """What a recording of the machine in order said of machine and sensors.
 
     Attributes
@@ -255,7 +257,7 @@ class BaselineShown(_Frozen):
     gains: Mapping[str, FittedNumber]
 
 
-class Suggestion(_Frozen):
+class Suggestion(Frozen):
     """One thing that could be done to tell the first hypotheses apart, and what it would bring.
 
     Attributes
@@ -283,7 +285,7 @@ class Suggestion(_Frozen):
     error: float
 
 
-class RecordingShare(_Frozen):
+class RecordingShare(Frozen):
     """What one of several recordings has contributed to a common answer.
 
     Attributes
@@ -324,7 +326,7 @@ class RecordingShare(_Frozen):
     left_out: str = ""
 
 
-class MatcherIdentity(_Frozen):
+class MatcherIdentity(Frozen):
     """Which method matched, and the SHA-256 of the network whose opinion counted, where there is one."""
 
     name: str
@@ -332,7 +334,7 @@ class MatcherIdentity(_Frozen):
     network: str | None = None
 
 
-class Provenance(_Frozen):
+class Provenance(Frozen):
     """Everything that determined the answer.
 
     Attributes
@@ -358,7 +360,7 @@ class Provenance(_Frozen):
     recipe: tuple[RecipeStep, ...]
 
 
-class Answer(_Frozen):
+class Answer(Frozen):
     """What a recording says of a machine."""
 
     model_config = ConfigDict(use_attribute_docstrings=True)

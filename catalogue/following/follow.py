@@ -1,0 +1,201 @@
+"""A machine's state of wear, from all that is known of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.following.causes import follow_causes
+from jointplay.catalogue.following.evidence import read_answer, read_measured, weigh
+from jointplay.catalogue.following.play import (
+    AXIS,
+    REPAIRS,
+    YEAR,
+    JointBounds,
+    let_pass,
+    median_rate,
+    quantiles,
+    time_to,
+)
+from jointplay.catalogue.following.state import CoursePoint, JointFollowed, Repair, WearState
+from jointplay.catalogue.following.visits import Inspection, Visit, put_in_order
+from jointplay.solver.arrays import FloatArray
+
+SURE = 0.95
+"""Probability of wear, by all recordings up to then, from which on it is sure."""
+
+ALIKE = 0.06
+"""Standard deviation of ln(clearance) of what every recording of a machine has wrong alike."""
+
+UNWORN = 0.5
+"""Probability of wear below which a joint that was surely worn has been repaired."""
+
+NEVER = 100 * 365.25 * 86400.0
+"""Time, s, beyond which nothing is foretold."""
+
+_SHARES = np.array([0.05, 0.5, 0.95])
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A machine after the last event.
+
+    Parameters
+    ----------
+    state : WearState
+    belief : ndarray, shape (J, S, X)
+        What is believed of every joint, see :mod:`jointplay.catalogue.following.play`.
+    """
+
+    state: WearState
+    belief: FloatArray
+
+    def foretell(self, at: datetime) -> dict[str, tuple[float, float, float]]:
+        """Return quantiles 0.05, 0.5 and 0.95 of every joint's clearance, um, at a later time, without a repair."""
+        later = let_pass(self.belief, (at - self.state.at).total_seconds())
+        return {name: _three(later[j].sum(axis=0)) for j, name in enumerate(self.state.joints)}
+
+
+def follow(
+    visits: Sequence[Visit], inspections: Sequence[Inspection] = (), *, bounds: Mapping[str, JointBounds]
+) -> Followed:
+    """Return a machine's state of wear.
+
+    Every joint's clearance grows at a rate of its own that changes now and then, and never falls, but by a repair. What
+    comes late or twice leaves the same state.
+
+    Parameters
+    ----------
+    visits : sequence of Visit
+        At least one, all of one machine.
+    inspections : sequence of Inspection
+    bounds : mapping of str to JointBounds
+        Of every joint that may wear.
+
+    Raises
+    ------
+    DiagnosisError
+        There is no recording, a time has no zone, or something is said of a joint that is not known.
+    """
+    names = list(bounds)
+    _check(visits, inspections, names)
+    events = put_in_order(visits, inspections)
+    as_new = np.array([bounds[name].as_new() for name in names])
+    belief = np.array([bounds[name].at_first() for name in names])
+    is_worn = np.array([bounds[name].worn for name in names])
+    courses: dict[str, list[CoursePoint]] = {name: [] for name in names}
+    sure: dict[str, datetime | None] = dict.fromkeys(names)
+    repairs: list[Repair] = []
+    moved = np.zeros(len(names))
+    before: datetime | None = None
+    for event in events:
+        passed = (event.at - before).total_seconds() if before else 0.0
+        before = event.at
+        belief = let_pass(belief, passed)
+        if isinstance(event, Inspection):
+            for joint in sorted(event.joints.keys() | event.repaired):
+                j = names.index(joint)
+                if joint in event.joints:
+                    belief[j] *= read_measured(event.joints[joint])
+                    belief[j] /= belief[j].sum()
+                if joint in event.repaired:
+                    belief[j], sure[joint] = as_new[j], None
+                    repairs.append(Repair(at=event.at, joint=joint, probability=1.0))
+            continue
+        marginal = belief.sum(axis=1)
+        foretold = [_three(row) for row in marginal]
+        worn_before = (marginal * is_worn).sum(axis=1)
+        share = 1.0 - math.exp(-REPAIRS * passed)
+        belief = (1.0 - share) * belief + share * as_new
+        belief = belief * weigh(belief, read_answer(event.answer, bounds))[:, None, :]
+        belief = belief / belief.sum(axis=(1, 2), keepdims=True)
+        marginal = belief.sum(axis=1)
+        p_worn = np.minimum((marginal * is_worn).sum(axis=1), 1.0)
+        moved = p_worn - worn_before
+        for j, name in enumerate(names):
+            low, median, high = _three(marginal[j])
+            ends = (foretold[j][0], foretold[j][2])
+            point = CoursePoint(
+                at=event.at, p_worn=float(p_worn[j]), clearance_um=median, interval_um=(low, high), foretold_um=ends
+            )
+            courses[name].append(point)
+            if p_worn[j] >= SURE:
+                sure[name] = sure[name] or event.at
+            elif p_worn[j] < UNWORN:
+                if sure[name]:
+                    at = _first_below(courses[name])
+                    repairs.append(Repair(at=at, joint=name, probability=1.0 - float(p_worn[j])))
+                sure[name] = None
+    heard = [event for event in events if isinstance(event, Visit)]
+    last = events[-1].at
+    joints = {
+        name: _tell(belief[j], bounds[name], last, sure[name], float(moved[j]), tuple(courses[name]))
+        for j, name in enumerate(names)
+    }
+    state = WearState(
+        at=last,
+        visits=len(heard),
+        joints=joints,
+        causes=follow_causes([(visit.at, visit.answer) for visit in heard]),
+        repairs=tuple(repairs),
+    )
+    return Followed(state, belief)
+
+
+def _check(visits: Sequence[Visit], inspections: Sequence[Inspection], names: Sequence[str]) -> None:
+    if not visits:
+        raise DiagnosisError("visits: none: a state of wear needs at least one recording")
+    for visit in visits:
+        for joint in visit.answer.joints:
+            if joint not in names:
+                raise DiagnosisError(f"visits: joint {joint}: must be one of {', '.join(names)}")
+    for found in inspections:
+        for joint in sorted(found.joints.keys() | found.repaired):
+            if joint not in names:
+                raise DiagnosisError(f"inspection: joints.{joint}: must be one of {', '.join(names)}")
+
+
+def _first_below(course: Sequence[CoursePoint]) -> datetime:
+    """Moment of the first recording after the last one that was sure of wear."""
+    last = max(place for place, point in enumerate(course) if point.p_worn >= SURE)
+    return course[last + 1].at
+
+
+def _three(marginal: FloatArray) -> tuple[float, float, float]:
+    """Quantiles 0.05, 0.5 and 0.95 of a clearance, um."""
+    low, median, high = (1e6 * quantiles(marginal, _SHARES, ALIKE)).tolist()
+    return low, median, high
+
+
+def _tell(
+    belief: FloatArray,
+    bounds: JointBounds,
+    last: datetime,
+    first_sure_at: datetime | None,
+    moved_by: float,
+    course: tuple[CoursePoint, ...],
+) -> JointFollowed:
+    """What is said of one joint."""
+    marginal = belief.sum(axis=0)
+    low, median, high = _three(marginal)
+    early, likely, late = (
+        last + timedelta(seconds=seconds) if seconds < NEVER else None
+        for seconds in time_to(belief, bounds.limit, _SHARES).tolist()
+    )
+    return JointFollowed(
+        p_worn=min(1.0, float(marginal[bounds.worn].sum())),
+        p_over_limit=min(1.0, float(marginal[math.log(bounds.limit) <= AXIS].sum())),
+        clearance_um=median,
+        interval_um=(low, high),
+        um_per_year=1e6 * YEAR * median_rate(belief),
+        limit_um=1e6 * bounds.limit,
+        limit_at=(early, likely, late),
+        first_sure_at=first_sure_at,
+        moved_by=moved_by,
+        course=course,
+    )

@@ -1,0 +1,155 @@
+"""The play of every joint over time: a clearance that never falls by itself, and the rate at which it grows.
+
+Beliefs are numbers on a grid: of each joint one for every rate and clearance. Joints wear each by itself; what a
+recording says of several at once is kept as far as it concerns each one (assumed density filtering).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointplay.solver.arrays import BoolArray, FloatArray
+
+LEAST, MOST, STEP = 1e-6, 6e-3, 0.03
+"""Clearances of the grid, m, and its step in their logarithm."""
+
+SLOWEST, FASTEST, FACTOR = 1e-15, 1e-7, 2.0
+"""Rates of growth, m/s, from 30 nm a year to 0.4 mm an hour, and the factor between two; and none."""
+
+USUAL, SCATTER = 1.6e-12, 2.0
+"""Median rate of a joint that wears, m/s (50 um a year), and the standard deviation of its logarithm."""
+
+RESTING, ANY = 0.5, 0.02
+"""Share of joints that do not wear for now; and of rates of which nothing is known, as on a test rig."""
+
+YEAR = 365.25 * 86400.0
+
+CHANGES = 1.0 / YEAR
+"""How often a joint begins to wear at another rate, 1/s."""
+
+REPAIRS = 0.1 / YEAR
+"""How often a joint is made as new without a word, 1/s."""
+
+WORN_AT_FIRST = 0.1
+"""Probability of a joint to be worn when nothing is known of it."""
+
+
+def _rates() -> FloatArray:
+    count = round(math.log(FASTEST / SLOWEST) / math.log(FACTOR)) + 1
+    return np.concatenate([[0.0], SLOWEST * FACTOR ** np.arange(count)])
+
+
+def _likely_rates(rates: FloatArray) -> FloatArray:
+    usual = np.exp(-0.5 * (np.log(rates[1:] / USUAL) / SCATTER) ** 2)
+    moving = (1.0 - ANY) * usual / usual.sum() + ANY / len(usual)
+    return np.concatenate([[RESTING], (1.0 - RESTING) * moving])
+
+
+AXIS: FloatArray = np.arange(math.log(LEAST), math.log(MOST), STEP)
+"""ln(clearance), (X,)."""
+
+RATES: FloatArray = _rates()
+"""m/s, (S,)."""
+
+LIKELY_RATES: FloatArray = _likely_rates(RATES)
+"""Probability of each beforehand, (S,)."""
+
+
+@dataclass(frozen=True)
+class JointBounds:
+    """What a joint's clearance means, m.
+
+    Parameters
+    ----------
+    fit : (float, float)
+        Play as new.
+    worn_from : float
+        Least clearance that counts as wear.
+    limit : float
+        From which on it is worn out.
+    """
+
+    fit: tuple[float, float]
+    worn_from: float
+    limit: float
+
+    @property
+    def worn(self) -> BoolArray:
+        """Which clearances of the grid (X,) are wear."""
+        return np.asarray(math.log(self.worn_from) <= AXIS)
+
+    def as_new(self) -> FloatArray:
+        """Probability (S, X) of a joint as new: any play of its fit, at rates not yet known."""
+        low, high = np.log(self.fit)
+        play = ((AXIS > low - 0.5 * STEP) & (AXIS < high + 0.5 * STEP)).astype(np.float64)
+        return np.asarray(LIKELY_RATES[:, None] * (play / play.sum()))
+
+    def at_first(self) -> FloatArray:
+        """Probability (S, X) of a joint of which nothing is known."""
+        worn = self.worn & (math.log(MOST) > AXIS)
+        anywhere = LIKELY_RATES[:, None] * (worn / worn.sum())
+        return np.asarray((1.0 - WORN_AT_FIRST) * self.as_new() + WORN_AT_FIRST * anywhere)
+
+
+def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
+    """Return what is believed of joints (J, S, X) some time later, if nobody repairs them.
+
+    Each grows at its rate; some begin to grow at another one. What would grow beyond the grid stays at its end.
+    """
+    if seconds <= 0.0:
+        return belief
+    change = 1.0 - math.exp(-CHANGES * seconds)
+    mixed = (1.0 - change) * belief + change * LIKELY_RATES[None, :, None] * belief.sum(axis=1, keepdims=True)
+    later: FloatArray = np.zeros(mixed.shape)
+    size = len(AXIS)
+    for s, rate in enumerate(RATES):
+        reached = np.log(np.exp(AXIS) + rate * seconds)
+        place = np.clip((reached - AXIS[0]) / STEP, np.arange(size), size - 1.0)  # never back by a rounding
+        cell = np.minimum(place.astype(np.int64), size - 2)
+        part = place - cell
+        for j in range(len(mixed)):
+            moved = mixed[j, s]
+            later[j, s] = np.bincount(cell, moved * (1.0 - part), size) + np.bincount(cell + 1, moved * part, size)
+    return later
+
+
+def quantiles(marginal: FloatArray, shares: FloatArray, blur: float = 0.0) -> FloatArray:
+    """Return the clearances (m,), in m, below which lie shares (m,) of a probability (X,) on the grid.
+
+    Parameters
+    ----------
+    blur : float
+        Standard deviation of ln(clearance) of what every recording has wrong alike, which more of them do not cure.
+    """
+    if blur > 0.0:
+        reach = np.arange(-math.ceil(3.0 * blur / STEP), math.ceil(3.0 * blur / STEP) + 1) * STEP
+        kernel = np.exp(-0.5 * (reach / blur) ** 2)
+        marginal = np.convolve(marginal, kernel / kernel.sum(), mode="same")
+    below = np.concatenate([[0.0], np.cumsum(marginal)])
+    edges = np.concatenate([AXIS - 0.5 * STEP, [AXIS[-1] + 0.5 * STEP]])
+    found: FloatArray = np.exp(np.interp(shares * below[-1], below, edges))
+    return found
+
+
+def time_to(belief: FloatArray, clearance: float, shares: FloatArray) -> FloatArray:
+    """Return the times (m,), s, by which a joint (S, X) has reached a clearance with probabilities (m,), at its rate.
+
+    Infinite where it does not.
+    """
+    away = np.maximum(clearance - np.exp(AXIS), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        times = np.where(away == 0.0, 0.0, away[None, :] / RATES[:, None])
+    order = np.argsort(times, axis=None)
+    below = np.cumsum(belief.reshape(-1)[order])
+    places = np.searchsorted(below, shares * below[-1])
+    found: FloatArray = times.reshape(-1)[order][np.minimum(places, len(order) - 1)]
+    return found
+
+
+def median_rate(belief: FloatArray) -> float:
+    """Return the rate of growth of a joint (S, X), m/s, that it exceeds as probably as not; that of the grid."""
+    below = np.cumsum(belief.sum(axis=1))
+    return float(RATES[int(np.searchsorted(below, 0.5 * below[-1]))])

@@ -1,0 +1,189 @@
+"""A machine's state of wear from all its recordings and inspections."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
+
+from jointplay.catalogue.diagnosing.answer import Cause
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.following.follow import follow
+from jointplay.catalogue.following.play import AXIS, RATES, STEP, YEAR, let_pass, quantiles, time_to
+from jointplay.catalogue.following.state import WearState
+from jointplay.catalogue.following.visits import Inspection, Visit
+
+NONE = dict.fromkeys(JOINTS, -6.0)
+AS_NEW = dict.fromkeys(JOINTS, 26e-6)
+
+
+def followed(visits: list[Visit], inspections: list[Inspection] | None = None) -> WearState:
+    return follow(visits, inspections or [], bounds=BOUNDS).state
+
+
+def wears(count: int, begins: int = 8, um_a_visit: float = 15.0) -> list[dict[str, float]]:
+    """Clearances [m] of B that grows evenly from a visit on."""
+    return [{"A": 8e-6, "B": 1e-6 * (10 + um_a_visit * max(0, number - begins)), "O": 12e-6} for number in range(count)]
+
+
+def test_wear_is_followed() -> None:
+    true = wears(30)
+    state = followed(course_of_wear(true, 1))
+    found = state.joints["B"]
+    assert found.p_worn > 0.999
+    assert found.interval_um[0] < 1e6 * true[-1]["B"] < found.interval_um[1]
+    # 15 um in 30 days; rates of the grid are factors of two apart.
+    assert 0.4 < found.um_per_year / (15.0 * YEAR / (30 * 86400.0)) < 2.5
+    assert all(state.joints[name].p_worn < 0.5 for name in "AO")
+    assert state.visits == 30 and not state.repairs
+    since = (found.first_sure_at or BEGIN) - BEGIN
+    assert 9 * 30 <= since.days <= 12 * 30
+
+
+def test_intervals_hold() -> None:
+    """Of clearances of a worn joint, and of the next visit's before it is heard: measured 0.91 to 0.99."""
+    held = foretold = count = 0
+    for seed in range(8):
+        true = wears(30, um_a_visit=4.0 + 3.0 * seed)
+        course = followed(course_of_wear(true, seed)).joints["B"].course
+        for point, clearances in list(zip(course, true, strict=True))[14:]:
+            held += point.interval_um[0] < 1e6 * clearances["B"] < point.interval_um[1]
+            foretold += point.foretold_um[0] < 1e6 * clearances["B"] < point.foretold_um[1]
+            count += 1
+    assert held > 0.85 * count
+    assert foretold > 0.85 * count
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_comes_late_or_twice_changes_nothing(seed: int) -> None:
+    visits = course_of_wear(wears(12, 3), seed)
+    found = Inspection(visits[5].at, {"B": 40e-6})
+    draw = np.random.default_rng(seed)
+    mixed = [visits[place] for place in draw.permutation(12)] + [visits[4], visits[7]]
+    assert followed(mixed, [found, found]) == followed(visits, [found])
+
+
+def test_a_zone_does_not_matter_but_none_is_refused() -> None:
+    visits = course_of_wear(wears(4), 0)
+    with pytest.raises(DiagnosisError, match="at: 2025-03-01T09:30:00: must have a time zone"):
+        followed([replace(visits[0], at=visits[0].at.replace(tzinfo=None)), *visits[1:]])
+    with pytest.raises(DiagnosisError, match=r"at: .*: must have a time zone"):
+        followed(visits, [Inspection(datetime(2025, 1, 1), {"B": 1e-5})])
+
+
+def test_nothing_falls_by_itself() -> None:
+    """A quieter recording does not take wear back that others were sure of."""
+    visits = course_of_wear(wears(20), 2)
+    quiet = answer({"A": -6.0, "B": -3.0, "O": -6.0}, AS_NEW)
+    state = followed([*visits, Visit(visits[-1].at + timedelta(days=30), "q", quiet)])
+    assert state.joints["B"].p_worn > 0.5
+    assert state.joints["B"].moved_by < 0.0
+    assert not state.repairs
+
+
+def test_a_repair_is_seen() -> None:
+    true = wears(20) + [{"A": 8e-6, "B": 9e-6, "O": 12e-6}] * 3
+    state = followed(course_of_wear(true, 3))
+    (repair,) = state.repairs
+    assert repair.joint == "B" and repair.probability > 0.5
+    assert repair.at == BEGIN + timedelta(days=30 * 20)
+    assert state.joints["B"].first_sure_at is None
+    assert state.joints["B"].clearance_um < 25.0
+
+
+def test_a_repair_that_is_known_counts_at_once() -> None:
+    visits = course_of_wear(wears(20), 4)
+    moment = visits[-1].at + timedelta(days=1)
+    state = followed(visits, [Inspection(moment, repaired=frozenset("B"))])
+    assert state.at == moment
+    assert state.joints["B"].p_worn < 0.01
+    assert [(repair.at, repair.joint, repair.probability) for repair in state.repairs] == [(moment, "B", 1.0)]
+
+
+def test_what_is_measured_by_hand_is_a_measurement_with_an_error() -> None:
+    visits = course_of_wear(wears(20), 5)
+    before = followed(visits).joints["B"]
+    measured = 0.9 * before.clearance_um
+    after = followed(visits, [Inspection(visits[-1].at, {"B": 1e-6 * measured})]).joints["B"]
+    assert measured < after.clearance_um < before.clearance_um
+    assert math.log(after.interval_um[1] / after.interval_um[0]) < math.log(
+        before.interval_um[1] / before.interval_um[0]
+    )
+
+
+def test_a_recording_that_the_machine_does_not_explain_says_little() -> None:
+    visits = course_of_wear(wears(6), 6)
+    odd = {"evidence": {"A": 6.0, "B": -6.0, "O": -6.0}, "clearances": {**AS_NEW, "A": 3e-4}}
+    later = visits[-1].at + timedelta(days=30)
+    worn, changed = (
+        followed([*visits, Visit(later, "o", answer(**odd, verdict=verdict))]).joints["A"].p_worn
+        for verdict in ("worn", "changed")
+    )
+    assert changed < 0.5 * worn
+
+
+def test_a_mount_that_loosens_is_followed() -> None:
+    visits = []
+    for number in range(12):
+        size = 1.0 - 0.04 * max(0, number - 3)
+        causes = (Cause(name="mount 1", size=size, unit="x stiffness", probability=0.97),) if number > 4 else ()
+        told = answer(NONE, AS_NEW, verdict="changed" if causes else "in_order", causes=causes)
+        visits.append(Visit(BEGIN + timedelta(days=30 * number), str(number), told))
+    found = followed(visits).causes["mount 1"]
+    assert found.probability > 0.95
+    assert found.since == visits[6].at
+    assert found.size == pytest.approx(0.68)
+    assert found.per_year == pytest.approx(-0.04 * YEAR / (30 * 86400.0))
+
+
+def test_time_moves_a_clearance_by_its_rate_and_never_back() -> None:
+    belief = np.zeros((1, len(RATES), len(AXIS)))
+    start, rate = np.searchsorted(AXIS, math.log(50e-6)), 12
+    belief[0, rate, start] = 1.0
+    seconds = 40e-6 / RATES[rate]
+    later = let_pass(belief, seconds)
+    stayed = later[0, rate] / later[0, rate].sum()
+    # The mean between two points of the grid, in ln: off by less than the square of a step.
+    expected = math.exp(AXIS[start]) + 40e-6
+    assert float(stayed @ np.exp(AXIS)) == pytest.approx(expected, rel=STEP**2)
+    assert later.sum() == pytest.approx(1.0)
+    assert later[0, :, :start].sum() == 0.0
+    assert np.array_equal(let_pass(belief, 0.0), belief)
+
+
+def test_time_to_a_limit() -> None:
+    belief = np.zeros((len(RATES), len(AXIS)))
+    place = np.searchsorted(AXIS, math.log(50e-6))
+    belief[10, place], belief[0, place] = 0.6, 0.4
+    away = 200e-6 - math.exp(AXIS[place])
+    early, late = time_to(belief, 200e-6, np.array([0.5, 0.95])).tolist()
+    assert early == pytest.approx(away / RATES[10])
+    assert math.isinf(late)
+    assert time_to(belief, 40e-6, np.array([0.5])).tolist() == [0.0]
+
+
+def test_quantiles_are_blurred_by_what_all_recordings_have_wrong() -> None:
+    marginal = np.zeros(len(AXIS))
+    marginal[120] = 1.0
+    low, middle, high = quantiles(marginal, np.array([0.05, 0.5, 0.95]), 0.2)
+    assert middle == pytest.approx(math.exp(AXIS[120]), rel=1e-9)
+    assert math.log(high / low) == pytest.approx(2 * 1.645 * 0.2, abs=2 * STEP**2 / 0.2)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"visits": []}, "visits: none"),
+        ({"inspections": [Inspection(BEGIN, {"Q": 1e-5})]}, r"inspection: joints\.Q: must be one of A, B, O"),
+        ({"inspections": [Inspection(BEGIN, repaired=frozenset("Q"))]}, r"inspection: joints\.Q: must be one of"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(asked: dict[str, list[Inspection]], said: str) -> None:
+    with pytest.raises(DiagnosisError, match=said):
+        followed(**({"visits": course_of_wear(wears(2), 0)} | asked))
+    with pytest.raises(DiagnosisError, match=r"inspection: joints\.B: nan"):
+        Inspection(BEGIN, {"B": math.nan})
