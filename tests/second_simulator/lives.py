@@ -65,7 +65,7 @@ LAWS: dict[str, Law] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """An inspection just before a visit: true and measured clearance [m] of a joint that is then repaired."""
+    """An inspection between two visits: when, and the measured clearance [m] of a joint that is then repaired."""
 
     at: datetime
     joint: str
@@ -143,7 +143,8 @@ def _repair(life: Life, ages: Array, draw: np.random.Generator) -> None:
     if draw.random() < FOUND:
         part, length = INSPECTION
         measured = before * (1 + part * draw.normal()) + length * draw.normal()
-        life.findings[visit] = Finding(life.at[visit] - timedelta(hours=6), joint, max(measured, 1e-6))
+        halfway = life.at[visit - 1] + (life.at[visit] - life.at[visit - 1]) / 2
+        life.findings[visit] = Finding(halfway.replace(microsecond=0), joint, max(measured, 1e-6))
 
 
 def _arrivals(draw: np.random.Generator) -> list[int]:
