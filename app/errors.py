@@ -53,6 +53,10 @@ class UnknownAssetError(AppError):
     """No asset has this external id."""
 
 
+class NothingToFollowError(AppError):
+    """An asset none of whose recordings was diagnosed."""
+
+
 class UnknownFindingError(AppError):
     """No stored finding has this id."""
 

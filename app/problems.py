@@ -87,6 +87,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.BuildEndedError: ProblemKind(409, "build-ended", "The build has ended already"),
     errors.BuildOpenError: ProblemKind(409, "build-open", "The build has not ended"),
     errors.UnknownAssetError: ProblemKind(404, "unknown-asset", "No such asset"),
+    errors.NothingToFollowError: ProblemKind(404, "nothing-to-follow", "Nothing to follow yet"),
     errors.UnknownFindingError: ProblemKind(404, "unknown-finding", "No such finding"),
     errors.UnknownWebhookError: ProblemKind(404, "unknown-webhook", "No such webhook"),
     errors.UnknownPageError: ProblemKind(404, "unknown-page", "No such page"),

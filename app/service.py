@@ -13,7 +13,7 @@ from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, TimeLimitError, WorkerDiedError
 from jointplay.app.figures.pictures import response_picture
-from jointplay.app.jobs import tasks
+from jointplay.app.jobs import following, tasks
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
@@ -30,6 +30,7 @@ from jointplay.app.storage.store import NewDiagnosis, Store, Upload
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+from jointplay.catalogue.following.state import WearState
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.units import ANGULAR_SPEED, to_si
@@ -87,6 +88,20 @@ class Service:
         note = None if asset is None else await run_in_threadpool(self.noting, asset)
         summary = await self.pool.run(tasks.summarise, str(upload.path), name, told)
         return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
+
+    async def follow(self, external_id: str) -> WearState:
+        """Return the state of wear of an asset.
+
+        Raises
+        ------
+        UnknownAssetError
+            When there is none of this id.
+        NothingToFollowError
+            When none of its recordings was diagnosed.
+        """
+        life = await run_in_threadpool(following.gather, self.store, external_id)
+        state: WearState = await self.pool.run(following.follow_life, life)
+        return state
 
     def noting(self, external_id: str) -> Callable[[Session, str], None]:
         """Return what notes in a transaction that a measurement is of an asset.

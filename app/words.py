@@ -277,4 +277,15 @@ def spell_moment(moment: datetime) -> str:
     return f"{moment:%Y-%m-%d %H:%M}"
 
 
+def placed(moment: datetime) -> datetime:
+    """Return a moment at which something can have been measured."""
+    from jointplay.catalogue.measurements.moments import place_moment
+
+    return place_moment(moment, None)
+
+
 Moment = Annotated[AwareDatetime, BeforeValidator(parse_moment), AfterValidator(in_utc)]
+MeasuredAt = Annotated[Moment, AfterValidator(placed)]
+
+SOURCES = {"sender": "as its sender says", "file": "as the file says", "received": "when it was received"}
+"""Who says when a measurement was made."""

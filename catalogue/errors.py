@@ -122,7 +122,8 @@ class MeasurementError(CatalogueError):
         The rule it breaks, as a phrase: "is not a number".
     field : str
         What its sender has to say, or said wrongly: ``sample_rate``, ``units``, ``full_scale``, ``sensitivity``,
-        ``tacho``, ``scaling``, ``detector``, ``window``, ``reference``, ``profile``; empty where the file is at fault.
+        ``tacho``, ``scaling``, ``detector``, ``window``, ``reference``, ``measured_at``, ``profile``; empty where the
+        file is at fault.
     """
 
     def __init__(

@@ -23,6 +23,7 @@ from jointplay.app.errors import BadFieldError
 from jointplay.app.rows import hypothesis_rows, joint_rows, percent, recording_rows
 from jointplay.app.storage.told import FILE_FIELDS, PROFILE, with_said
 from jointplay.app.tables import indent, table
+from jointplay.app.words import spell_moment
 from jointplay.catalogue.matching.prior import LARGEST, Prior
 
 if TYPE_CHECKING:
@@ -138,14 +139,17 @@ def command(
     from jointplay.catalogue.storage.store import Catalogue
 
     said = read_file_options(told)
-    if len(speeds) not in (0, len(measurements)):
-        rule = f"{len(speeds)} for {len(measurements)} measurements: must be one for each, or none"
-        raise click.BadParameter(rule, param_hint="'--speed'")
+    moments = said.pop("measured_at", ())
+    for option, given in (("--speed", speeds), ("--measured-at", moments)):
+        if len(given) not in (0, len(measurements)):
+            rule = f"{len(given)} for {len(measurements)} measurements: must be one for each, or none"
+            raise click.BadParameter(rule, param_hint=f"'{option}'")
+    told_each = [{**said, "measured_at": each} for each in moments] or [said] * len(measurements)
     sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
     recordings = [
-        read_recording(measurement, **told_too, profile=with_options(profile_of(measurement, profile), said))
-        for measurement in measurements
+        read_recording(measurement, **told_too, profile=with_options(profile_of(measurement, profile), own))
+        for measurement, own in zip(measurements, told_each, strict=True)
     ]
     in_order = None
     if baseline is not None:
@@ -168,10 +172,15 @@ def command(
         from jointplay.app.figures.plots import plot_diagnosis
 
         plot_diagnosis(diagnosis, diagnosis.provenance.measurement, plot)
+    when = [each.measured_at for each in recordings]
     if as_json:
-        print_json(diagnosis.model_dump(mode="json"))
+        moments = [None if moment is None else moment.isoformat() for moment in when]
+        print_json({**diagnosis.model_dump(mode="json"), "measured_at": moments})
     else:
         click.echo(report(diagnosis))
+        for each, moment in zip(recordings, when, strict=True):
+            if moment is not None:
+                click.echo(f"measured: {each.name}, {spell_moment(moment)} UTC")
         if plot is not None:
             click.echo(f"drawn: {plot}")
 

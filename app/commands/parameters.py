@@ -204,10 +204,11 @@ def file_options(command: Callable[..., None]) -> Callable[..., None]:
         elif each.name == "sample_rate":
             kind = QuantityOption("FREQUENCY")
         more = ' "*" for all columns; may be repeated.' if each.by_column else ""
-        option = click.option(
-            f"--{each.option}", each.name, type=kind, multiple=bool(each.by_column), help=f"{each.says}{more}"
+        more = " One for each measurement in turn." if each.by_file else more
+        several = bool(each.by_column) or each.by_file
+        command = click.option(f"--{each.option}", each.name, type=kind, multiple=several, help=f"{each.says}{more}")(
+            command
         )
-        command = option(command)
     return command
 
 

@@ -18,6 +18,7 @@ from jointplay.app.http.validation import validate
 from jointplay.app.schemas.resources import Shape
 from jointplay.app.storage.store import Store, Upload
 from jointplay.app.storage.told import TOLD, Told, read_told
+from jointplay.app.words import MeasuredAt
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 JSON_TYPE = "application/json"
@@ -65,6 +66,9 @@ class MeasurementIn(Shape):
         ImportProfile,
         Field(default=ImportProfile(), description="What else there is to say, such as what a spectrum is."),
     ]
+    measured_at: Annotated[
+        MeasuredAt | None, Field(default=None, description="When it was measured; when it is received unless given.")
+    ]
     asset: Annotated[
         str | None,
         Field(default=None, min_length=1, max_length=128, description="External id of the machine that was measured."),
@@ -93,7 +97,9 @@ class Sent:
     @property
     def content(self) -> list[object]:
         """All of it, as JSON values."""
-        return [self.file.sha256, self.name, self.told.shown, self.asset]
+        moment = self.told.measured_at
+        said: list[object] = [self.file.sha256, self.name, self.told.shown, self.asset]
+        return said if moment is None else [*said, moment.isoformat()]
 
 
 @asynccontextmanager
@@ -122,10 +128,11 @@ async def receive_measurement(request: Request, store: Store) -> AsyncIterator[S
             yield Sent(form.file, form.file_name, told, form.fields.get("asset"))
     elif kind == JSON_TYPE:
         wanted = await run_in_threadpool(validate, MeasurementIn, await request.body())
-        profile = wanted.profile.model_dump(mode="json", exclude_defaults=True)
         upload = await run_in_threadpool(store.receive, io.BytesIO(file_of(wanted)))
         try:
-            yield Sent(upload, name_recording(wanted.name), Told(profile=profile), wanted.asset)
+            said = {} if wanted.measured_at is None else {"measured_at": wanted.measured_at}
+            told = Told.of(wanted.profile.model_copy(update=said))
+            yield Sent(upload, name_recording(wanted.name), told, wanted.asset)
         finally:
             store.settle(upload)
     else:

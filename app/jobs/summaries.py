@@ -20,11 +20,16 @@ def summary_of(measurement: Recording | MeasuredSpectrum) -> dict[str, Any]:
     Returns
     -------
     dict
-        Members of :class:`jointplay.app.schemas.resources.MeasurementOut` that follow from the file.
+        Members of :class:`jointplay.app.schemas.resources.MeasurementOut` that follow from the file; ``measured_at``
+        is null where neither it nor its sender says that.
     """
     from jointplay.catalogue.measurements.measurement import Recording
 
-    common = {"warnings": list(measurement.warnings), "import_report": list(measurement.import_report)}
+    common = {
+        "warnings": list(measurement.warnings),
+        "import_report": list(measurement.import_report),
+        "measured_at": None if measurement.measured_at is None else measurement.measured_at.isoformat(),
+    }
     channels = [
         {"name": channel.name, "unit": channel.unit, "quantity": channel.quantity} for channel in measurement.channels
     ]

@@ -30,27 +30,33 @@ def history(
     Returns
     -------
     dict
-        ``rows`` and ``findings`` of the tables, and ``chart``, None where there is nothing to draw.
+        ``rows`` (what was measured last first) and ``findings`` of the tables, and ``chart``, None where there is
+        nothing to draw.
     """
     return {
-        "rows": [diagnosis_row(row, measurements[row.measurement]) for row in diagnoses],
+        "rows": [
+            diagnosis_row(row, measurements)
+            for row in sorted(diagnoses, key=lambda row: measured(row, measurements), reverse=True)
+        ],
         "findings": [finding_row(row) for row in findings],
         "chart": chart(diagnoses, measurements, findings) if diagnoses or findings else None,
     }
 
 
-def diagnosis_row(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
+def diagnosis_row(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow]) -> dict[str, Any]:
     """Return the row of a diagnosis in the table."""
     result = row.answer
+    name = measurements[row.measurement].name
     return {
         "id": row.id,
         "verdict": result.verdict,
         "short": words.short(result),
         "plays": plays(words.named_joints(result)),
         "percent": words.probability(result),
-        "sent": spell_moment(measurement.created_at),
+        "measured": spell_moment(measured(row, measurements)),
+        "received": any(measurements[key].measured_at_source == "received" for key in row.measurements),
         "diagnosed": spell_moment(row.created_at),
-        "recording": f"{len(result.recordings)} recordings" if result.recordings else measurement.name,
+        "recording": f"{len(result.recordings)} recordings" if result.recordings else name,
         "effort": result.effort,
     }
 
@@ -71,9 +77,9 @@ def latest(diagnoses: Sequence[DiagnosisRow]) -> list[DiagnosisRow]:
     return list({row.measurements: row for row in reversed(diagnoses)}.values())
 
 
-def sent(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow]) -> datetime:
-    """Return when the recording of a diagnosis was sent, or the last of several."""
-    return max(measurements[key].created_at for key in row.measurements)
+def measured(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow]) -> datetime:
+    """Return when the recording of a diagnosis was made, or the last of several."""
+    return max(measurements[key].measured_at for key in row.measurements)
 
 
 def chart(
@@ -81,14 +87,14 @@ def chart(
 ) -> dict[str, Any]:
     """Return the chart: its data for the script and its content in words for those who do not see it.
 
-    A recording stands at the time when it was sent, with its newest diagnosis.
+    A recording stands at the time when it was made, with its newest diagnosis.
     """
-    shown = sorted(latest(diagnoses), key=lambda row: sent(row, measurements))
+    shown = sorted(latest(diagnoses), key=lambda row: measured(row, measurements))
     points: dict[str, list[dict[str, float]]] = {}
     order: list[str] = []
     events: list[dict[str, Any]] = []
     for row in shown:
-        at = sent(row, measurements).timestamp()
+        at = measured(row, measurements).timestamp()
         order += [name for name in row.machine["joints"] if name not in order]
         worn = words.named_joints(row.answer)
         if not worn:

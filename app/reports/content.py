@@ -9,7 +9,7 @@ from jointplay.app import words
 from jointplay.app.jobs.summaries import extent, kind_of, summarise_told
 from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of, recording_rows
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.words import spell_moment
+from jointplay.app.words import SOURCES, spell_moment
 from jointplay.catalogue.diagnosing.answer import Answer, JointState
 
 SHOWN_HYPOTHESES = 5
@@ -140,6 +140,7 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
             kind_of(summary).capitalize(),
             f"{cut(measurement.name)}, received {spell_moment(measurement.created_at)} UTC",
         ),
+        *measured(measurement),
         Named("Extent" if kind_of(summary) == "spectrum" else "Length", extent(summary)),
         *((Named("Said of it", cut(summarise_told(measurement.told.shown))),) if measurement.told.shown else ()),
         Named("Channels", cut(channels)),
@@ -150,6 +151,14 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
         ),
         Named("Diagnosed", f"{spell_moment(row.created_at)} UTC"),
     )
+
+
+def measured(measurement: MeasurementRow) -> tuple[Named, ...]:
+    """Return when a measurement was made, where somebody says so."""
+    source = measurement.measured_at_source
+    if source == "received":
+        return ()
+    return (Named("Measured", f"{spell_moment(measurement.measured_at)} UTC, {SOURCES[source]}"),)
 
 
 def joint_row(row: JointRow) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
 from jointplay.app.pages.history import history
 from jointplay.app.pages.page_forms import messages_of, plain_form
+from jointplay.app.pages.wear_state import show_state
 from jointplay.app.problems import Problem
 from jointplay.app.routes.assets import check_baseline
 from jointplay.app.routes.pages import REFUSALS, context
@@ -67,6 +68,18 @@ async def asset(request: Request, external_id: str) -> Response:
         return await show_list(request, None, {}, problem_from(error))
 
 
+@router.get("/{external_id}/state")
+async def state(request: Request, external_id: str) -> Response:
+    """Show the state of wear of an asset; its page asks for it when it is there."""
+    service = of_request(request)
+    try:
+        row = await run_in_threadpool(Assets(service.store.database).asset, external_id)
+        members = {"asset": asset_item(row), "state": show_state(await service.follow(external_id))}
+    except REFUSALS as error:
+        return await show_list(request, None, {}, problem_from(error))
+    return await answer_page(request, "state.html", members | {"title": f"{external_id}: jointplay"}, None)
+
+
 @router.post("/{external_id}")
 async def change(request: Request, external_id: str) -> Response:
     """Change the notes and the baseline of an asset; its machine stays."""
@@ -97,7 +110,7 @@ async def together(request: Request, external_id: str) -> Response:
         if "from" not in given:
             raise BadFieldError("choose a recording", field="from")
         first = await run_in_threadpool(service.store.measurement, given["from"])
-        asked = {"asset": external_id, "catalogue": given.get("catalogue", ""), "since": first.created_at.isoformat()}
+        asked = {"asset": external_id, "catalogue": given.get("catalogue", ""), "since": first.measured_at.isoformat()}
         row = await service.diagnose(validate(DiagnosisRequest, asked))
     except REFUSALS as error:
         problem = problem_from(error)
@@ -180,6 +193,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
     measurements = {each.id: each for each in store.measurements(None, len(used), among)}
     own = store.measurements(None, SHOWN, measurements_of(external_id))
+    own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baseline = None if row.baseline is None else store.measurement(row.baseline)
     if baseline is not None and baseline.id not in {each.id for each in recordings}:
@@ -188,7 +202,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     return {
         "asset": asset_item(row),
         "baseline": None if baseline is None else baseline.name,
-        "recordings": [(each.id, f"{each.name}, {spell_moment(each.created_at)}") for each in recordings],
+        "recordings": [(each.id, f"{each.name}, {spell_moment(each.measured_at)}") for each in recordings],
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
         "catalogue": next(

@@ -17,6 +17,7 @@ from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, AssetOut, AssetPage
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.catalogue.following.state import WearState
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
@@ -51,6 +52,16 @@ async def asset(request: Request, external_id: ExternalId) -> Response:
     """Return one asset."""
     row = await run_in_threadpool(Assets(of_request(request).store.database).asset, external_id)
     text = asset_out(row).model_dump_json()
+    return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
+
+
+@router.get("/{external_id}/state", response_model=WearState, responses=problems(404, 422, 503))
+async def state(request: Request, external_id: ExternalId) -> Response:
+    """Say how worn the asset is by all its recordings in the order they were made, by findings and by repairs.
+
+    It follows from what is stored, whatever the order in which that came.
+    """
+    text = (await of_request(request).follow(external_id)).model_dump_json()
     return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
 
 

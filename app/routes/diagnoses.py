@@ -123,11 +123,15 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
         if form.file is None:
             return await answer(request, idempotency_key, wanted, partial(service.diagnose, wanted))
         diagnose = partial(service.diagnose_upload, form.file, form.file_name, told, wanted)
-        return await answer(request, idempotency_key, wanted, diagnose)
+        return await answer(request, idempotency_key, wanted, diagnose, told.measured_at)
 
 
 async def answer(
-    request: Request, key: str | None, wanted: DiagnosisRequest, diagnose: Callable[[], Awaitable[DiagnosisRow]]
+    request: Request,
+    key: str | None,
+    wanted: DiagnosisRequest,
+    diagnose: Callable[[], Awaitable[DiagnosisRow]],
+    measured_at: datetime | None = None,
 ) -> Response:
     """Answer a question by what `diagnose` finds, or with the answer that was given under its key before."""
 
@@ -136,7 +140,10 @@ async def answer(
         headers = {"Location": f"/api/v1/diagnoses/{row.id}"}
         return Response(diagnosis_out(row).model_dump_json(), 201, headers, JSON_TYPE)
 
-    return await once(request, key, of_request(request).store.database, wanted.model_dump(mode="json"), answered)
+    content: Any = wanted.model_dump(mode="json")
+    if measured_at is not None:  # which is no part of the measurement's id
+        content = [content, measured_at.isoformat()]
+    return await once(request, key, of_request(request).store.database, content, answered)
 
 
 @router.get("", responses=problems(400, 422))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.etags import respond
@@ -12,10 +13,10 @@ from jointplay.app.http import paging
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
 from jointplay.app.http.sent_measurements import JSON_TYPE, MeasurementIn, receive_measurement
-from jointplay.app.http.uploads import MULTIPART
+from jointplay.app.http.uploads import MULTIPART, json_body
 from jointplay.app.routes.findings import Only
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.resources import MeasurementOut, MeasurementPage
+from jointplay.app.schemas.resources import MeasurementChange, MeasurementOut, MeasurementPage
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import measurements_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
@@ -68,8 +69,14 @@ def measurements(request: Request, asset: Only = None, cursor: Cursor = None, li
 async def measurement(request: Request, key: str) -> Response:
     """Return what is known about one measurement."""
     row = await run_in_threadpool(of_request(request).store.measurement, key)
-    document = Response(measurement_out(row).model_dump_json(), media_type="application/json")
-    return respond(request, document, row.id)
+    text = measurement_out(row).model_dump_json()
+    return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
+
+
+@router.patch("/{key}", responses=problems(404, 413, 415, 422), dependencies=[Depends(json_body)])
+def correct(request: Request, key: str, wanted: MeasurementChange) -> MeasurementOut:
+    """Correct when a measurement was made; diagnoses of it stay as they are."""
+    return measurement_out(of_request(request).store.correct_moment(key, wanted.measured_at))
 
 
 def measurement_out(row: MeasurementRow) -> MeasurementOut:
@@ -80,6 +87,8 @@ def measurement_out(row: MeasurementRow) -> MeasurementOut:
         sha256=row.sha256,
         size_bytes=row.size_bytes,
         created_at=row.created_at,
+        measured_at=row.measured_at,
+        measured_at_source=row.measured_at_source,
         told=row.told.shown,
         **row.summary,
     )

@@ -67,6 +67,7 @@ class JointFound(Shape):
             ge=0, le=1e5, allow_inf_nan=False, strict=True, description="Radial clearance: half of the diametral play."
         ),
     ]
+    repaired: Annotated[bool, Field(default=False, strict=True, description="Whether it was as new afterwards.")]
 
 
 class FindingIn(Shape):

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
 
-from jointplay.app.words import Moment
+from jointplay.app.words import MeasuredAt, Moment
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import LARGEST, Prior
@@ -127,10 +127,13 @@ class MeasurementOut(Shape):
     name: str
     sha256: str = Field(description="Of the file's bytes.")
     size_bytes: int
-    created_at: datetime
+    created_at: datetime = Field(description="When it was received.")
+    measured_at: datetime = Field(description="When it was measured; when it was received where nobody says that.")
+    measured_at_source: Literal["sender", "file", "received"] = Field(description="Who says so; received: nobody does.")
     kind: Literal["recording", "spectrum"] = "recording"
     told: dict[str, Any] = Field(
         description="What its sender said of the file: `sample_rate_hz`, `units`, `profile`, as far as they were given."
+        " When it was measured stands by itself."
     )
     sample_rate_hz: float | None = Field(default=None, description="Null for a spectrum.")
     samples: int | None = Field(default=None, description="Null for a spectrum.")
@@ -140,6 +143,14 @@ class MeasurementOut(Shape):
     channels: list[ChannelItem]
     warnings: list[str]
     import_report: list[str]
+
+
+class MeasurementChange(Shape):
+    """What can be corrected of a measurement."""
+
+    model_config = ConfigDict(json_schema_extra={"example": {"measured_at": "2024-11-21T10:03:00+01:00"}})
+
+    measured_at: Annotated[MeasuredAt, Field(description="When it was measured, with a time zone.")]
 
 
 class MeasurementPage(Page):
@@ -196,9 +207,9 @@ class DiagnosisRequest(Shape):
     ]
     since: Annotated[
         Moment | None,
-        Field(default=None, description="In place of measurements: all of `asset` stored from this moment on."),
+        Field(default=None, description="In place of measurements: all of `asset` measured from this moment on."),
     ]
-    until: Annotated[Moment | None, Field(default=None, description="With `since`: those stored before this moment.")]
+    until: Annotated[Moment | None, Field(default=None, description="With `since`: those measured before this moment.")]
     catalogue: Annotated[str, Field(min_length=1, max_length=255, description="Id or name of a catalogue.")]
     speed: Annotated[
         StrictFloat | StrictStr | None,

@@ -3,7 +3,7 @@
 
 (() => {
   const drawn = new Map();
-  const SYMBOLS = { in_order: "✓", changed: "△", unknown: "?", finding: "◆" };
+  const SYMBOLS = { in_order: "✓", changed: "△", unknown: "?", finding: "◆", repair: "↺" };
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -112,6 +112,7 @@
   };
 
   document.addEventListener("DOMContentLoaded", resized);
+  document.addEventListener("htmx:after:swap", drawAll);
   window.addEventListener("resize", resized);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
 })();

@@ -164,6 +164,8 @@ class Assets:
                     f"joints: {name[:80]}: is no joint of this machine that can wear ({known})", field="joints"
                 )
         said = found.model_dump(mode="json")
+        # What findings could not say once is left out where it says nothing: the same finding keeps its id.
+        said["joints"] = {name: joint.model_dump(exclude_defaults=True) for name, joint in found.joints.items()}
         key = hashlib.sha256(f"{row.id} {json.dumps(said, sort_keys=True)}".encode()).hexdigest()[:32]
         values = {
             "id": key,
@@ -192,6 +194,13 @@ class Assets:
         if row is None:
             raise UnknownFindingError(f"finding {key[:80]}: there is none of this id")
         return row
+
+    def findings_of_machine(self, machine: str, limit: int) -> list[FindingRow]:
+        """Return findings at all assets that are one machine, the newest first."""
+        with self._database.reading() as session:
+            query = select(FindingRow).join(AssetRow, AssetRow.external_id == FindingRow.asset)
+            query = query.where(AssetRow.machine == machine).order_by(FindingRow.number.desc()).limit(limit)
+            return list(session.scalars(query))
 
     def findings(
         self,

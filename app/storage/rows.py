@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
@@ -23,6 +23,10 @@ class Base(DeclarativeBase):
     type_annotation_map: ClassVar = {dict[str, Any]: JSON, datetime: UtcDateTime}
 
 
+MomentSource = Literal["sender", "file", "received"]
+"""Who says when a measurement was made: its sender, its file, or nobody, so that it is the moment of receipt."""
+
+
 class MeasurementRow(Base):
     """An uploaded recording."""
 
@@ -36,11 +40,13 @@ class MeasurementRow(Base):
     said: Mapped[dict[str, Any]]
     created_at: Mapped[datetime]
     summary: Mapped[dict[str, Any]]
+    measured_at: Mapped[datetime]
+    measured_at_source: Mapped[str] = mapped_column(String(16))
 
     @property
     def told(self) -> Told:
         """What its sender said of it."""
-        return Told(**self.said)
+        return Told(**self.said, measured_at=self.measured_at if self.measured_at_source == "sender" else None)
 
 
 class DiagnosisRow(Base):

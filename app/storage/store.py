@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 
 from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
 from jointplay.app.storage.database import ServiceDatabase, database_url
-from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, Row, newest, now
+from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, MomentSource, Row, newest, now
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
@@ -224,10 +224,15 @@ class Store:
     ) -> MeasurementRow:
         """Store a measurement, or return the one stored before from the same bytes, of which the same was said.
 
+        When it was measured does not tell measurements apart: the same bytes were measured once. Whoever says it
+        later corrects it.
+
         Parameters
         ----------
-        upload, name, told, summary
+        upload, name, told
             As in :class:`MeasurementRow`.
+        summary : Mapping
+            As in :class:`MeasurementRow`, with ``measured_at`` besides: what the file says, in ISO 8601.
         also : callable, optional
             Called with the id in the same transaction.
         """
@@ -251,16 +256,24 @@ class Store:
     def _put_measurement(
         self, session: Session, upload: Upload, name: str, told: Told, summary: Mapping[str, Any]
     ) -> MeasurementRow:
+        held = dict(summary)
+        received, in_file = now(), held.pop("measured_at", None)
+        source: MomentSource = "sender" if told.measured_at else "file" if in_file else "received"
         row = {
             "id": measurement_key(upload.sha256, name, told),
             "sha256": upload.sha256,
             "name": name,
             "size_bytes": upload.size,
             "said": told.shown,
-            "created_at": now(),
-            "summary": dict(summary),
+            "created_at": received,
+            "summary": held,
+            "measured_at": told.measured_at or (datetime.fromisoformat(in_file) if in_file else received),
+            "measured_at_source": source,
         }
-        return self._put(session, MeasurementRow, row)[0]
+        kept, new = self._put(session, MeasurementRow, row)
+        if not new and told.measured_at is not None:
+            kept.measured_at, kept.measured_at_source = told.measured_at, source
+        return kept
 
     def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:
         """Insert a row, or find the one of the same id; return it, and whether it is new."""
@@ -283,15 +296,29 @@ class Store:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
         return row
 
+    def correct_moment(self, key: str, measured_at: datetime) -> MeasurementRow:
+        """Note when a stored measurement was made, as somebody says, and return it.
+
+        Raises
+        ------
+        UnknownMeasurementError
+            When there is none of this id.
+        """
+        number = self.measurement(key).number
+        with self.database.writing() as session:
+            row = session.get_one(MeasurementRow, number, with_for_update=True)
+            row.measured_at, row.measured_at_source = measured_at, "sender"
+        return row
+
     def measurements_between(
         self, among: Select[str], since: datetime, until: datetime | None, most: int
     ) -> list[MeasurementRow]:
-        """Return measurements of some ids that were stored from a moment on, and before another, the first first."""
-        query = select(MeasurementRow).where(MeasurementRow.id.in_(among), MeasurementRow.created_at >= since)
+        """Return measurements of some ids that were made from a moment on, and before another, the first first."""
+        query = select(MeasurementRow).where(MeasurementRow.id.in_(among), MeasurementRow.measured_at >= since)
         if until is not None:
-            query = query.where(MeasurementRow.created_at < until)
+            query = query.where(MeasurementRow.measured_at < until)
         with self._session() as session:
-            return list(session.scalars(query.order_by(MeasurementRow.number).limit(most)))
+            return list(session.scalars(query.order_by(MeasurementRow.measured_at, MeasurementRow.number).limit(most)))
 
     def add_diagnosis(self, diagnosis: NewDiagnosis) -> DiagnosisRow:
         """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
@@ -348,6 +375,6 @@ def recording_path(directory: Path, sha256: str) -> Path:
 
 
 def measurement_key(sha256: str, name: str, told: Told) -> str:
-    """Return the id of a measurement: its bytes, and what its sender said of them."""
+    """Return the id of a measurement: its bytes, and what its sender said of them but for when they were measured."""
     said = {"sha256": sha256, "name": name, **told.shown}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]

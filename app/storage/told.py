@@ -6,7 +6,8 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, Self
 
 from jointplay.app.errors import BadFieldError
 
@@ -31,6 +32,8 @@ class FileField:
         Values there are; empty where any text will do.
     by_column : str
         What each column is given; empty where it is said of the whole file.
+    by_file : bool
+        Whether each of several files has its own.
     """
 
     name: str
@@ -40,6 +43,7 @@ class FileField:
     says: str
     choices: tuple[str, ...] = ()
     by_column: str = ""
+    by_file: bool = False
 
     @property
     def of_spectrum(self) -> bool:
@@ -71,6 +75,10 @@ FILE_FIELDS = (
     FileField("decibel", "decibel", "spectrum.decibel", "In dB", "Whether a spectrum is in dB.", ("false", "true")),
     FileField("reference", "reference", "spectrum.reference", "Reference of dB",
               "Of levels in dB, in the unit of the column."),
+    FileField("measured_at", "measured-at", "measured_at", "Measured at",
+              'When it was measured, in place of what the file says: "2024-11-21T10:03:00+01:00".', by_file=True),
+    FileField("time_zone", "time-zone", "time_zone", "Time zone",
+              'Of times that name none: "Europe/Berlin", "+01:00"; UTC unless given.'),
 )
 # fmt: on
 """All that can be said of a file, besides a whole profile."""
@@ -94,16 +102,28 @@ class Told:
     units : Mapping
         Column to unit; ``*`` for all columns that have none.
     profile : Mapping
-        Members of a :class:`jointplay.catalogue.measurements.import_profile.ImportProfile` that are set.
+        Members of a :class:`jointplay.catalogue.measurements.import_profile.ImportProfile` that are set, but for the
+        moment.
+    measured_at : datetime, optional
+        When it was measured.
     """
 
     sample_rate_hz: float | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     profile: Mapping[str, Any] = field(default_factory=dict)
+    measured_at: datetime | None = None
+
+    @classmethod
+    def of(
+        cls, profile: ImportProfile, sample_rate_hz: float | None = None, units: Mapping[str, str] | None = None
+    ) -> Self:
+        """Return what a profile says, beside rate and units."""
+        members = profile.model_dump(mode="json", exclude_defaults=True, exclude={"measured_at"})
+        return cls(sample_rate_hz, units or {}, members, profile.measured_at)
 
     @property
     def shown(self) -> dict[str, Any]:
-        """What is told, as JSON values."""
+        """What is told of how to read the file, as JSON values; when it was measured stands by itself."""
         told = {"sample_rate_hz": self.sample_rate_hz, "units": dict(self.units), "profile": dict(self.profile)}
         return {name: value for name, value in told.items() if value}
 
@@ -112,7 +132,7 @@ class Told:
         """The profile that a file is read by."""
         from jointplay.catalogue.measurements.import_profile import ImportProfile
 
-        return ImportProfile.model_validate(self.profile)
+        return ImportProfile.model_validate({**self.profile, "measured_at": self.measured_at})
 
 
 def read_told(fields: Mapping[str, str]) -> Told:
@@ -140,11 +160,7 @@ def read_told(fields: Mapping[str, str]) -> Told:
         profile = parse_profile(fields["profile"], "profile") if "profile" in fields else ImportProfile()
     except MeasurementError as error:
         raise BadFieldError(str(error), field="profile") from None
-    return Told(
-        rate_of(fields.get("sample_rate")),
-        said.get("units", {}),
-        with_said(profile, said).model_dump(mode="json", exclude_defaults=True),
-    )
+    return Told.of(with_said(profile, said), rate_of(fields.get("sample_rate")), said.get("units"))
 
 
 def rate_of(given: str | None) -> float | None:
@@ -216,7 +232,7 @@ def with_said(profile: ImportProfile, said: Mapping[str, Any]) -> ImportProfile:
     from pydantic import ValidationError
 
     from jointplay.catalogue.errors import MeasurementError
-    from jointplay.catalogue.measurements.import_profile import ImportProfile, full_scale_of
+    from jointplay.catalogue.measurements.import_profile import ImportProfile, full_scale_of, rule_of
 
     places = {each.name: tuple(each.place.split(".")) for each in FILE_FIELDS if each.place}
     members = profile.model_dump(mode="json", exclude_defaults=True)
@@ -240,4 +256,4 @@ def with_said(profile: ImportProfile, said: Mapping[str, Any]) -> ImportProfile:
     except ValidationError as error:
         first = error.errors()[0]
         name = next((each for each, place in places.items() if first["loc"][: len(place)] == place), "profile")
-        raise BadFieldError(f"{name}: {str(first['input'])[:80]}: {first['msg'].lower()}", field=name) from None
+        raise BadFieldError(f"{name}: {str(first['input'])[:80]}: {rule_of(first)}", field=name) from None

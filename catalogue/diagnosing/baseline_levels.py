@@ -203,7 +203,7 @@ def class_statistics(
     Of machines whose frame and supports have the tolerances that entries draw, or are exactly `as_filed`.
     """
     matrix, prepared = catalogue.matrix, levels.prepared
-    rows = matrix.rows(label, "trusted") if rows is None else rows
+    rows = matrix.rows(label, "trusted", speed=prepared.drive_speed) if rows is None else rows
     if len(rows) < LEAST_ENTRIES:
         return None
     power = unpack(matrix.packed(rows)[:, :FEATURE_ORDERS])  # feature bands, the first of which are the orders

@@ -77,16 +77,20 @@ def judge(
 
 def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult) -> tuple[NamedCause, ...]:
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any."""
-    worn = [(match.label, _nearest(catalogue, match)) for match in result.hypotheses[:1] if match.joints]
+    worn = [
+        (match.label, _nearest(catalogue, match, prepared.drive_speed))
+        for match in result.hypotheses[:1]
+        if match.joints
+    ]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
     # Beside wear it has not been measured.
     mode = None if found or worn else find_mode(prepared, catalogue)
     return (mode,) if mode else found
 
 
-def _nearest(catalogue: Catalogue, match: HypothesisMatch) -> IntArray:
-    """Rows of a hypothesis whose clearances are next to those found."""
-    rows = catalogue.matrix.rows(match.label, "trusted")
+def _nearest(catalogue: Catalogue, match: HypothesisMatch, speed: float) -> IntArray:
+    """Rows of a hypothesis at a speed whose clearances are next to those found."""
+    rows = catalogue.matrix.rows(match.label, "trusted", speed=speed)
     columns = [catalogue.matrix.joints.index(found.joint) for found in match.clearances]
     away = np.log(catalogue.matrix.clearance(rows)[:, columns]) - np.log([found.median for found in match.clearances])
     return rows[np.sort(np.argsort(np.sum(away**2, axis=1), kind="stable")[:NEAREST])]

@@ -23,13 +23,14 @@ from jointplay.catalogue.following.play import (
     time_to,
 )
 from jointplay.catalogue.following.state import CoursePoint, JointFollowed, Repair, WearState
+from jointplay.catalogue.following.teaching import Correction
 from jointplay.catalogue.following.visits import Inspection, Visit, put_in_order
 from jointplay.solver.arrays import FloatArray
 
 SURE = 0.95
 """Probability of wear, by all recordings up to then, from which on it is sure."""
 
-ALIKE = 0.06
+ALIKE = 0.1
 """Standard deviation of ln(clearance) of what every recording of a machine has wrong alike."""
 
 UNWORN = 0.5
@@ -48,7 +49,7 @@ class Followed:
     Parameters
     ----------
     state : WearState
-    belief : ndarray, shape (J, S, X)
+    belief : ndarray, shape (J, D, S, X)
         What is believed of every joint, see :mod:`jointplay.catalogue.following.play`.
     """
 
@@ -58,11 +59,15 @@ class Followed:
     def foretell(self, at: datetime) -> dict[str, tuple[float, float, float]]:
         """Return quantiles 0.05, 0.5 and 0.95 of every joint's clearance, um, at a later time, without a repair."""
         later = let_pass(self.belief, (at - self.state.at).total_seconds())
-        return {name: _three(later[j].sum(axis=0)) for j, name in enumerate(self.state.joints)}
+        return {name: _three(later[j].sum(axis=(0, 1))) for j, name in enumerate(self.state.joints)}
 
 
 def follow(
-    visits: Sequence[Visit], inspections: Sequence[Inspection] = (), *, bounds: Mapping[str, JointBounds]
+    visits: Sequence[Visit],
+    inspections: Sequence[Inspection] = (),
+    *,
+    bounds: Mapping[str, JointBounds],
+    correction: Correction | None = None,
 ) -> Followed:
     """Return a machine's state of wear.
 
@@ -76,16 +81,17 @@ def follow(
     inspections : sequence of Inspection
     bounds : mapping of str to JointBounds
         Of every joint that may wear.
+    correction : Correction, optional
+        What findings have taught about answers.
 
     Raises
     ------
     DiagnosisError
         There is no recording, a time has no zone, or something is said of a joint that is not known.
     """
-    names = list(bounds)
+    names, taught = list(bounds), correction or Correction()
     _check(visits, inspections, names)
     events = put_in_order(visits, inspections)
-    as_new = np.array([bounds[name].as_new() for name in names])
     belief = np.array([bounds[name].at_first() for name in names])
     is_worn = np.array([bounds[name].worn for name in names])
     courses: dict[str, list[CoursePoint]] = {name: [] for name in names}
@@ -104,17 +110,18 @@ def follow(
                     belief[j] *= read_measured(event.joints[joint])
                     belief[j] /= belief[j].sum()
                 if joint in event.repaired:
-                    belief[j], sure[joint] = as_new[j], None
+                    belief[j], sure[joint] = bounds[joint].mended(belief[j]), None
                     repairs.append(Repair(at=event.at, joint=joint, probability=1.0))
             continue
-        marginal = belief.sum(axis=1)
+        marginal = belief.sum(axis=(1, 2))
         foretold = [_three(row) for row in marginal]
         worn_before = (marginal * is_worn).sum(axis=1)
         share = 1.0 - math.exp(-REPAIRS * passed)
-        belief = (1.0 - share) * belief + share * as_new
-        belief = belief * weigh(belief, read_answer(event.answer, bounds))[:, None, :]
-        belief = belief / belief.sum(axis=(1, 2), keepdims=True)
-        marginal = belief.sum(axis=1)
+        mended = np.array([bounds[name].mended(belief[j]) for j, name in enumerate(names)])
+        belief = (1.0 - share) * belief + share * mended
+        belief = belief * weigh(belief, read_answer(taught.apply(event.answer), bounds))
+        belief = belief / belief.sum(axis=(1, 2, 3), keepdims=True)
+        marginal = belief.sum(axis=(1, 2))
         p_worn = np.minimum((marginal * is_worn).sum(axis=1), 1.0)
         moved = p_worn - worn_before
         for j, name in enumerate(names):
@@ -181,6 +188,7 @@ def _tell(
     course: tuple[CoursePoint, ...],
 ) -> JointFollowed:
     """What is said of one joint."""
+    belief = belief.sum(axis=0)
     marginal = belief.sum(axis=0)
     low, median, high = _three(marginal)
     early, likely, late = (

@@ -1,29 +1,40 @@
 """The play of every joint over time: a clearance that never falls by itself, and the rate at which it grows.
 
-Beliefs are numbers on a grid: of each joint one for every rate and clearance. Joints wear each by itself; what a
-recording says of several at once is kept as far as it concerns each one (assumed density filtering).
+A machine is never quite the catalogue's: in all its recordings a joint has some micrometres more or less than it
+really has. So much stays the same while it wears, which is how a machine's own past tells what has changed.
+
+Beliefs are numbers on a grid: of each joint one for every such excess, rate and clearance. Joints wear each by itself;
+what a recording says of several at once is kept as far as it concerns each one (assumed density filtering).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from jointplay.solver.arrays import BoolArray, FloatArray
+from jointplay.catalogue.plans.cases import BEYOND_FIT
+from jointplay.catalogue.plans.plan_parts import ClearanceRange
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
+from jointplay.solver.machines.machine import Machine
 
-LEAST, MOST, STEP = 1e-6, 6e-3, 0.03
+LEAST, MOST, STEP = 1e-6, 6e-3, 0.04
 """Clearances of the grid, m, and its step in their logarithm."""
 
-SLOWEST, FASTEST, FACTOR = 1e-15, 1e-7, 2.0
+SLOWEST, FASTEST, FACTOR = 1e-15, 1e-7, 2.5
 """Rates of growth, m/s, from 30 nm a year to 0.4 mm an hour, and the factor between two; and none."""
 
-USUAL, SCATTER = 1.6e-12, 2.0
-"""Median rate of a joint that wears, m/s (50 um a year), and the standard deviation of its logarithm."""
+USUAL, SCATTER = 3.2e-12, 2.0
+"""Median rate of a joint that wears, m/s (100 um a year), and the standard deviation of its logarithm."""
 
-RESTING, ANY = 0.5, 0.02
+RESTING, ANY = 0.5, 0.05
 """Share of joints that do not wear for now; and of rates of which nothing is known, as on a test rig."""
+
+EXCESS, MOST_EXCESS, EXCESS_STEP = 10e-6, 24e-6, 6e-6
+"""What a joint's clearance is seen too large by in all recordings of a machine, m: standard deviation, and the grid."""
 
 YEAR = 365.25 * 86400.0
 
@@ -58,6 +69,22 @@ LIKELY_RATES: FloatArray = _likely_rates(RATES)
 """Probability of each beforehand, (S,)."""
 
 
+EXCESSES: FloatArray = np.arange(-MOST_EXCESS, MOST_EXCESS + 0.5 * EXCESS_STEP, EXCESS_STEP)
+"""m, (D,)."""
+
+LIKELY_EXCESSES: FloatArray = np.exp(-0.5 * (EXCESSES / EXCESS) ** 2) / np.sum(np.exp(-0.5 * (EXCESSES / EXCESS) ** 2))
+"""Probability of each beforehand, (D,)."""
+
+
+def _seen_at() -> IntArray:
+    seen = np.log(np.maximum(np.exp(AXIS) + EXCESSES[:, None], LEAST))
+    return np.asarray(np.clip(np.rint((seen - AXIS[0]) / STEP), 0, len(AXIS) - 1), np.int64)
+
+
+SEEN_AT: IntArray = _seen_at()
+"""Place on the grid at which each clearance is seen with each excess, (D, X)."""
+
+
 @dataclass(frozen=True)
 class JointBounds:
     """What a joint's clearance means, m.
@@ -88,31 +115,48 @@ class JointBounds:
         return np.asarray(LIKELY_RATES[:, None] * (play / play.sum()))
 
     def at_first(self) -> FloatArray:
-        """Probability (S, X) of a joint of which nothing is known."""
-        worn = self.worn & (math.log(MOST) > AXIS)
-        anywhere = LIKELY_RATES[:, None] * (worn / worn.sum())
-        return np.asarray((1.0 - WORN_AT_FIRST) * self.as_new() + WORN_AT_FIRST * anywhere)
+        """Probability (D, S, X) of a joint of which nothing is known."""
+        anywhere = LIKELY_RATES[:, None] * (self.worn / self.worn.sum())
+        play = (1.0 - WORN_AT_FIRST) * self.as_new() + WORN_AT_FIRST * anywhere
+        return np.asarray(LIKELY_EXCESSES[:, None, None] * play)
+
+    def mended(self, belief: FloatArray) -> FloatArray:
+        """What is believed of the joint (D, S, X) when it is made as new: its excess stays."""
+        return np.asarray(belief.sum(axis=(1, 2))[:, None, None] * self.as_new())
+
+
+def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]:
+    """Return what clearances of joints of a machine mean, as its file says and plans have it."""
+    found = {}
+    for name in joints:
+        joint = machine.joints[name]
+        low, high = joint.play_as_new
+        found[name] = JointBounds((low, high), max(ClearanceRange().low, BEYOND_FIT * high), joint.worn_out_from)
+    return found
 
 
 def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
-    """Return what is believed of joints (J, S, X) some time later, if nobody repairs them.
+    """Return what is believed of joints (..., S, X) some time later, if nobody mends them.
 
     Each grows at its rate; some begin to grow at another one. What would grow beyond the grid stays at its end.
     """
     if seconds <= 0.0:
         return belief
     change = 1.0 - math.exp(-CHANGES * seconds)
-    mixed = (1.0 - change) * belief + change * LIKELY_RATES[None, :, None] * belief.sum(axis=1, keepdims=True)
+    mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
     later: FloatArray = np.zeros(mixed.shape)
     size = len(AXIS)
+    places = np.arange(size)
     for s, rate in enumerate(RATES):
         reached = np.log(np.exp(AXIS) + rate * seconds)
-        place = np.clip((reached - AXIS[0]) / STEP, np.arange(size), size - 1.0)  # never back by a rounding
+        place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
         cell = np.minimum(place.astype(np.int64), size - 2)
         part = place - cell
-        for j in range(len(mixed)):
-            moved = mixed[j, s]
-            later[j, s] = np.bincount(cell, moved * (1.0 - part), size) + np.bincount(cell + 1, moved * part, size)
+        move = csr_array(
+            (np.concatenate([1.0 - part, part]), (np.tile(places, 2), np.concatenate([cell, cell + 1]))),
+            shape=(size, size),
+        )
+        later[..., s, :] = (mixed[..., s, :].reshape(-1, size) @ move).reshape(mixed[..., s, :].shape)
     return later
 
 

@@ -6,11 +6,22 @@ A profile beside a recording, ``shaper.wav.json`` for ``shaper.wav``, is found b
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import (
@@ -21,6 +32,7 @@ from jointplay.catalogue.measurements.channel_units import (
     volts_of,
 )
 from jointplay.catalogue.measurements.measured_columns import ALL_OTHERS, find_unit, is_spectrum
+from jointplay.catalogue.measurements.moments import check_zone, parse_said, place_moment, understand_moment
 from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording, SpectrumForm
 from jointplay.catalogue.measurements.tacho import turns_of
 from jointplay.solver.errors import MachineError
@@ -97,6 +109,10 @@ class ImportProfile(_ProfilePart):
         The same as number and unit: "5 g", "25 mm/s"; "1 V" where there is a sensitivity.
     spectrum : SpectrumSaid, optional
     tacho : Tacho, optional
+    measured_at : datetime, optional
+        When it was measured, "2024-11-21T10:03:00+01:00", in place of what the file says; kept in UTC.
+    time_zone : str, optional
+        Of times that name none, here and in the file: "Europe/Berlin", "+01:00"; UTC unless given.
     """
 
     delimiter: Literal[",", ";", "|", "tab", "blank"] | None = None
@@ -113,6 +129,13 @@ class ImportProfile(_ProfilePart):
     full_scale: Text | None = None
     spectrum: SpectrumSaid | None = None
     tacho: Tacho | None = None
+    time_zone: Annotated[Text, AfterValidator(check_zone)] | None = None
+    measured_at: Annotated[datetime, BeforeValidator(parse_said)] | None = None
+
+    @field_validator("measured_at")
+    @classmethod
+    def _placed(cls, moment: datetime | None, info: ValidationInfo) -> datetime | None:
+        return None if moment is None else place_moment(moment, info.data.get("time_zone"))
 
     @property
     def table(self) -> dict[str, Any]:
@@ -175,6 +198,7 @@ class ImportProfile(_ProfilePart):
             rule = "is said of columns in volts, but no column is in V, mV or uV"
             raise MeasurementError(raw.source, None, "sensitivity", rule=rule, field="sensitivity")
         values = raw.values[:, kept]
+        measured_at, warnings = self._find_moment(raw, told)
         return dataclasses.replace(
             raw,
             columns=tuple(columns),
@@ -182,7 +206,21 @@ class ImportProfile(_ProfilePart):
             facts=tuple(told),
             form=self._form(raw),
             turns=turns,
+            measured_at=measured_at,
+            warnings=warnings,
         )
+
+    def _find_moment(self, raw: RawRecording, told: list[str]) -> tuple[datetime | None, tuple[str, ...]]:
+        """When the file was measured, and its warnings: with one more where what it says is not sure."""
+        if self.measured_at is not None and raw.moment is not None:
+            told.append(f"{raw.moment.where}: not used: its sender says when it was measured")
+        if self.measured_at is not None or raw.moment is None:
+            return self.measured_at, raw.warnings
+        measured_at, said = understand_moment(raw.moment, self.time_zone)
+        if measured_at is None:
+            return None, (*raw.warnings, said)
+        told.append(said)
+        return measured_at, raw.warnings
 
     def _scale_sensor(
         self, column: RawColumn, unit: str | None, raw: RawRecording, told: list[str]
@@ -309,7 +347,12 @@ def parse_profile(text: str, source: str) -> ImportProfile:
         first = error.errors()[0]
         path = ".".join(map(str, first["loc"]))
         shown = None if first["type"] == "missing" else str(first["input"])[:80]
-        raise MeasurementError(source, None, path or None, shown, first["msg"].lower()) from None
+        raise MeasurementError(source, None, path or None, shown, rule_of(first)) from None
+
+
+def rule_of(error: Mapping[str, Any]) -> str:
+    """Return the rule that a member of a profile breaks, as pydantic has it or as we do."""
+    return str(error["msg"]).removeprefix("Value error, ") if error["type"] == "value_error" else error["msg"].lower()
 
 
 def load_profile(path: str | Path) -> ImportProfile:

@@ -9,6 +9,7 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Literal, cast
 
@@ -56,6 +57,8 @@ class MeasuredSpectrum:
     sha256 : str
     forms : tuple of SpectrumForm, (c,)
         What the numbers of each channel are in the file.
+    measured_at : datetime or None
+        When it was measured, in UTC, where its sender or the file says so.
     """
 
     name: str
@@ -66,6 +69,7 @@ class MeasuredSpectrum:
     import_report: tuple[str, ...]
     sha256: str
     forms: tuple[SpectrumForm, ...]
+    measured_at: datetime | None = None
 
     @property
     def resolution(self) -> float:
@@ -133,7 +137,7 @@ def spectrum_of(raw: RawRecording, units: Mapping[str, str], limits: Limits, sha
     )
     table = np.column_stack(densities)
     table.flags.writeable = False
-    said = (tuple(channels), tuple(warnings), tuple(facts), sha256, tuple(forms))
+    said = (tuple(channels), tuple(warnings), tuple(facts), sha256, tuple(forms), raw.measured_at)
     return MeasuredSpectrum(raw.source, frequency, table, *said)
 
 

@@ -9,6 +9,7 @@ import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
 
@@ -19,6 +20,7 @@ from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import ChannelUnit
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
 from jointplay.catalogue.measurements.measured_columns import understood_columns
+from jointplay.catalogue.measurements.moments import place_moment, spell
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, known_ending, read_raw
 from jointplay.catalogue.measurements.waveform import ChannelFlaw, TimeBase, even_time_base, inspect_waveform
 from jointplay.solver.arrays import FloatArray
@@ -62,6 +64,9 @@ def decompress(data: bytes, title: str, limits: Limits) -> bytes:
         raise MeasurementError(title, rule=f"holds more than {limits.decoded_bytes / 1e6:g} MB, the most that is read")
     return decoded
 
+
+#: Seconds since 1970 of 2001 to 2096: a time column that begins there is not one of seconds since a start.
+EPOCH_FROM, EPOCH_TO = 1e9, 4e9
 
 SI_UNITS: dict[Quantity, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 
@@ -107,6 +112,8 @@ class Recording:
         Clipping, dropouts and offsets that the warnings speak of.
     turns : (k,) array or None
         Ends of revolutions of the drive in samples, where a tacho says them.
+    measured_at : datetime or None
+        When it was made, in UTC, where its sender or the file says so.
     """
 
     name: str
@@ -118,11 +125,12 @@ class Recording:
     sha256: str
     flaws: tuple[ChannelFlaw, ...] = ()
     turns: FloatArray | None = None
+    measured_at: datetime | None = None
 
     @classmethod
     def from_arrays(
         cls, signal: npt.ArrayLike, sample_rate: float, channels: Sequence[str], *, unit: str = "m/s2",
-        name: str = "recording",
+        name: str = "recording", measured_at: datetime | None = None,
     ) -> Recording:  # fmt: skip
         """Make a recording of numbers that are there already.
 
@@ -137,6 +145,8 @@ class Recording:
             Of all channels: "m/s2", "g", "mm/s" ...
         name : str
             What to call it.
+        measured_at : datetime, optional
+            When it was made; without a zone in UTC.
 
         Raises
         ------
@@ -147,7 +157,12 @@ class Recording:
         if values.ndim != 2 or values.shape[1] != len(channels):
             raise MeasurementError(name, rule=f"an array of shape {values.shape}: must be (samples, {len(channels)})")
         columns = tuple(RawColumn(each, each, unit, f"column {place}") for place, each in enumerate(channels, start=1))
-        return measurement_of(RawRecording(name, columns, values), sample_rate=sample_rate)
+        try:
+            moment = None if measured_at is None else place_moment(measured_at, None)
+        except ValueError as error:
+            said = str(measured_at)
+            raise MeasurementError(name, None, "measured_at", said, str(error), field="measured_at") from None
+        return measurement_of(RawRecording(name, columns, values, measured_at=moment), sample_rate=sample_rate)
 
     def __repr__(self) -> str:
         told = f"{', '.join(self.channel_names)}, {self.duration:.4g} s at {self.sample_rate:g} Hz"
@@ -271,6 +286,7 @@ def measurement_of(
     facts = list(raw.facts)
     base = _time_base(raw, understood, sample_rate)
     facts += base.facts
+    measured_at = raw.measured_at or _epoch_of(raw, understood, facts)
     warnings = [*raw.warnings, *base.warnings]
     channels, signals = [], []
     flaws: list[ChannelFlaw] = []
@@ -304,7 +320,25 @@ def measurement_of(
         sha256=sha256 or hashlib.sha256(np.ascontiguousarray(raw.values).tobytes()).hexdigest(),
         flaws=tuple(flaws),
         turns=raw.turns,
+        measured_at=measured_at,
     )
+
+
+def _epoch_of(raw: RawRecording, units: list[ChannelUnit | None], facts: list[str]) -> datetime | None:
+    """Beginning of a time column that counts from 1970; one of a recording never gets that far."""
+    times = [(index, unit) for index, unit in enumerate(units) if unit is not None and unit.quantity == "time"]
+    if raw.moment is not None or not times:
+        return None
+    (index, unit), *_ = times
+    seconds = float(raw.values[0, index]) * unit.factor
+    if not EPOCH_FROM <= seconds <= EPOCH_TO:
+        return None
+    try:
+        measured_at = place_moment(datetime.fromtimestamp(seconds, UTC), None)
+    except ValueError:
+        return None
+    facts.append(f"{raw.columns[index].position}: times count from 1970: measured at {spell(measured_at)}")
+    return measured_at
 
 
 def _time_base(raw: RawRecording, units: list[ChannelUnit | None], given: float | None) -> TimeBase:

@@ -299,7 +299,7 @@ def read_arrays(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, An
     return arrays, attributes
 
 
-def foreign_arrays(content: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, str]]:
+def foreign_arrays(content: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, str], dict[str, str]]:
     """Arrays and texts of somebody else's HDF5 file; nothing outside the file is followed.
 
     Parameters
@@ -316,6 +316,8 @@ def foreign_arrays(content: bytes, most_bytes: int) -> tuple[dict[str, Any], dic
         of texts are texts.
     units : dict of str to str
         Of the arrays that have an attribute ``unit`` or ``units``.
+    attributes : dict of str to str
+        Of the file, as far as they are texts.
 
     Raises
     ------
@@ -326,6 +328,7 @@ def foreign_arrays(content: bytes, most_bytes: int) -> tuple[dict[str, Any], dic
     units: dict[str, str] = {}
     with _LOCK, h5py.File.in_memory(content) as file:
         arrays.update({name: value for name, value in file.attrs.items() if np.asarray(value).dtype.kind in "iuf"})
+        texts = {name: _text(value) for name, value in file.attrs.items() if isinstance(value, str | bytes)}
         found = list(_members(file, "", 0))
         if sum(item.nbytes for _, item in found) > most_bytes:
             raise ValueError(f"its arrays take more than {most_bytes / 1e6:g} MB, the most that is read")
@@ -337,8 +340,12 @@ def foreign_arrays(content: bytes, most_bytes: int) -> tuple[dict[str, Any], dic
             for attribute in ("unit", "units"):
                 text = item.attrs.get(attribute)
                 if text is not None:
-                    units[name] = text.decode("latin-1") if isinstance(text, bytes) else str(text)
-    return arrays, units
+                    units[name] = _text(text)
+    return arrays, units, texts
+
+
+def _text(value: Any) -> str:
+    return value.decode("latin-1") if isinstance(value, bytes) else str(value)
 
 
 def _members(group: h5py.Group, prefix: str, depth: int) -> Iterable[tuple[str, h5py.Dataset]]:

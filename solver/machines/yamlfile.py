@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
+from datetime import date
 from pathlib import Path
 
 from ruamel.yaml import YAML
@@ -166,4 +167,6 @@ def _plain(value: object, source: str, path: tuple[str, ...], budget: Iterator[i
         return [_plain(item, source, (*path, str(index)), budget) for index, item in enumerate(value)]
     if value is None or isinstance(value, (str, int, float, bool)):
         return value
+    if isinstance(value, date):  # a moment, too: text by the rules of YAML 1.2
+        return value.isoformat()
     raise MachineError(source, ".".join(path), value, "must be text, a number, a list or a mapping")

@@ -135,7 +135,10 @@ def day(number: int) -> datetime:
 
 
 def measured(number: int) -> MeasurementRow:
-    return MeasurementRow(id=f"m{number}", name=f"{number}.csv", created_at=day(number))
+    moment = day(number)
+    return MeasurementRow(
+        id=f"m{number}", name=f"{number}.csv", created_at=day(20), measured_at=moment, measured_at_source="file"
+    )
 
 
 def diagnosed(number: int, verdict: str, made: int = 0, effort: str = "fast", **worn: float) -> DiagnosisRow:
@@ -166,15 +169,16 @@ def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> No
     text_only = FindingRow(at=day(5), joints={}, text="noise", diagnosis="d30")
     shown = history(past, {f"m{number}": measured(number) for number in range(1, 6)}, [text_only])
     assert [row["short"] for row in shown["rows"]] == [
-        "B worn",
         "changed",
         "no verdict",
         "A+B worn",
         "in order",
         "B worn",
+        "B worn",
     ]
-    assert [row["percent"] for row in shown["rows"]] == ["90 %", "–", "–", "90 %", "10 %", "90 %"]
-    assert shown["rows"][3]["plays"] == (Play("80 µm", "64 to 96", "A"), Play("150 µm", "120 to 180", "B"))
+    assert [row["percent"] for row in shown["rows"]] == ["–", "–", "90 %", "10 %", "90 %", "90 %"]
+    assert [row["measured"][:10] for row in shown["rows"]] == [f"{day(n):%Y-%m-%d}" for n in (5, 4, 3, 2, 1, 1)]
+    assert shown["rows"][2]["plays"] == (Play("80 µm", "64 to 96", "A"), Play("150 µm", "120 to 180", "B"))
     drawn = shown["chart"]["data"]
     points = {joint["name"]: [(point["at"], point["um"]) for point in joint["points"]] for joint in drawn["joints"]}
     third = day(3).timestamp()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import struct
 import zipfile
 import zlib
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.moments import find_in_members
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 from jointplay.solver.arrays import FloatArray
 
@@ -45,7 +47,12 @@ _SENSOR = "sensor_"
 
 
 def recording_of(
-    arrays: Mapping[str, Any], units: Mapping[str, str], source: str, limits: Limits, facts: Sequence[str] = ()
+    arrays: Mapping[str, Any],
+    units: Mapping[str, str],
+    source: str,
+    limits: Limits,
+    facts: Sequence[str] = (),
+    attributes: Mapping[str, str] | None = None,
 ) -> RawRecording:
     """Make a recording of named arrays.
 
@@ -60,6 +67,8 @@ def recording_of(
     limits : Limits
     facts : sequence of str
         What was understood so far.
+    attributes : mapping of str to str, optional
+        Texts beside the arrays, which may say when it was measured.
 
     Raises
     ------
@@ -69,6 +78,11 @@ def recording_of(
     told = list(facts)
     scalars, texts, large = _sort(arrays, source)
     rate = _rate(scalars, source, told)
+    moment = find_in_members(
+        {**scalars, **{name: words[0] for name, words in texts.items() if len(words) == 1}, **(attributes or {})}
+    )
+    dated = () if moment is None else moment.where.split(" and ")
+    texts = {name: words for name, words in texts.items() if name not in dated}
     ours = {name: array for name, array in large.items() if _last(name).startswith(_SENSOR)}
     if ours:
         left = sorted(set(large) - set(ours) - {name for name in large if _last(name) in _TIMES})
@@ -97,7 +111,7 @@ def recording_of(
         values.insert(0, large[axis].reshape(-1))
     if len(columns) > limits.columns:
         raise MeasurementError(source, rule=f"{len(columns)} columns; at most {limits.columns} are read")
-    return RawRecording(source, tuple(columns), np.column_stack(values), rate, tuple(told))
+    return RawRecording(source, tuple(columns), np.column_stack(values), rate, tuple(told), moment=moment)
 
 
 def _last(name: str) -> str:
@@ -206,10 +220,10 @@ def read_hdf5(data: bytes, source: str, limits: Limits) -> RawRecording:
     from jointplay.catalogue.storage.hdf5 import foreign_arrays
 
     try:
-        arrays, units = foreign_arrays(data, limits.decoded_bytes)
+        arrays, units, attributes = foreign_arrays(data, limits.decoded_bytes)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise MeasurementError(source, rule=f"cannot be read as HDF5: {error}") from None
-    return recording_of(arrays, units, source, limits, ("HDF5 file",))
+    return recording_of(arrays, units, source, limits, ("HDF5 file",), attributes)
 
 
 def read_npz(data: bytes, source: str, limits: Limits) -> RawRecording:
@@ -230,8 +244,10 @@ def read_npz(data: bytes, source: str, limits: Limits) -> RawRecording:
     # What `jointplay simulate` adds as texts.
     units, attributes = _document(arrays.pop("units", None)), _document(arrays.pop("attributes", None))
     arrays.update({name: np.array(value) for name, value in attributes.items() if type(value) in (int, float)})
-    texts = {name: value for name, value in units.items() if isinstance(value, str)}
-    return recording_of(arrays, texts, source, limits, ("NPZ file",))
+    texts, said = (
+        {name: value for name, value in each.items() if isinstance(value, str)} for each in (units, attributes)
+    )
+    return recording_of(arrays, texts, source, limits, ("NPZ file",), said)
 
 
 def _document(texts: Any) -> dict[str, Any]:
@@ -267,7 +283,11 @@ def read_mat(data: bytes, source: str, limits: Limits) -> RawRecording:
     for name, value in held.items():
         if not name.startswith("__"):
             _flatten(name, value, arrays)
-    return recording_of(arrays, {}, source, limits, ("MAT file up to version 7.2",))
+    facts = ["MAT file up to version 7.2"]
+    written = re.match(rb"MATLAB 5\.0[^\0]*?Created on: ([ -~]+)", data[:116])
+    if written:  # by whatever program, perhaps years after the measurement
+        facts.append(f"written on {written[1].decode().strip()!r}: not taken for the time of measurement")
+    return recording_of(arrays, {}, source, limits, facts)
 
 
 def check_elements(data: bytes, source: str, limits: Limits) -> None:

@@ -25,6 +25,7 @@ from jointplay.catalogue.measurements.readers.dialect import (
     header_line,
     is_comment,
 )
+from jointplay.catalogue.measurements.readers.moments import find_in_lines
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 from jointplay.solver.arrays import FloatArray
 
@@ -97,13 +98,19 @@ def read_csv(
     facts = [f"text in {encoding}, {layout.dialect.words}"]
     rate, rate_facts, used = _read_rate(looked_at[: layout.first], layout.dialect, source)
     facts += rate_facts
+    above = [(number, line) for number, line in enumerate(looked_at[: layout.first]) if number not in header]
+    moment, dated = find_in_lines(above)
     facts += [
         f"line {number + 1}: {' '.join(line.split())[:80]!r}: not used"
-        for number, line in enumerate(looked_at[: layout.first])
-        if line.strip() and number not in header and number not in used
+        for number, line in above
+        if line.strip() and number not in used | dated
     ]
     values = _numbers(text, head, layout, columns, source)
-    return RawRecording(source, columns, values, rate, tuple(facts), lambda sample: _line_of(text, layout, sample))
+
+    def line_of(sample: int) -> int | None:
+        return _line_of(text, layout, sample)
+
+    return RawRecording(source, columns, values, rate, tuple(facts), line_of, moment=moment)
 
 
 def _decode(data: bytes, source: str) -> tuple[str, str]:

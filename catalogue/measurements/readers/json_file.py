@@ -1,6 +1,7 @@
 """JSON: ``{"sample_rate_hz": 10000, "channels": [{"name": "s1-x", "unit": "m/s2", "values": [...]}]}``.
 
-A spectrum has ``frequency_hz`` instead of the sample rate; a profile says what its numbers are.
+A spectrum has ``frequency_hz`` instead of the sample rate; a profile says what its numbers are. ``measured_at`` says
+when it was made.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from typing import Any, NoReturn
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.moments import RawMoment
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 
-_MEMBERS = ("sample_rate_hz", "channels", "time_s", "frequency_hz")
+_MEMBERS = ("sample_rate_hz", "channels", "time_s", "frequency_hz", "measured_at")
 
 
 def read_json(data: bytes, source: str, limits: Limits) -> RawRecording:
@@ -53,7 +55,18 @@ def read_json(data: bytes, source: str, limits: Limits) -> RawRecording:
         raise MeasurementError(source, value=shown, rule="channels of different length")
     if len({column.name for column in columns}) < len(columns):
         raise MeasurementError(source, rule="two channels have the same name")
-    return RawRecording(source, tuple(columns), np.column_stack(values), rate, ("JSON",), declared=lengths.pop())
+    said = held.get("measured_at")
+    if said is not None and not isinstance(said, str):
+        raise MeasurementError(source, None, "measured_at", said, "must be a text")
+    return RawRecording(
+        source,
+        tuple(columns),
+        np.column_stack(values),
+        rate,
+        ("JSON",),
+        declared=lengths.pop(),
+        moment=None if said is None else RawMoment(said, "measured_at"),
+    )
 
 
 def _numbers(values: Any, name: str, source: str) -> Any:

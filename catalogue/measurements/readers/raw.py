@@ -9,11 +9,13 @@ import dataclasses
 import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
 from typing import Any, Literal
 
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.moments import RawMoment
 from jointplay.solver.arrays import FloatArray
 
 
@@ -127,6 +129,10 @@ class RawRecording:
         What the numbers of a spectrum are; None for a recording over time.
     turns : (k,) array or None
         Ends of revolutions of the drive in samples, from a tacho's pulses.
+    moment : RawMoment or None
+        What the file says of when it was measured.
+    measured_at : datetime or None
+        When it was measured, in UTC; what a profile says, or what was understood of the file.
     """
 
     source: str
@@ -141,6 +147,8 @@ class RawRecording:
     ceiling: float | None = None
     form: SpectrumForm | None = None
     turns: FloatArray | None = None
+    moment: RawMoment | None = None
+    measured_at: datetime | None = None
 
 
 #: From bytes (decompressed), the name for messages and the limits to a recording; raises MeasurementError.
@@ -168,6 +176,7 @@ def encode(raw: RawRecording) -> dict[str, Any]:
         "relative": raw.relative,
         "ceiling": raw.ceiling,
         "form": None if raw.form is None else asdict(raw.form),
+        "moment": None if raw.moment is None else asdict(raw.moment),
         "shape": list(raw.values.shape),
         "values": np.ascontiguousarray(raw.values, dtype="<f8"),
     }
@@ -200,6 +209,7 @@ def decode(head: dict[str, Any], body: bytes, source: str) -> RawRecording:
         relative=head["relative"],
         ceiling=head["ceiling"],
         form=None if head["form"] is None else SpectrumForm(**head["form"]),
+        moment=None if head["moment"] is None else RawMoment(**head["moment"]),
     )
 
 

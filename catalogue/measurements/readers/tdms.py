@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.moments import RawMoment, find_in_members
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+
+_START = "wf_start_time"
+#: Where these files begin to count: a start there was never set.
+_UNSET = "1904-01-01T00:00:00"
 
 
 def read_tdms(data: bytes, source: str, limits: Limits) -> RawRecording:
@@ -21,7 +26,11 @@ def read_tdms(data: bytes, source: str, limits: Limits) -> RawRecording:
         groups = [group.name for group in file.groups()]
         channels = [channel for group in file.groups() for channel in group.channels() if len(channel)]
         facts = [f"TDMS, groups {', '.join(groups) or 'none'}"]
-        facts += [f"{name}: {str(value)[:80]!r}: not used" for name, value in file.properties.items()]
+        moment = find_in_members({name: _dated(value) for name, value in file.properties.items()})
+        dated = [] if moment is None else moment.where.split(" and ")
+        facts += [
+            f"{name}: {str(value)[:80]!r}: not used" for name, value in file.properties.items() if name not in dated
+        ]
         if not channels:
             raise MeasurementError(source, rule="holds no channel with samples")
         if len(channels) > limits.columns:
@@ -44,6 +53,9 @@ def read_tdms(data: bytes, source: str, limits: Limits) -> RawRecording:
             step = channel.properties.get("wf_increment")
             if step is not None:
                 rates[name] = _rate(step, name, source)
+            began = _dated(channel.properties.get("wf_start_time", ""))
+            if began and not began.startswith(_UNSET) and (moment is None or moment.where != _START):
+                moment = RawMoment(began, _START)
             columns.append(RawColumn(name, name, _unit(channel.properties), f"channel {place}"))
             values.append(np.asarray(array, dtype=np.float64))
     distinct = set(rates.values())
@@ -51,7 +63,13 @@ def read_tdms(data: bytes, source: str, limits: Limits) -> RawRecording:
         shown = ", ".join(f"{name} {rate:g} Hz" for name, rate in rates.items())
         raise MeasurementError(source, value=shown, rule="channels of different sample rate")
     rate = distinct.pop() if distinct else None
-    return RawRecording(source, tuple(columns), np.column_stack(values), rate, tuple(facts), declared=length)
+    table = np.column_stack(values)
+    return RawRecording(source, tuple(columns), table, rate, tuple(facts), declared=length, moment=moment)
+
+
+def _dated(value: Any) -> str:
+    """Text of a property; times in these files are of UTC."""
+    return f"{value}Z" if isinstance(value, np.datetime64) else str(value)
 
 
 def check_segments(data: bytes, source: str) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import parse_unit
+from jointplay.catalogue.measurements.readers.moments import RawMoment
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, SpectrumForm
 from jointplay.solver.machines import universal
 from jointplay.solver.machines.universal import Function, find_sets, read_functions
@@ -20,6 +21,7 @@ _QUANTITIES = {
 _TIME, _SPECTRA = (0, 1), {2: "power", 9: "psd", 12: "amplitude"}
 #: "channel 3 of 4", in a record's lines of text.
 _OF = re.compile(r"\b(\d{1,4})\s+of\s+(\d{1,4})\b", re.IGNORECASE)
+_DATE = re.compile(r"\s*(\d{1,2}-[a-z]{3}-)(\d{4}|\d\d)(?!\d)\s*(.*)", re.IGNORECASE)
 #: Function numbers up to here are taken for numbers of records.
 _HIGHEST = 256
 _UNKNOWN = frozenset({"", "unknown"})
@@ -88,7 +90,17 @@ def read_uff(data: bytes, source: str, limits: Limits) -> RawRecording:
         warnings=missing,
         declared=len(first.values),
         form=form,
+        moment=_moment(first.texts[2]),
     )
+
+
+def _moment(text: str) -> RawMoment | None:
+    """Moment of the third line of text, DD-MMM-YY HH:MM:SS, whose years of two digits begin with 1970."""
+    date = _DATE.match(text)
+    if date is None:
+        return None
+    century = "" if len(date[2]) == 4 else "19" if date[2] >= "70" else "20"
+    return RawMoment(f"{date[1]}{century}{date[2]} {date[3]}", "third line of record 1")
 
 
 def missing_records(records: Sequence[Function]) -> tuple[str, ...]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
+from collections.abc import Iterator
 
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.readers.moments import RawMoment
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
 
 _BITS = {"PCM_U8": 8, "PCM_S8": 8, "PCM_16": 16, "PCM_24": 24, "PCM_32": 32}
@@ -44,7 +47,40 @@ def read_wav(data: bytes, source: str, limits: Limits) -> RawRecording:
         declared=declared,
         relative=coding in _BITS,
         ceiling=ceiling,
+        moment=find_moment(data),
     )
+
+
+def find_moment(data: bytes) -> RawMoment | None:
+    """Return what a file says of when it was made: its broadcast extension (EBU Tech 3285), else its information."""
+    found: dict[bytes, RawMoment] = {}
+    for name, place, size in _chunks(data):
+        if name == b"bext" and size >= 338:
+            day, clock = (_text(data[place + first : place + last]) for first, last in ((320, 330), (330, 338)))
+            found[name] = RawMoment(f"{_spaced(day)} {clock.replace('-', ':')}", "chunk bext")
+        if name == b"LIST" and data[place : place + 4] == b"INFO":
+            for inner, at, length in _chunks(data, place + 4, place + size):
+                if inner == b"ICRD":
+                    found[inner] = RawMoment(_spaced(_text(data[at : at + length])), "chunk ICRD")
+    dated = [found[name] for name in (b"bext", b"ICRD") if name in found and any(map(str.isdigit, found[name].text))]
+    return dated[0] if dated else None
+
+
+def _text(data: bytes) -> str:
+    return data.split(b"\0")[0].decode("latin-1").strip()
+
+
+def _spaced(text: str) -> str:
+    """A date whose parts stand apart by any sign, as its format allows."""
+    return re.sub(r"^(\d{4})[_:. ](\d\d)[_:. ](\d\d)", r"\1-\2-\3", text)
+
+
+def _chunks(data: bytes, place: int = 12, end: int | None = None) -> Iterator[tuple[bytes, int, int]]:
+    """Name, first byte and size of the chunks."""
+    while place + 8 <= (len(data) if end is None else min(end, len(data))):
+        name, size = struct.unpack_from("<4sI", data, place)
+        yield name, place + 8, size
+        place += 8 + size + size % 2
 
 
 def frames_declared(data: bytes, source: str) -> int:
@@ -55,18 +91,16 @@ def frames_declared(data: bytes, source: str) -> int:
     MeasurementError
         It is truncated, or no WAV file.
     """
-    place, block = 12, 0
-    while place + 8 <= len(data):
-        name, size = struct.unpack_from("<4sI", data, place)
-        if name == b"fmt " and place + 22 <= len(data):
-            block = struct.unpack_from("<H", data, place + 20)[0]
+    block = 0
+    for name, place, size in _chunks(data):
+        if name == b"fmt " and place + 14 <= len(data):
+            block = struct.unpack_from("<H", data, place + 12)[0]
         if name == b"data":
             if not block:
                 break
-            here = len(data) - place - 8
+            here = len(data) - place
             if size > here:
                 rule = f"is truncated: it declares {size // block} samples, {here // block} are there"
                 raise MeasurementError(source, rule=rule)
-            return int(size // block)
-        place += 8 + size + size % 2
+            return size // block
     raise MeasurementError(source, rule="is a truncated WAV file: it ends before its samples begin")

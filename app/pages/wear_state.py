@@ -1,0 +1,102 @@
+"""What the page of an asset says of its wear: the state after its last recording, and its course for the chart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from jointplay.app.rows import between, length, micrometres, percent
+from jointplay.app.words import spell_moment
+from jointplay.catalogue.following.state import JointFollowed, WearState
+
+WORN = 0.5
+"""Probability from which on a clearance is that of wear, and is drawn."""
+
+LOOKS = 6
+"""Looks of joints in charts."""
+
+
+def show_state(state: WearState) -> dict[str, Any]:
+    """Return what a template shows of a state of wear."""
+    joints = sorted(state.joints.items(), key=lambda item: (-item[1].p_over_limit, -item[1].p_worn))
+    return {
+        "at": spell_moment(state.at),
+        "visits": state.visits,
+        "joints": [joint_row(name, found) for name, found in joints],
+        "causes": [
+            {
+                "name": name,
+                "percent": percent(cause.probability),
+                "size": f"{cause.size:.3g} {cause.unit}",
+                "moves": f"{cause.per_year:+.2g} a year" if cause.per_year else "",
+                "since": day(cause.since),
+            }
+            for name, cause in state.causes.items()
+            if cause.probability >= WORN
+        ],
+        "repairs": [
+            {"joint": repair.joint, "at": day(repair.at), "percent": percent(repair.probability)}
+            for repair in state.repairs
+        ],
+        "chart": chart(state.joints, state),
+    }
+
+
+def joint_row(name: str, found: JointFollowed) -> dict[str, Any]:
+    """Return the row of a joint in the table."""
+    early, likely, late = found.limit_at
+    beyond = found.p_over_limit >= WORN
+    reached = "now" if beyond else f"{day(early)} to {day(late) or 'not within a century'}" if early else "not foreseen"
+    return {
+        "name": name,
+        "condition": "worn" if found.p_worn >= WORN else "in_order",
+        "said": "worn" if found.p_worn >= WORN else "in order",
+        "percent": percent(found.p_worn),
+        "clearance": length(found.clearance_um),
+        "interval": between(*found.interval_um),
+        "rate": f"{micrometres(found.um_per_year)} µm a year" if found.p_worn >= WORN else "–",
+        "limit": length(found.limit_um),
+        "reached": reached,
+        "likely": day(likely) if likely and not beyond else "",
+        "sure": day(found.first_sure_at),
+    }
+
+
+def chart(joints: Mapping[str, JointFollowed], state: WearState) -> dict[str, Any] | None:
+    """Return the course of worn joints for the script, and in words; None where none ever was."""
+    order = list(joints)
+    points = {
+        name: [
+            {
+                "at": point.at.timestamp(),
+                "um": point.clearance_um,
+                "low": point.interval_um[0],
+                "high": point.interval_um[1],
+            }
+            for point in found.course
+            if point.p_worn >= WORN
+        ]
+        for name, found in joints.items()
+    }
+    drawn = [name for name in order if points[name]]
+    if not drawn:
+        return None
+    looks = [{"name": name, "look": order.index(name) % LOOKS} for name in drawn]
+    said = [f"{name} {micrometres(points[name][-1]['um'])} µm" for name in drawn]
+    return {
+        "joints": looks,
+        "summary": f"Radial clearance by all recordings up to each. Last: {', '.join(said)}. The table has the values.",
+        "data": {
+            "label": "radial clearance, µm",
+            "joints": [{**look, "points": points[str(look["name"])]} for look in looks],
+            "events": [
+                {"at": repair.at.timestamp(), "kind": "repair", "joint": repair.joint} for repair in state.repairs
+            ],
+        },
+    }
+
+
+def day(at: datetime | None) -> str:
+    """Return a day in UTC; empty for none."""
+    return spell_moment(at)[:10] if at else ""

@@ -1,0 +1,82 @@
+"""The state of wear of an asset over HTTP and on its page."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+import pytest
+from http_answers import API, assert_problem
+from recordings import RECORDINGS
+
+ASSET = "crank-that-wears"
+
+
+def diagnose(client: httpx.Client, number: int, asset: str = ASSET) -> dict[str, Any]:
+    """Answer to a recording of the asset."""
+    name = f"slider-crank-{number:02}.csv.gz"
+    files = {"file": (name, (RECORDINGS / name).read_bytes())}
+    asked = {"catalogue": "slider-crank", "asset": asset, "effort": "fast"}
+    answer = client.post(f"{API}/diagnoses", files=files, data=asked)
+    assert answer.status_code == 201, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def state_of(client: httpx.Client, asset: str = ASSET) -> dict[str, Any]:
+    answer = client.get(f"{API}/assets/{asset}/state")
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+@pytest.fixture(scope="module")
+def answers(client: httpx.Client) -> list[dict[str, Any]]:
+    """Two recordings of a worn joint B."""
+    client.put(f"{API}/assets/{ASSET}", json={"machine": "slider-crank"}).raise_for_status()
+    return [diagnose(client, 2), diagnose(client, 5)]
+
+
+def test_all_recordings_count_once(client: httpx.Client, answers: list[dict[str, Any]]) -> None:
+    state = state_of(client)
+    assert state["visits"] == 2
+    assert [len(joint["course"]) for joint in state["joints"].values()] == [2] * len(state["joints"])
+    assert state["joints"]["B"]["p_worn"] > 0.95
+    assert state["joints"]["B"]["first_sure_at"] is not None
+    diagnose(client, 2)
+    again = client.get(f"{API}/assets/{ASSET}/state")
+    assert again.json() == state
+    tag = {"If-None-Match": again.headers["ETag"]}
+    assert client.get(f"{API}/assets/{ASSET}/state", headers=tag).status_code == 304
+
+
+def test_a_repair_that_somebody_reports_counts(client: httpx.Client) -> None:
+    asset = "crank-that-is-mended"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
+    answer = diagnose(client, 2, asset)
+    before = state_of(client, asset)["joints"]["B"]
+    found = {"joints": {"B": {"clearance_um": 170, "repaired": True}}, "at": "2126-01-01T00:00:00Z"}
+    told = client.post(f"{API}/diagnoses/{answer['id']}/finding", json=found)
+    assert told.status_code == 201, told.text
+    assert told.json()["joints"]["B"] == {"clearance_um": 170, "repaired": True}
+    state = state_of(client, asset)
+    assert before["p_worn"] > 0.5 > state["joints"]["B"]["p_worn"]
+    assert [repair["joint"] for repair in state["repairs"]] == ["B"]
+    assert state["at"] == "2126-01-01T00:00:00Z"
+
+
+def test_the_page_shows_it(client: httpx.Client, answers: list[dict[str, Any]]) -> None:
+    whole = client.get(f"/assets/{ASSET}").text
+    assert f'hx-get="/assets/{ASSET}/state"' in whole
+    page = client.get(f"/assets/{ASSET}/state").text
+    assert "State of wear" in page
+    assert "By all 2 recordings" in page
+    assert "µm a year" in page
+
+
+def test_refusals(client: httpx.Client) -> None:
+    assert_problem(client.get(f"{API}/assets/nobody/state"), 404, slug="unknown-asset")
+    client.put(f"{API}/assets/never-heard", json={"machine": "slider-crank"}).raise_for_status()
+    rule = "asset never-heard: none of its recordings was diagnosed yet"
+    assert_problem(client.get(f"{API}/assets/never-heard/state"), 404, rule, "nothing-to-follow")
+    assert "none of its recordings was diagnosed yet" in client.get("/assets/never-heard/state").text
