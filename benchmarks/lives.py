@@ -23,7 +23,8 @@ from jointplay.app.tables import table
 from jointplay.catalogue.diagnosing.answer import Diagnosis, Evidence
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.errors import CatalogueError
-from jointplay.catalogue.evaluation.life_figures import Life, LifeVisit, bounds_of, figures_of_lives, judge_life
+from jointplay.catalogue.evaluation.life_figures import Life, LifeVisit, figures_of_lives, judge_life
+from jointplay.catalogue.following.play import bounds_of
 from jointplay.catalogue.following.visits import Inspection
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.storage.store import Catalogue
@@ -120,7 +121,7 @@ def main() -> int:
     kept = given.answers or given.recordings / "answers.jsonl"
     judged = []
     for catalogue, lives in told(given.recordings, given.catalogues, kept, given.only):
-        bounds = bounds_of(catalogue)
+        bounds = bounds_of(catalogue.machine, catalogue.machine.wearing_joints)
         judged += [judge_life(life, bounds) for life in lives]
     if judged:
         print(table(("figure", "seen", "95 %"), [each.shown() for each in figures_of_lives(judged)]))

@@ -15,8 +15,6 @@ from jointplay.catalogue.following.follow import follow
 from jointplay.catalogue.following.play import JointBounds
 from jointplay.catalogue.following.state import WearState
 from jointplay.catalogue.following.visits import Inspection, Visit
-from jointplay.catalogue.plans.cases import BEYOND_FIT
-from jointplay.catalogue.storage.store import Catalogue
 
 FALSE_ALARMS = 1 / 200
 """Share of visits at which a joint that is not worn may be called so, in comparing first sure detections."""
@@ -126,17 +124,6 @@ class LifeFigure:
         """Return name, value and interval as text."""
         seen = f"{self.right} of {self.of}, {self.value:.2f}" if self.of else f"{self.value:.3g}"
         return self.name, seen, "{:.2g} to {:.2g}".format(*self.interval)
-
-
-def bounds_of(catalogue: Catalogue) -> dict[str, JointBounds]:
-    """Return fit, least wear and limit of the joints of a catalogue's machine."""
-    fits, least = catalogue.plan.fits, catalogue.plan.clearance.low
-    found = {}
-    for name in sorted(catalogue.machine.wearing_joints):
-        joint = catalogue.machine.joints[name]
-        fit = fits.bounds(joint)
-        found[name] = JointBounds(fit, max(least, BEYOND_FIT * fit[1]), joint.worn_out_from)
-    return found
 
 
 def judge_life(life: Life, bounds: Mapping[str, JointBounds]) -> JudgedLife:
