@@ -71,7 +71,7 @@ def gather(store: Store, asset: str) -> Life:
     counted = [each for each in newest if len(each.measurements) > 1 or each.measurement not in together]
     used = {key for each in counted for key in each.measurements}
     known = store.measurements(None, len(used), select(MeasurementRow.id).where(MeasurementRow.id.in_(used)))
-    made = {each.id: each.created_at for each in known}
+    made = {each.id: each.measured_at for each in known}
     fleet = assets.findings_of_machine(row.machine, MOST_LESSONS)
     ids = select(DiagnosisRow.id).where(DiagnosisRow.id.in_({found.diagnosis for found in fleet}))
     answered = store.diagnoses(None, len(fleet), among=ids)
