@@ -102,9 +102,10 @@ def write(
     columns = _dropped(columns, individual, draw)
     units = json.dumps({name: "s" if name == "time" else "m/s2" for name in columns})
     small = {key: each if key == "time" else each.astype(np.float32) for key, each in columns.items()}
+    said = {key: individual.notes["life"][key] for key in ("measured_at",) if "life" in individual.notes}
     unfinished = file.with_suffix(".part")
     with unfinished.open("wb") as stream_out:
-        np.savez_compressed(stream_out, units=np.array(units), **small)  # type: ignore[arg-type]
+        np.savez_compressed(stream_out, units=np.array(units), attributes=np.array(json.dumps(said)), **small)  # type: ignore[arg-type]
     os.replace(unfinished, file)
     truths = json.loads(truth_file.read_text()) if truth_file.exists() else {}
     truths[name] = {

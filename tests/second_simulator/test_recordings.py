@@ -78,7 +78,7 @@ def test_same_seed_same_recording_and_what_is_there_is_kept(tmp_path: Path) -> N
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
         assert recording.write(machine, "singles", 1, seed, tmp_path / folder) == ("slider-crank-singles-01", True)
     a, b, c = (dict(np.load(tmp_path / folder / "slider-crank-singles-01.npz")) for folder in "abc")
-    assert list(a) == ["units", "time", *(sensor.name for sensor in machine.sensors)]
+    assert list(a) == ["units", "attributes", "time", *(sensor.name for sensor in machine.sensors)]
     assert all(np.array_equal(a[key], b[key]) for key in a)
     assert not np.array_equal(a["s1-x"][:1000], c["s1-x"][:1000])
     truth = json.loads((tmp_path / "a" / "truth.json").read_text())["slider-crank-singles-01"]
@@ -162,6 +162,12 @@ def test_a_life_is_of_one_machine_that_wears_and_never_heals_unless_repaired() -
             assert falls <= (joint in notes[0]["laws"])  # none but by the one repair
         worn_joints.append(len(notes[0]["laws"]))
     assert sorted(worn_joints) == [0, 1, 1, 2, 3]
+
+
+def test_the_file_of_a_visit_says_when_it_was_made(tmp_path: Path) -> None:
+    name, _ = recording.write(read("slider-crank"), "lives", 2, 1, tmp_path)
+    said = json.loads(str(np.load(tmp_path / f"{name}.npz")["attributes"]))
+    assert said == {"measured_at": json.loads((tmp_path / "truth.json").read_text())[name]["life"]["measured_at"]}
 
 
 def test_what_else_befalls_a_machine_in_its_life() -> None:
