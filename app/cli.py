@@ -23,6 +23,7 @@ COMMANDS = {
     "regenerate": "simulate some cases of a catalogue again and compare",
     "export": "write a catalogue into one file for other programs: HDF5, NPZ or CSV",
     "diagnose": "rank the fault hypotheses of a catalogue for a measurement",
+    "follow": "say how worn a machine is by all its recordings, how fast it wears, and until when",
     "evaluate": "measure the diagnoses of a catalogue on recordings it has not seen",
     "keys": "make, list and take back keys to the HTTP interface",
     "backup": "copy everything a service keeps, while it works",

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Diagnosis
     from jointplay.catalogue.matching.modes import Effort, ModeAsked
     from jointplay.catalogue.measurements.import_profile import ImportProfile
+    from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
+    from jointplay.catalogue.measurements.measurement import Recording
 
 
 @click.command("diagnose")
@@ -134,23 +136,12 @@ def command(
     if effort != "thorough":
         refuse_given(("cases",), "means something with --effort thorough only")
     from jointplay.catalogue.diagnosing.together import diagnose_together
-    from jointplay.catalogue.measurements.measured_spectrum import read_recording
     from jointplay.catalogue.measurements.measurement import read_measurement
     from jointplay.catalogue.storage.store import Catalogue
 
-    said = read_file_options(told)
-    moments = said.pop("measured_at", ())
-    for option, given in (("--speed", speeds), ("--measured-at", moments)):
-        if len(given) not in (0, len(measurements)):
-            rule = f"{len(given)} for {len(measurements)} measurements: must be one for each, or none"
-            raise click.BadParameter(rule, param_hint=f"'{option}'")
-    told_each = [{**said, "measured_at": each} for each in moments] or [said] * len(measurements)
+    recordings, said = read_measurements(measurements, told, profile, speeds)
     sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
-    recordings = [
-        read_recording(measurement, **told_too, profile=with_options(profile_of(measurement, profile), own))
-        for measurement, own in zip(measurements, told_each, strict=True)
-    ]
     in_order = None
     if baseline is not None:
         shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
@@ -183,6 +174,27 @@ def command(
                 click.echo(f"measured: {each.name}, {spell_moment(moment)} UTC")
         if plot is not None:
             click.echo(f"drawn: {plot}")
+
+
+def read_measurements(
+    measurements: Sequence[Path], told: Mapping[str, Any], profile: Path | None, speeds: Sequence[float] = ()
+) -> tuple[list[Recording | MeasuredSpectrum], dict[str, Any]]:
+    """Read files as the options of `file_options` say; return what these say of all of them, too."""
+    from jointplay.catalogue.measurements.measured_spectrum import read_recording
+
+    said = read_file_options(told)
+    moments = said.pop("measured_at", ())
+    for option, given in (("--speed", speeds), ("--measured-at", moments)):
+        if len(given) not in (0, len(measurements)):
+            rule = f"{len(given)} for {len(measurements)} measurements: must be one for each, or none"
+            raise click.BadParameter(rule, param_hint=f"'{option}'")
+    told_each = [{**said, "measured_at": each} for each in moments] or [said] * len(measurements)
+    told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
+    recordings = [
+        read_recording(measurement, **told_too, profile=with_options(profile_of(measurement, profile), own))
+        for measurement, own in zip(measurements, told_each, strict=True)
+    ]
+    return recordings, said
 
 
 def weight_of(joint: str, said: str) -> float:

@@ -95,7 +95,7 @@ def chart(
     events: list[dict[str, Any]] = []
     for row in shown:
         at = measured(row, measurements).timestamp()
-        order += [name for name in row.machine["joints"] if name not in order]
+        order += [name for name in row.answer.joints if name not in order]
         worn = words.named_joints(row.answer)
         if not worn:
             events.append({"at": at, "kind": row.answer.verdict})

@@ -46,19 +46,19 @@ def show_state(state: WearState) -> dict[str, Any]:
 def joint_row(name: str, found: JointFollowed) -> dict[str, Any]:
     """Return the row of a joint in the table."""
     early, likely, late = found.limit_at
-    beyond = found.p_over_limit >= WORN
+    worn, beyond = found.p_worn >= WORN, found.p_over_limit >= WORN
     reached = "now" if beyond else f"{day(early)} to {day(late) or 'not within a century'}" if early else "not foreseen"
     return {
         "name": name,
-        "condition": "worn" if found.p_worn >= WORN else "in_order",
-        "said": "worn" if found.p_worn >= WORN else "in order",
+        "condition": "worn" if worn else "in_order",
+        "said": "worn" if worn else "in order",
         "percent": percent(found.p_worn),
         "clearance": length(found.clearance_um),
         "interval": between(*found.interval_um),
-        "rate": f"{micrometres(found.um_per_year)} µm a year" if found.p_worn >= WORN else "–",
+        "rate": f"{micrometres(found.um_per_year)} µm a year" if worn else "–",
         "limit": length(found.limit_um),
-        "reached": reached,
-        "likely": day(likely) if likely and not beyond else "",
+        "reached": reached if worn else "–",
+        "likely": day(likely) if likely and worn and not beyond else "",
         "sure": day(found.first_sure_at),
     }
 

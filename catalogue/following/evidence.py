@@ -15,7 +15,7 @@ from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import LEAST_DENSITY
 from jointplay.solver.arrays import FloatArray
 
-SLIP, DOUBTED = 0.03, 0.5
+SLIP, DOUBTED = 0.03, 0.15
 """Share of recordings that say nothing of wear, whatever they look like; and of those that the machine as filed, worn
 or not, does not explain."""
 

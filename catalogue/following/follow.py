@@ -27,10 +27,10 @@ from jointplay.catalogue.following.teaching import Correction
 from jointplay.catalogue.following.visits import Inspection, Visit, put_in_order
 from jointplay.solver.arrays import FloatArray
 
-SURE = 0.95
+SURE = 0.9
 """Probability of wear, by all recordings up to then, from which on it is sure."""
 
-ALIKE = 0.1
+ALIKE = 0.15
 """Standard deviation of ln(clearance) of what every recording of a machine has wrong alike."""
 
 UNWORN = 0.5

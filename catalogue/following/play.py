@@ -33,8 +33,12 @@ USUAL, SCATTER = 3.2e-12, 2.0
 RESTING, ANY = 0.5, 0.05
 """Share of joints that do not wear for now; and of rates of which nothing is known, as on a test rig."""
 
-EXCESS, MOST_EXCESS, EXCESS_STEP = 10e-6, 24e-6, 6e-6
-"""What a joint's clearance is seen too large by in all recordings of a machine, m: standard deviation, and the grid."""
+TOO_SMALL, TOO_LARGE = 5e-6, 10e-6
+"""What a joint's clearance is seen too small, or too large, by in all recordings of a machine, m (standard deviations):
+what differs from the catalogue looks like play rather than takes it away."""
+
+MOST_EXCESS, EXCESS_STEP = 24e-6, 6e-6
+"""Of the grid, m."""
 
 YEAR = 365.25 * 86400.0
 
@@ -72,7 +76,13 @@ LIKELY_RATES: FloatArray = _likely_rates(RATES)
 EXCESSES: FloatArray = np.arange(-MOST_EXCESS, MOST_EXCESS + 0.5 * EXCESS_STEP, EXCESS_STEP)
 """m, (D,)."""
 
-LIKELY_EXCESSES: FloatArray = np.exp(-0.5 * (EXCESSES / EXCESS) ** 2) / np.sum(np.exp(-0.5 * (EXCESSES / EXCESS) ** 2))
+
+def _likely_excesses() -> FloatArray:
+    likely = np.exp(-0.5 * (EXCESSES / np.where(EXCESSES < 0.0, TOO_SMALL, TOO_LARGE)) ** 2)
+    return np.asarray(likely / likely.sum())
+
+
+LIKELY_EXCESSES: FloatArray = _likely_excesses()
 """Probability of each beforehand, (D,)."""
 
 

@@ -1,0 +1,47 @@
+"""The command that follows a machine's wear."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import assert_refused, invoke
+from recordings import RECORDINGS
+
+FILES = [RECORDINGS / f"slider-crank-{number:02}.csv.gz" for number in (2, 5)]
+MOMENTS = ("--measured-at", "2026-01-03T10:00:00Z", "--measured-at", "2026-06-03T10:00:00+02:00")
+
+
+def test_recordings_in_the_order_they_were_made(shelf: Path) -> None:
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", "--json")
+    state = json.loads(invoke("follow", *FILES, *asked, *MOMENTS).stdout)
+    assert [point["at"] for point in state["joints"]["B"]["course"]] == ["2026-01-03T10:00:00Z", "2026-06-03T08:00:00Z"]
+    swapped = ("--measured-at", MOMENTS[3], "--measured-at", MOMENTS[1])
+    assert json.loads(invoke("follow", *reversed(FILES), *asked, *swapped).stdout) == state
+
+
+def test_in_words_with_what_was_found_and_mended(shelf: Path) -> None:
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", *MOMENTS)
+    told = ("--found", "B=150um@2026-06-04T06:00:00Z", "--repaired", "B=2026-06-05T06:00:00Z")
+    worn = invoke("follow", *FILES, *asked).stdout
+    assert worn.startswith("By 2 recordings, the last of 2026-06-03 08:00 UTC:")
+    assert "µm a year" in worn
+    mended = invoke("follow", *FILES, *asked, *told).stdout
+    assert "Joint B was repaired by 2026-06-05, > 99 %." in mended
+    assert "in order" in next(line for line in mended.splitlines() if line.strip().startswith("B "))
+
+
+@pytest.mark.parametrize(
+    ("told", "text"),
+    [
+        ((), "says no time of measurement"),
+        (MOMENTS[:2], "'--measured-at': 1 for 2 measurements: must be one for each, or none"),
+        ((*MOMENTS, "--found", "B=150@2026-06-04T06:00:00Z"), "'--found': \"B=150@2026-06-04T06:00:00Z\""),
+        ((*MOMENTS, "--found", "B=150um"), "the time must be a moment with a time zone"),
+        ((*MOMENTS, "--repaired", "Q=2026-06-05T06:00:00Z"), "inspection: joints.Q: must be one of"),
+    ],
+)
+def test_refusals(told: tuple[str, ...], text: str, shelf: Path) -> None:
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast")
+    assert_refused(invoke("follow", *FILES, *asked, *told), 2, text)
