@@ -19,9 +19,8 @@ from jointplay.catalogue.evaluation.life_figures import Life, LifeFigure, LifeVi
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.truth import Truth
-from jointplay.catalogue.following.play import JointBounds, bounds_of
+from jointplay.catalogue.following.play import bounds_of
 from jointplay.catalogue.following.visits import Inspection
-from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.plans.driving import at_speed, nominal_drive_speed
 from jointplay.catalogue.plans.entry import Hypothesis, seed_from
 from jointplay.catalogue.storage.store import Catalogue
@@ -120,7 +119,7 @@ def evaluate_lives(
     kept = recordings or Recordings()
     judged = []
     for number in range(1, count + 1):
-        drawn = draw_life(machine, bounds, seed, number)
+        drawn = draw_life(machine, seed, number)
         visits = list(drawn.life.visits)
         for place, signal in kept.ideal(_PROTOCOL, drawn.truths):
             if signal is not None:
@@ -137,13 +136,13 @@ def evaluate_lives(
 def _heard(visit: LifeVisit, truth: Truth, signal: FloatArray, catalogue: Catalogue) -> LifeVisit:
     """The visit with its answer; as it was where the recording is refused."""
     try:
-        recording: Recording = recorded(_PROTOCOL, truth, signal)
+        recording = recorded(_PROTOCOL, truth, signal)
         return replace(visit, sha256=recording.sha256, answer=diagnose(recording, catalogue))
     except MeasurementError:
         return visit
 
 
-def draw_life(machine: Machine, bounds: Mapping[str, JointBounds], seed: int, number: int) -> DrawnLife:
+def draw_life(machine: Machine, seed: int, number: int) -> DrawnLife:
     """Return the life of a machine; its number, from 1, says how many joints wear and whether a mount loosens."""
     draws = np.random.default_rng(seed_from(NAME, seed, number))
     new = draw_truth(machine, Hypothesis.of(()), _PROTOCOL, seed, number)
@@ -155,7 +154,7 @@ def draw_life(machine: Machine, bounds: Mapping[str, JointBounds], seed: int, nu
     names = [str(each) for each in draws.choice(sorted(course), count, replace=False)]
     for joint in names:
         _wear(course, joint, ages, draws.uniform(0.0, 0.6), draws)
-    repairs, inspections = _repair(course, names, at, bounds, draws)
+    repairs, inspections = _repair(course, names, at, draws)
     mount, stiffness = _loosen(machine, number, ages, draws)
     gains = 1.0 + draws.uniform(-0.05, 0.05, (len(machine.sensors), 2))  # before and after sensors are moved
     moved = int(draws.integers(3, VISITS)) if draws.random() < 1 / 3 else VISITS
@@ -202,7 +201,6 @@ def _repair(
     course: dict[str, FloatArray],
     names: Sequence[str],
     at: Sequence[datetime],
-    bounds: Mapping[str, JointBounds],
     draws: np.random.Generator,
 ) -> tuple[list[tuple[int, str]], tuple[Inspection, ...]]:
     """Give the most worn joint a new fit in most lives; half of the repairs are told, with what was found before."""

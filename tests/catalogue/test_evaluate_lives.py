@@ -25,7 +25,6 @@ from jointplay.catalogue.evaluation.life_figures import (
     ratio_of_detection,
 )
 from jointplay.catalogue.evaluation.lives import LAWS, VISITS, draw_life, evaluate_lives
-from jointplay.catalogue.following.play import bounds_of
 from jointplay.catalogue.following.visits import Inspection
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import shipped_machine
@@ -145,10 +144,9 @@ def test_intervals_are_over_lives() -> None:
 
 
 def test_lives_are_drawn() -> None:
-    bounds = bounds_of(MACHINE, sorted(MACHINE.wearing_joints))
-    drawn = [draw_life(MACHINE, bounds, 1, number) for number in range(1, 16)]
-    again = draw_life(MACHINE, bounds, 1, 3)
-    assert again == drawn[2] != draw_life(MACHINE, bounds, 2, 3)
+    drawn = [draw_life(MACHINE, 1, number) for number in range(1, 16)]
+    again = draw_life(MACHINE, 1, 3)
+    assert again == drawn[2] != draw_life(MACHINE, 2, 3)
     worn = []
     for each in drawn:
         visits = each.life.visits
@@ -156,7 +154,7 @@ def test_lives_are_drawn() -> None:
         assert all(earlier.at < later.at for earlier, later in pairwise(visits))
         assert len({place for visit in visits for place in visit.arrivals}) == sum(len(v.arrivals) for v in visits)
         wears = set()
-        for joint in bounds:
+        for joint in sorted(MACHINE.wearing_joints):
             course = [truth.clearances[joint] for truth in each.truths]
             falls = [place for place in range(1, VISITS) if course[place] < course[place - 1]]
             assert falls == [place for place, repaired in each.life.repairs if repaired == joint]
