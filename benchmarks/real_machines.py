@@ -5,7 +5,7 @@
 
 Recordings are named MACHINE-PROTOCOL-NUMBER; those of the same machines before anything was the matter, which the
 second simulator makes with --before, have the same names in another folder and serve as baselines; those of the same
-machines at other speeds (--factor) have one answer with --together. Every figure is a
+machines at other speeds (--factor), or at another load (held-shut), have one answer with --together. Every figure is a
 count with its 95 % interval (Wilson 1927).
 """
 
@@ -174,6 +174,7 @@ RULES: Mapping[str, Sequence[tuple[str, Rule]]] = {
     "sensor-flaws": (("named", flaw_named), ("no wrong joint", no_sound_joint)),
     "drop-outs": (("right, or not answered", lambda item: worn_or_unknown(item) if item.worn else never_worn(item)),),
     "model-errors": (("exactly right", lambda item: item.exact), ("no sound joint named", no_sound_joint)),
+    "held-shut": (("exactly right", lambda item: item.exact), ("no sound joint named", no_sound_joint)),
     "growing": (("exactly right", lambda item: item.exact), ("no sound joint named", no_sound_joint)),
 }  # fmt: skip
 

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 
 PROTOCOLS = (
     "matched, noisy, hard, healthy, pairs, triples, small, beyond-range, cyclic-load, and groups model-error, "
-    "other-cause, disturbed, sensor-flaws, drop-outs"
+    "other-cause, disturbed, sensor-flaws, drop-outs; lives (machines over thirty visits) by itself"
 )
+
+
+LIVES = "lives"
 
 
 @click.command("evaluate")
@@ -49,7 +52,13 @@ PROTOCOLS = (
     help="Noise (rms) in place of the protocol's: of the frame in x and y, theta in proportion; of each sensor where "
     "the protocol has it there.",
 )
-@click.option("--count", default=120, show_default=True, type=click.IntRange(1, 100_000), help="Recordings a protocol.")
+@click.option(
+    "--count",
+    default=120,
+    show_default=True,
+    type=click.IntRange(1, 100_000),
+    help="Recordings a protocol; of lives: machines.",
+)
 @click.option("--seed", default=1, show_default=True, type=int, help="Of everything drawn.")
 @click.option(
     "--methods",
@@ -117,6 +126,12 @@ def command(
     as_json: bool,
 ) -> None:
     """Measure diagnoses on freshly simulated recordings that the catalogue has not seen."""
+    if LIVES in protocols:
+        if len(protocols) > 1 or sweep:
+            raise click.UsageError(f"--protocol: {LIVES}: stands by itself")
+        refuse_given(("noise", "methods", "efforts", "modes", "plot"), f"means nothing with --protocol {LIVES}")
+        _evaluate_lives(catalogue, count, seed, as_json)
+        return
     if plot is not None:
         from jointplay.app.figures.plots import check_ending
 
@@ -168,3 +183,21 @@ def command(
     click.echo(report(found))
     if plot is not None:
         click.echo(f"drawn: {plot}")
+
+
+def _evaluate_lives(catalogue: Path, count: int, seed: int, as_json: bool) -> None:
+    from jointplay.app.tables import table
+    from jointplay.catalogue.evaluation.lives import VISITS, evaluate_lives
+    from jointplay.catalogue.evaluation.recordings import Recordings
+    from jointplay.catalogue.storage.store import Catalogue
+    from jointplay.solver.compiler.native import cache_directory
+
+    opened = Catalogue.open(existing_catalogue(catalogue))
+    kept = Recordings(cache_directory().parent / "recordings")
+    with ProgressLine("diagnosing", "recordings") as line:
+        found = evaluate_lives(opened, count, seed, recordings=kept, progress=line.show)
+    if as_json:
+        print_json(found.content())
+        return
+    click.echo(f"{found.machine}; {count} machines of {VISITS} visits, seed {seed}\n")
+    click.echo(table(("figure", "seen", "95 %"), [figure.shown() for figure in found.figures]))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from command_line import assert_refused, invoke
 from small_service import spoiled
+
+from jointplay.catalogue.evaluation import lives
 
 
 @pytest.fixture
@@ -120,6 +123,29 @@ def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> N
     assert "matched   nearest   standard  auto" in printed
     assert "truth (rows) against the first hypothesis (columns)" in printed
     assert plot.stat().st_size > 1000
+
+
+def test_evaluate_prints_figures_of_lives(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lives, "VISITS", 8)
+    monkeypatch.setattr(lives, "_PROTOCOL", replace(lives._PROTOCOL, revolutions=10.0))
+    arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "lives", "--count", "1"]
+    printed = invoke(*arguments).stdout
+    assert "slider-crank; 1 machines of 8 visits, seed 1" in printed
+    document = json.loads(invoke(*arguments, "--json").stdout)
+    for figure in document["figures"]:
+        assert figure["name"] in printed
+    assert document["figures"][0]["of"] == 8
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        (("--protocol", "lives,hard"), "--protocol: lives: stands by itself"),
+        (("--protocol", "lives", "--modes", "robust"), "--modes: means nothing with --protocol lives"),
+    ],
+)
+def test_lives_stand_by_themselves(more: tuple[str, ...], text: str, shelf: Path) -> None:
+    assert_refused(invoke("evaluate", "--catalogue", shelf / "slider-crank", *more), 2, text)
 
 
 def test_evaluate_names_the_p_values_that_tell_foreign_causes(shelf: Path) -> None:

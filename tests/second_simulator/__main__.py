@@ -19,7 +19,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--protocol", choices=[*PROTOCOLS], required=True)
     parser.add_argument("--machine", required=True, help="name of a shipped machine, or a machine file")
-    parser.add_argument("--count", type=int, default=1, help="recordings; of growing wear, 16 are a series")
+    parser.add_argument("--count", type=int, default=1, help="recordings; 16 of growing wear are a series, 30 a life")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--before", action="store_true", help="of the same machines, before anything was the matter")
@@ -27,6 +27,7 @@ def main() -> None:
     parser.add_argument(
         "--course", default="", help="of the same machines once more, times [s] and factors: 0:0.7,30:1.3"
     )
+    parser.add_argument("--model-errors", action="store_true", help="all errors of model and sensors at once")
     given = parser.parse_args()
     course = [
         (float(at), float(factor))
@@ -38,7 +39,9 @@ def main() -> None:
     for number in range(1, given.count + 1):
         began = time.perf_counter()
         asked = (machine, given.protocol, number, given.seed, given.out)
-        name, made = write(*asked, before=given.before, factor=given.factor, course=course)
+        name, made = write(
+            *asked, before=given.before, factor=given.factor, course=course, model_errors=given.model_errors
+        )
         print(f"{name}: {f'{time.perf_counter() - began:.1f} s' if made else 'kept'}", flush=True)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from second_simulator.disturbances import DISTURBANCES
+from second_simulator.disturbances import DISTURBANCES, inertia_force
 from second_simulator.faults import FAULTS, soften
 from second_simulator.individual import (
     WORN,
@@ -21,6 +21,7 @@ from second_simulator.individual import (
     recorded_anew,
     scattered_contacts,
 )
+from second_simulator.lives import VISITS, live
 from second_simulator.machine import Machine
 from second_simulator.process import loaded
 from second_simulator.turning import Ripple
@@ -31,18 +32,41 @@ Change = Callable[[Individual, int, np.random.Generator, Stream], None]
 
 #: Radial clearances [m]: beyond what catalogues hold; small; of a joint that grows, and in how many recordings.
 BEYOND, SMALL, GROWING, GROWN = (2.1e-3, 3e-3), (30e-6, 500e-6), (25e-6, 600e-6), 16
+#: By machine: a load on the output, in root mean squares of the force by which the moving parts shake the frame, and
+#: the joints that it holds shut: what their wear then adds above 300 Hz is within 4 dB of noise of 0.1 m/s2.
+HOLDS = {
+    "slider-crank": (-2.5, ("O", "A", "B")),
+    "four-bar": (-4.0, ("O", "A", "B")),
+    "quick-return": (4.0, ("O", "C", "E", "F")),
+}
+
+#: Recordings of one machine, of protocols that have several.
+SERIES = {"growing": GROWN, "held-shut": 2, "lives": VISITS}
 
 
 def _worn(count: int, span: tuple[float, float] = WORN) -> Change:
     """So many worn joints; the sets come in an order of their own, each before any comes again."""
 
     def change(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
-        sets = list(combinations(individual.filed.pins, count))
-        order = streams("sets").permutation(len(sets))
-        names = sets[order[(number - 1) % len(sets)]]
-        individual.wear({name: log_uniform(draw, *span) for name in names})
+        _wear_some(individual, list(individual.filed.pins), count, span, number, draw, streams)
 
     return change
+
+
+def _wear_some(
+    individual: Individual,
+    joints: Sequence[str],
+    count: int,
+    span: tuple[float, float],
+    number: int,
+    draw: np.random.Generator,
+    streams: Stream,
+) -> None:
+    """The set of worn joints that is a recording's turn."""
+    sets = list(combinations(joints, count))
+    order = streams("sets").permutation(len(sets))
+    names = sets[order[(number - 1) % len(sets)]]
+    individual.wear({name: log_uniform(draw, *span) for name in names})
 
 
 def _sound(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
@@ -112,6 +136,23 @@ def _sensor_flaws(individual: Individual, number: int, draw: np.random.Generator
     individual.blame(f"sensor-{kind}", "+".join(flaws))
 
 
+def _held_shut(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
+    """One or two worn joints: a load holds them shut in the first recording of two, and not in the second."""
+    pair, again = divmod(number - 1, 2)
+    if individual.filed.name not in HOLDS:
+        raise ValueError(f"{individual.filed.name}: no load is known that holds its joints shut")
+    multiple, joints = HOLDS[individual.filed.name]
+    once = streams("pair", pair)
+    _wear_some(individual, joints, 1 + pair % 2, WORN, pair // 2 + 1, once, streams)
+    force = multiple * inertia_force(individual.machine, abs(individual.speed))
+    if again:  # nothing, or a little the other way
+        force *= -float(once.choice([0.0, 0.15]))
+        recorded_anew(individual, draw)
+        individual.notes["of"] = f"{individual.filed.name}-held-shut-{number - 1:02d}"
+    individual.machine = loaded(individual.machine, force)
+    individual.notes["load_n"] = {"constant": force, "stroke": 0.0}
+
+
 def _drop_outs(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
     fours = (number - 1) // 4
     _every_other(individual, number + fours, draw, streams)
@@ -124,6 +165,11 @@ def _drop_outs(individual: Individual, number: int, draw: np.random.Generator, s
 
 def _model_errors(individual: Individual, number: int, draw: np.random.Generator, streams: Stream) -> None:
     _worn(2)(individual, number, draw, streams)
+    err(individual, draw)
+
+
+def err(individual: Individual, draw: np.random.Generator) -> None:
+    """All errors of model and sensors at once, on a machine that nothing else was done to yet."""
     machine = scattered_contacts(erred(individual.filed, draw), drawn_contact(draw, 1.6), draw)
     frame, (heavier, lazier) = machine.bodies[machine.frame], draw.uniform(0.9, 1.1, 2)
     machine = machine.with_body(machine.frame, mass=frame.mass * heavier, inertia=frame.inertia * lazier)
@@ -152,23 +198,33 @@ PROTOCOLS: Mapping[str, Change] = {
     "sensor-flaws": _sensor_flaws,
     "drop-outs": _drop_outs,
     "model-errors": _model_errors,
+    "held-shut": _held_shut,
+    "lives": live,
 }
 
 
-def individual_of(filed: Machine, protocol: str, number: int, streams: Stream) -> Individual:
-    """The machine of a recording: of growing wear, one machine for a series."""
-    individual = drawn_individual(filed, streams("individual", _whose(protocol, number)))
+def individual_of(
+    filed: Machine, protocol: str, number: int, streams: Stream, *, model_errors: bool = False
+) -> Individual:
+    """The machine of a recording: of growing wear and of lives, one machine for all recordings of a series."""
+    individual = _alone(filed, protocol, number, streams, model_errors)
     PROTOCOLS[protocol](individual, number, streams("change", number), streams)
     return individual
 
 
-def individual_before(filed: Machine, protocol: str, number: int, streams: Stream) -> Individual:
+def individual_before(
+    filed: Machine, protocol: str, number: int, streams: Stream, *, model_errors: bool = False
+) -> Individual:
     """The same machine on another day, when nothing was the matter with it yet."""
-    individual = drawn_individual(filed, streams("individual", _whose(protocol, number)))
+    individual = _alone(filed, protocol, number, streams, model_errors)
     recorded_anew(individual, streams("before", number))
     return individual
 
 
-def _whose(protocol: str, number: int) -> int:
-    """Number of the machine of a recording."""
-    return (number - 1) // GROWN if protocol == "growing" else number
+def _alone(filed: Machine, protocol: str, number: int, streams: Stream, model_errors: bool) -> Individual:
+    """The machine of a recording as it was when it was new, by the number of the machine."""
+    whose = (number - 1) // SERIES[protocol] if protocol in SERIES else number
+    individual = drawn_individual(filed, streams("individual", whose))
+    if model_errors:
+        err(individual, streams("errors", whose))
+    return individual

@@ -70,12 +70,14 @@ def write(
     before: bool = False,
     factor: float = 1.0,
     course: Sequence[tuple[float, float]] = (),
+    model_errors: bool = False,
 ) -> tuple[str, bool]:
     """Make one recording where it is not there yet; return its name, and whether it was made.
 
     With ``before``, of the same machine when nothing was the matter with it yet; with a ``factor``, of the same machine
     in the same state, recorded once more at so many times its drive speed; with a ``course`` of times and factors, once
-    more while its speed changes.
+    more while its speed changes. With ``model_errors`` machines and sensors err as those of the protocol of that name,
+    whatever the protocol.
     """
     folder.mkdir(parents=True, exist_ok=True)
     first = f"{machine.name}-{protocol}-{number:02d}"
@@ -87,7 +89,13 @@ def write(
     if name in truths and file.exists():
         return name, False
     of = individual_before if before else individual_of
-    individual = of(machine, protocol, number, lambda *parts: stream(seed, machine.name, protocol, *parts))
+    individual = of(
+        machine,
+        protocol,
+        number,
+        lambda *parts: stream(seed, machine.name, protocol, *parts),
+        model_errors=model_errors,
+    )
     again: dict[str, Any] = {}
     visit: list[object] = ["before" if before else "recording"]
     if factor != 1.0:
@@ -105,12 +113,19 @@ def write(
     columns = _dropped(columns, individual, draw)
     units = json.dumps({name: "s" if name == "time" else "m/s2" for name in columns})
     small = {key: each if key == "time" else each.astype(np.float32) for key, each in columns.items()}
+    said = {key: individual.notes["life"][key] for key in ("measured_at",) if "life" in individual.notes}
     unfinished = file.with_suffix(".part")
     with unfinished.open("wb") as stream_out:
-        np.savez_compressed(stream_out, units=np.array(units), **small)  # type: ignore[arg-type]
+        np.savez_compressed(stream_out, units=np.array(units), attributes=np.array(json.dumps(said)), **small)  # type: ignore[arg-type]
     os.replace(unfinished, file)
     truths = json.loads(truth_file.read_text()) if truth_file.exists() else {}
-    truths[name] = {**truth_of(individual, made), **again, "seed": seed, "duration_s": float(columns["time"][-1])}
+    truths[name] = {
+        **truth_of(individual, made),
+        **again,
+        "model_errors": model_errors,
+        "seed": seed,
+        "duration_s": float(columns["time"][-1]),
+    }
     unfinished = truth_file.with_suffix(".part")
     unfinished.write_text(json.dumps(truths, indent=1))
     os.replace(unfinished, truth_file)

@@ -15,6 +15,7 @@ from recordings import TRUTH, unpacked
 
 from second_simulator import recording
 from second_simulator.individual import Individual, drawn_individual
+from second_simulator.lives import LAWS, VISITS, drawn_life
 from second_simulator.machine import Array, Contact, Sensor
 from second_simulator.machine_file import read
 from second_simulator.orders import order_levels
@@ -77,7 +78,7 @@ def test_same_seed_same_recording_and_what_is_there_is_kept(tmp_path: Path) -> N
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
         assert recording.write(machine, "singles", 1, seed, tmp_path / folder) == ("slider-crank-singles-01", True)
     a, b, c = (dict(np.load(tmp_path / folder / "slider-crank-singles-01.npz")) for folder in "abc")
-    assert list(a) == ["units", "time", *(sensor.name for sensor in machine.sensors)]
+    assert list(a) == ["units", "attributes", "time", *(sensor.name for sensor in machine.sensors)]
     assert all(np.array_equal(a[key], b[key]) for key in a)
     assert not np.array_equal(a["s1-x"][:1000], c["s1-x"][:1000])
     truth = json.loads((tmp_path / "a" / "truth.json").read_text())["slider-crank-singles-01"]
@@ -116,7 +117,8 @@ def test_protocols_are_what_they_say(machine: str, protocol: str) -> None:
             assert all(80e-6 <= each <= 800e-6 for each in found.worn.values())
         if protocol in ("sound", "disturbed-sound", "other-cause"):
             assert not found.worn
-        assert bool(found.causes) == (protocol in ("other-cause", "sensor-flaws"))
+        if protocol != "lives":
+            assert bool(found.causes) == (protocol in ("other-cause", "sensor-flaws"))
         assert bool(found.disturbance) == protocol.startswith("disturbed")
 
 
@@ -135,6 +137,112 @@ def test_growing_wear_is_of_one_machine() -> None:
     assert sizes[-1] == pytest.approx(600e-6)
     assert all(low < high for low, high in pairwise(sizes))
     assert len({each.speed for each in series}) == GROWN
+
+
+def lives(machine: str, numbers: range) -> list[list[Individual]]:
+    """Every third visit of lives."""
+    return [
+        [of(machine, "lives", (life - 1) * VISITS + visit) for visit in range(1, VISITS + 1, 3)] for life in numbers
+    ]
+
+
+def test_a_life_is_of_one_machine_that_wears_and_never_heals_unless_repaired() -> None:
+    worn_joints = []
+    for visits in lives("slider-crank", range(1, 6)):
+        notes = [each.notes["life"] for each in visits]
+        assert len({each["number"] for each in notes}) == 1
+        times = [each["measured_at"] for each in notes]
+        assert times == sorted(times)
+        assert len({each.machine.bodies["frame"].mass for each in visits}) == 1
+        assert len({each.speed for each in visits}) == len(visits)
+        for joint in visits[0].clearances:
+            course = [each.clearances[joint] for each in visits]
+            assert 3e-6 <= course[0] <= 15e-6
+            falls = sum(later < earlier for earlier, later in pairwise(course))
+            assert falls <= (joint in notes[0]["laws"])  # none but by the one repair
+        worn_joints.append(len(notes[0]["laws"]))
+    assert sorted(worn_joints) == [0, 1, 1, 2, 3]
+
+
+def test_the_file_of_a_visit_says_when_it_was_made(tmp_path: Path) -> None:
+    name, _ = recording.write(read("slider-crank"), "lives", 2, 1, tmp_path)
+    said = json.loads(str(np.load(tmp_path / f"{name}.npz")["attributes"]))
+    assert said == {"measured_at": json.loads((tmp_path / "truth.json").read_text())[name]["life"]["measured_at"]}
+
+
+def test_what_else_befalls_a_machine_in_its_life() -> None:
+    """A repair with what was found before it, a mount that loosens, sensors that move, files late and twice."""
+    machine = read("slider-crank")
+    drawn = []
+    for number in range(1, 13):
+        individual = drawn_individual(machine, recording.stream("individual", number))
+        drawn.append(drawn_life(individual, number, recording.stream("life", number)))
+    for life in drawn:
+        for visit, joint in life.repairs.items():
+            assert life.clearances[joint][visit - 1] > 75e-6
+            assert 3e-6 <= life.clearances[joint][visit] <= 15e-6
+            if visit in life.findings:
+                found = life.findings[visit]
+                assert found.joint == joint
+                assert life.at[visit - 1] <= found.at < life.at[visit]
+                assert found.measured == pytest.approx(life.clearances[joint][visit - 1], rel=0.25)
+        assert set(life.arrivals) == set(range(VISITS))
+        assert life.stiffness[0] == 1.0
+        assert life.stiffness[-1] == pytest.approx(0.5 if life.mount >= 0 else 1.0)
+    assert sum(bool(life.repairs) for life in drawn) >= 4
+    assert any(life.findings for life in drawn)
+    assert sum(life.mount >= 0 for life in drawn) == 4
+    assert any(life.moved < VISITS for life in drawn)
+    assert any(life.arrivals != sorted(life.arrivals) for life in drawn)
+    assert any(len(life.arrivals) > VISITS for life in drawn)
+
+
+def test_laws_of_wear_rise_from_nothing_to_all_of_it() -> None:
+    age = np.linspace(0, 1, 101)
+    for name, law in LAWS.items():
+        part = law(age, recording.stream(name))
+        assert (part[0], part[-1]) == (pytest.approx(0.0, abs=1e-12), pytest.approx(1.0, abs=1e-6))
+        assert (np.diff(part) >= 0).all()
+
+
+def test_model_errors_are_of_the_machine() -> None:
+    """All visits have the same ones, and there are none unless they are asked for."""
+    first, later = (
+        individual_of(
+            read("slider-crank"),
+            "lives",
+            number,
+            lambda *parts: recording.stream(1, "slider-crank", "lives", *parts),
+            model_errors=True,
+        )
+        for number in (1, 2)
+    )
+    assert first.notes["load_n"] == later.notes["load_n"]
+    assert first.chain.gains == later.chain.gains
+    assert len(first.ripple) == 2
+    assert not of("slider-crank", "lives").ripple
+
+
+@pytest.mark.parametrize("machine", ["slider-crank", "four-bar"])
+def test_joints_are_held_shut_by_the_first_load_and_not_by_the_second(machine: str) -> None:
+    """Above 300 Hz, with noise of 0.1 m/s2: measured 0 to 3 dB more than a sound machine, and 8 dB and more."""
+
+    def loudness(individual: Individual) -> float:
+        made = run(replace(individual, revolutions=6.0), recording.stream("held"))
+        total = 0.1**2
+        fine = point_accelerations(individual.machine, made.motion, FINE_RATE)
+        for signal in fine.values():
+            kept = decimated(signal)[200:-200]
+            power = np.abs(np.fft.rfft(kept * np.hanning(len(kept)))) ** 2 / len(kept) ** 2 / 0.1875
+            total += power[np.fft.rfftfreq(len(kept), 1 / RATE) > 300].sum() / len(fine)
+        return 10 * math.log10(total)
+
+    for held in (True, False):
+        individual = of(machine, "held-shut", 1 if held else 2)
+        assert len(individual.worn) == 1
+        sound = replace(individual, clearances={**individual.clearances, **dict.fromkeys(individual.worn, 8e-6)})
+        added = loudness(individual) - loudness(sound)
+        assert added < 4.0 if held else added > 6.0
 
 
 def test_before_is_the_same_machine_in_order_on_another_day() -> None:
