@@ -255,6 +255,43 @@ class BaselineShown(_Frozen):
     gains: Mapping[str, FittedNumber]
 
 
+class LevelSince(_Frozen):
+    """A level that is not as it was in recordings of the machine in order.
+
+    Attributes
+    ----------
+    channel : str
+        "x", "y", "theta" or a sensor.
+    low_order, high_order : float
+        Edges of its band, in orders of the drive.
+    difference_db : float
+        How much higher it is than it was, the speeds of both allowed for.
+    usual_db : float
+        Standard deviation of that where nothing has changed.
+    """
+
+    channel: str
+    low_order: float
+    high_order: float
+    difference_db: float
+    usual_db: Annotated[float, Field(gt=0.0)]
+
+
+class PastShown(_Frozen):
+    """A recording beside the machine's own past.
+
+    Attributes
+    ----------
+    p_value : float
+        Share of pairs of recordings of a machine in order that differ by as much.
+    changed : tuple of LevelSince
+        Levels that differ by more than three of their standard deviations, the farthest first, five at most.
+    """
+
+    p_value: Annotated[float, Field(ge=0.0, le=1.0)]
+    changed: tuple[LevelSince, ...]
+
+
 class Suggestion(_Frozen):
     """One thing that could be done to tell the first hypotheses apart, and what it would bring.
 
@@ -401,6 +438,8 @@ class Answer(_Frozen):
     evidence: Evidence
     baseline: BaselineShown | None
     """What a recording of the machine in order said; null without one."""
+    past: PastShown | None = None
+    """How the recording differs from that one as such; null without one, or where it is by other sensors."""
     suggestions: tuple[Suggestion, ...]
     """What would tell the first hypotheses apart, the best first."""
     recordings: tuple[RecordingShare, ...] = ()

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jointplay.catalogue.diagnosing.answer import BaselineShown, FittedNumber
+from jointplay.catalogue.diagnosing.answer import FittedNumber
 from jointplay.catalogue.diagnosing.baseline_levels import GAIN_SCATTER, LevelStatistics, OrderLevels, class_statistics
 from jointplay.catalogue.diagnosing.healthy_machine import STEP, HealthyMachine, Motion, quantities
 from jointplay.catalogue.errors import DiagnosisError
@@ -345,33 +345,3 @@ def _answer(levels: OrderLevels, model: HealthyMachine, fit: BaselineFit) -> Bas
         simulations=model.simulations,
         paths={quantity.name: quantity.paths for quantity in model.quantities},
     )
-
-
-@dataclass(frozen=True)
-class KnownMachine:
-    """What was fitted to a recording of the machine in order, and the checksum of that recording."""
-
-    baseline: Baseline
-    sha256: str
-
-    def weights(self, catalogue: Catalogue) -> FloatArray | None:
-        """Return how much each entry of a catalogue is of this machine; None where all count the same."""
-        if not self.baseline.explained:
-            return None
-        matrix = catalogue.matrix
-        paths = [path for group in self.baseline.paths.values() for path in group]
-        rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
-        return self.baseline.weights(matrix.numbers(paths), rows)
-
-    def describe(self) -> BaselineShown:
-        """Return it as the answer shows it."""
-        found = self.baseline
-        return BaselineShown(
-            measurement=found.name,
-            measurement_sha256=self.sha256,
-            used=found.explained,
-            p_before=found.p_before,
-            p_after=found.p_after,
-            numbers=found.numbers,
-            gains=found.gains,
-        )

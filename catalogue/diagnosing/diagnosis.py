@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
-from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.hearing import hear
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.matching.matcher import MatchResult
@@ -49,7 +49,8 @@ def diagnose(
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
     baseline : Recording, optional
-        Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors.
+        Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors,
+        and is what the recording is compared with as such.
     library : ModelLibrary, optional
         Answers, and keeps what was learned for the next recording; the catalogue's own unless given. One of another
         method is a :class:`jointplay.catalogue.evaluation.cross_checks.MethodLibrary`.
@@ -71,7 +72,7 @@ def diagnose(
     known = None
     if baseline is not None:
         in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)
-        known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
+        known = KnownMachine.of(in_order, baseline.sha256, catalogue)
     shown, _ = answer(
         prepared,
         measurement.sha256,

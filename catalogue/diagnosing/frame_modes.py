@@ -96,7 +96,7 @@ def find_mode(prepared: PreparedMeasurement, catalogue: Catalogue) -> NamedCause
         return None
     sensing = exact_sensing(prepared)
     edges = np.array(catalogue.matrix.edges) * (abs(prepared.drive_speed) / (2.0 * math.pi))
-    kinds = [_levels(catalogue, rows, sensing, edges) for rows in _kinds(catalogue)]
+    kinds = [_levels(catalogue, rows, sensing, edges) for rows in _kinds(catalogue, prepared.drive_speed)]
     if not kinds:
         return None
     measured = features_of(prepared, sensing)[: sensing.noise.size]
@@ -160,8 +160,8 @@ def _levels(catalogue: Catalogue, rows: IntArray, sensing: Sensing, edges: Float
     return KnownLevels.of(drawn[:, : sensing.noise.size], len(rows))
 
 
-def _kinds(catalogue: Catalogue) -> list[IntArray]:
-    """Rows of machines in order: of those with play, and of those without any, which lie far from them."""
-    rows = catalogue.matrix.rows("healthy", "trusted")
+def _kinds(catalogue: Catalogue, speed: float) -> list[IntArray]:
+    """Rows of machines in order at about a speed: of those with play, and of those without, which lie far from them."""
+    rows = catalogue.matrix.rows("healthy", "trusted", speed=speed)
     has_play = np.any(np.nan_to_num(catalogue.matrix.clearance(rows)) > 0.0, axis=1)
     return [kind for kind in (rows[has_play], rows[~has_play]) if len(kind) >= LEAST_ENTRIES]

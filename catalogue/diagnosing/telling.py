@@ -139,6 +139,7 @@ def tell(
         "goodness_of_fit": GoodnessOfFit(p_value=heard.p_value),
         "evidence": evidence(prepared, result.best, heard.feature[: heard.sensing.noise.size], rival_of(result)),
         "baseline": known.describe() if known else None,
+        "past": heard.past.describe() if heard.past else None,
         "suggestions": suggestions,
         "recordings": tuple(recordings),
         "warnings": tuple(dict.fromkeys(told)),

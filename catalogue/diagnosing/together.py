@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis, EffortSpent, RecordingShare
-from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.hearing import Heard, hear
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause
@@ -109,7 +109,7 @@ def diagnose_together(
     known = None
     if baseline is not None:
         in_order = prepare(baseline, catalogue.machine, own(baseline), None, *scale)
-        known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
+        known = KnownMachine.of(in_order, baseline.sha256, catalogue)
     shelf = library or library_of(catalogue)
     heard = []
     for recording, speed in different:

@@ -123,6 +123,7 @@ def test_json_has_the_documented_shape(worn: Diagnosis, small_catalogue: Catalog
         "mode",
         "effort_spent",
         "baseline",
+        "past",
         "suggestions",
         "provenance",
         "hash",
