@@ -193,7 +193,7 @@ def _since(result: Answer) -> str:
         return ""
     first = past.changed[0]
     low, high = round(first.low_order + 0.5), round(first.high_order - 0.5)
-    band = f"order {low}" if low >= high else f"orders {low} to {high}"
+    band = f"order {low}" if low >= high else f"the band of orders {low} to {high}"
     size = f"{first.difference_db:+.1f} dB".replace("-", "−")
     return (
         f"Beside the baseline, {band} in {first.channel} is off by {size} (usually {first.usual_db:.2g} dB),"

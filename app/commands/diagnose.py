@@ -87,9 +87,12 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--baseline",
+    "baselines",
     type=click.Path(path_type=Path),
+    multiple=True,
     metavar="FILE",
-    help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains.",
+    help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains, and shows what"
+    " has changed since; may be repeated.",
 )
 @file_options
 @click.option(
@@ -115,7 +118,7 @@ def command(
     priors: Sequence[tuple[str, str]],
     worn: float,
     another: float,
-    baseline: Path | None,
+    baselines: Sequence[Path],
     mapping: Sequence[tuple[str, str]],
     profile: Path | None,
     plot: Path | None,
@@ -147,10 +150,11 @@ def command(
         read_recording(measurement, **told_too, profile=with_options(profile_of(measurement, profile), said))
         for measurement in measurements
     ]
-    in_order = None
-    if baseline is not None:
-        shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
-        in_order = read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
+    shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
+    in_order = [
+        read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
+        for baseline in baselines
+    ]
     diagnosis = diagnose_together(
         recordings,
         opened,

@@ -231,13 +231,22 @@ class FittedNumber(_Frozen):
     scatter: float
 
 
+class BaselineRecording(_Frozen):
+    """A recording of the machine in order: name, and checksum of its bytes."""
+
+    measurement: str
+    measurement_sha256: str
+
+
 class BaselineShown(_Frozen):
-    """What a recording of the machine in order said of machine and sensors.
+    """What recordings of the machine in order said of machine and sensors.
 
     Attributes
     ----------
     measurement, measurement_sha256 : str
-        Name of that recording, and checksum of its bytes.
+        Name of that recording, and checksum of its bytes; of several, of the first.
+    further : tuple of BaselineRecording
+        The others.
     used : bool
         Whether a machine in order explains it; nothing of it is used otherwise.
     p_before, p_after : float
@@ -253,6 +262,7 @@ class BaselineShown(_Frozen):
     p_after: float
     numbers: Mapping[str, FittedNumber]
     gains: Mapping[str, FittedNumber]
+    further: tuple[BaselineRecording, ...] = ()
 
 
 class LevelSince(_Frozen):

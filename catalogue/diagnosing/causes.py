@@ -208,8 +208,8 @@ def _score(
         if rank < SEARCHED:
             numbers, found = better[rank]
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
-        left = (found - count) / max(none - count, 1.0)
-        named = gain >= least_gain and found - count <= MOST_LEFT * (none - count)
+        left = (found - count) / max(misfit.none - count, 1.0)
+        named = gain >= least_gain and left <= MOST_LEFT
         if gain >= least_gain and not named:
             in_order = misfit.in_order() if in_order is None else in_order
             named = share_beyond(found, in_order) >= EXPLAINED

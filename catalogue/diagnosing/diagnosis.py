@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.hearing import hear
-from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine, recordings_in_order
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.matching.matcher import MatchResult
@@ -31,7 +31,7 @@ def diagnose(
     coverage: float = 0.95,
     cases: int = 2304,
     prior: Prior | None = None,
-    baseline: Recording | None = None,
+    baseline: Recording | Sequence[Recording] | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
     """Say which joints are worn, by how much, and how sure that is.
@@ -48,9 +48,9 @@ def diagnose(
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
-    baseline : Recording, optional
-        Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors,
-        and is what the recording is compared with as such.
+    baseline : Recording or sequence of Recording, optional
+        Recordings of the same machine in order by the same sensors: they fit what is uncertain about machine and
+        sensors, and are what the recording is compared with as such.
     library : ModelLibrary, optional
         Answers, and keeps what was learned for the next recording; the catalogue's own unless given. One of another
         method is a :class:`jointplay.catalogue.evaluation.cross_checks.MethodLibrary`.
@@ -70,9 +70,9 @@ def diagnose(
     scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
     prepared = prepare(measurement, catalogue.machine, mapping, speed, *scale)
     known = None
-    if baseline is not None:
-        in_order = prepare(baseline, catalogue.machine, mapping, None, *scale)
-        known = KnownMachine.of(in_order, baseline.sha256, catalogue)
+    if in_order := recordings_in_order(baseline):
+        past = {sha256: prepare(each, catalogue.machine, mapping, None, *scale) for sha256, each in in_order.items()}
+        known = KnownMachine.of(past, catalogue)
     shown, _ = answer(
         prepared,
         measurement.sha256,

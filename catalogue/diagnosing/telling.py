@@ -113,7 +113,7 @@ def tell(
                 prior.model_dump(mode="json"),
                 # What a sender has said of the file: units, sensitivities, a full scale.
                 list(prepared.notes),
-                known and [known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
+                known and [*known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
                 *said,
             ]
         )[:32],

@@ -36,6 +36,9 @@ if the robust mode has this p-value."""
 OTHERWISE_BELOW = 0.005
 """P-value of a recording beside the machine's own past below which it is not as it was."""
 
+AS_BEFORE = 0.1
+"""The same from which on it is as it was: then no cause is looked for beside other machines."""
+
 NAMED_ABOVE = 0.8
 """Probability from which on a cause is what has changed."""
 
@@ -45,17 +48,12 @@ def needs_cause(result: MatchResult) -> bool:
     return result.trusted_p_value is not None and result.trusted_p_value < CHANGED_BELOW
 
 
-def was_otherwise(past: PastComparison | None) -> bool:
-    """Whether the machine is not as it was in recordings of it in order."""
-    return past is not None and past.p_value < OTHERWISE_BELOW
-
-
 def judge(
     result: MatchResult,
     coverage: float,
     causes: Sequence[NamedCause] = (),
     flaws: Sequence[SensorContradiction] = (),
-    past: PastComparison | None = None,
+    p_since: float = 1.0,
 ) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
@@ -63,9 +61,9 @@ def judge(
     cause explains it. Below :data:`UNKNOWN_BELOW`, or where the set is empty, the verdict is unknown, unless a cause
     other than play was found. A machine that is not as its file says (:func:`needs_cause`) is never in order, and worn
     only where nothing else is found and that is nearly sure; one that could be as filed, but has a cause, is not in
-    order either, and neither is one that is not as it was (:func:`was_otherwise`). What is neither nearly surely worn,
-    nor in order rather than not, is unknown where the machine is doubted. So is what sensors say that are not what the
-    file says of them.
+    order either, and neither is one that is not as it was: beside its own past it has a p-value `p_since` below
+    :data:`OTHERWISE_BELOW`, or a cause explains the difference. What is neither nearly surely worn, nor in order rather
+    than not, is unknown where the machine is doubted. So is what sensors say that are not what the file says of them.
     """
     p_value = result.p_value_within(coverage)
     if flaws:
@@ -85,7 +83,8 @@ def judge(
         return p_value, "unknown"
     if not in_order:
         return p_value, "worn"
-    return p_value, "changed" if was_otherwise(past) or any(cause.since for cause in causes) else "in_order"
+    was_otherwise = p_since < OTHERWISE_BELOW or any(cause.since for cause in causes)
+    return p_value, "changed" if was_otherwise else "in_order"
 
 
 def find_causes(
@@ -95,8 +94,12 @@ def find_causes(
 
     What has changed since recordings of the machine in order is told by these, if it explains the difference.
     """
-    if past is not None and result.p_worn <= 0.5 and (changes := name_changes(past.expected, catalogue)):
-        return changes
+    if past is not None and result.p_worn <= 0.5:
+        if changes := name_changes(past.expected, catalogue):
+            return changes
+        if past.p_value >= AS_BEFORE and not needs_cause(result):
+            # What tells it from other machines it had when it was in order.
+            return ()
     speed = prepared.drive_speed
     worn = [(match.label, _nearest(catalogue, match, speed)) for match in result.hypotheses[:1] if match.joints]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
