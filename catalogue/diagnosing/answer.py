@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
+from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineShown, Frozen, PastShown
 from jointplay.catalogue.matching.modes import Effort, Mode, ModeAsked
 from jointplay.catalogue.signals.recipe_steps import RecipeStep
 
@@ -15,18 +16,14 @@ Bound = Literal["none", "at_least", "at_most"]
 Condition = Literal["worn", "in_order", "open"]
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class JointClearance(_Frozen):
+class JointClearance(Frozen):
     """Radial clearance of one joint: median and central 90 % interval, micrometres."""
 
     clearance_um: float
     interval_um: tuple[float, float]
 
 
-class JointState(_Frozen):
+class JointState(Frozen):
     """What a recording says of one joint, whatever the others are like.
 
     Attributes
@@ -58,7 +55,7 @@ class JointState(_Frozen):
     detectable_from_um: float | None
 
 
-class Cause(_Frozen):
+class Cause(Frozen):
     """Something other than play that would make such a recording.
 
     Attributes
@@ -78,7 +75,7 @@ class Cause(_Frozen):
     probability: Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class SensorFlaw(_Frozen):
+class SensorFlaw(Frozen):
     """What is wrong with sensors.
 
     Attributes
@@ -94,7 +91,7 @@ class SensorFlaw(_Frozen):
     said: str
 
 
-class RankedHypothesis(_Frozen):
+class RankedHypothesis(Frozen):
     """One explanation.
 
     Attributes
@@ -115,7 +112,7 @@ class RankedHypothesis(_Frozen):
     distance_db: Annotated[float, Field(ge=0.0)]
 
 
-class GoodnessOfFit(_Frozen):
+class GoodnessOfFit(Frozen):
     """Whether a likely hypothesis explains the recording: share of its own simulated recordings that fit it worse.
 
     Of the candidate set's hypothesis that fits best, which need not be the most probable one.
@@ -124,7 +121,7 @@ class GoodnessOfFit(_Frozen):
     p_value: Annotated[float, Field(gt=0.0, le=1.0)]
 
 
-class BandEvidence(_Frozen):
+class BandEvidence(Frozen):
     """One compared level.
 
     Attributes
@@ -155,7 +152,7 @@ class BandEvidence(_Frozen):
     favours_best: float | None = None
 
 
-class Evidence(_Frozen):
+class Evidence(Frozen):
     """Measured against predicted levels under the best hypothesis: single orders, and bands above them.
 
     Attributes
@@ -170,7 +167,7 @@ class Evidence(_Frozen):
     rival: str | None = None
 
 
-class ModeUsed(_Frozen):
+class ModeUsed(Frozen):
     """How far the model of the machine was believed.
 
     Attributes
@@ -187,7 +184,7 @@ class ModeUsed(_Frozen):
     trusted_p_value: float | None
 
 
-class PriorUsed(_Frozen):
+class PriorUsed(Frozen):
     """What was held likely before the recording.
 
     Attributes
@@ -208,7 +205,7 @@ class PriorUsed(_Frozen):
     numbers: tuple[float, ...]
 
 
-class EffortSpent(_Frozen):
+class EffortSpent(Frozen):
     """What was computed for this answer alone, besides comparing with the catalogue.
 
     Attributes
@@ -224,85 +221,7 @@ class EffortSpent(_Frozen):
     note: str
 
 
-class FittedNumber(_Frozen):
-    """What a baseline says of a number: factor on what it should be, and standard deviation of its logarithm."""
-
-    factor: float
-    scatter: float
-
-
-class BaselineRecording(_Frozen):
-    """A recording of the machine in order: name, and checksum of its bytes."""
-
-    measurement: str
-    measurement_sha256: str
-
-
-class BaselineShown(_Frozen):
-    """What recordings of the machine in order said of machine and sensors.
-
-    Attributes
-    ----------
-    measurement, measurement_sha256 : str
-        Name of that recording, and checksum of its bytes; of several, of the first.
-    further : tuple of BaselineRecording
-        The others.
-    used : bool
-        Whether a machine in order explains it; nothing of it is used otherwise.
-    p_before, p_after : float
-        Share of simulated machines in order that fit worse: with the numbers of the machine file, and as fitted.
-    numbers, gains : mapping of str to FittedNumber
-        By path as in a plan ("frame.mass"), and by sensor.
-    """
-
-    measurement: str
-    measurement_sha256: str
-    used: bool
-    p_before: float
-    p_after: float
-    numbers: Mapping[str, FittedNumber]
-    gains: Mapping[str, FittedNumber]
-    further: tuple[BaselineRecording, ...] = ()
-
-
-class LevelSince(_Frozen):
-    """A level that is not as it was in recordings of the machine in order.
-
-    Attributes
-    ----------
-    channel : str
-        "x", "y", "theta" or a sensor.
-    low_order, high_order : float
-        Edges of its band, in orders of the drive.
-    difference_db : float
-        How much higher it is than it was, the speeds of both allowed for.
-    usual_db : float
-        Standard deviation of that where nothing has changed.
-    """
-
-    channel: str
-    low_order: float
-    high_order: float
-    difference_db: float
-    usual_db: Annotated[float, Field(gt=0.0)]
-
-
-class PastShown(_Frozen):
-    """A recording beside the machine's own past.
-
-    Attributes
-    ----------
-    p_value : float
-        Share of pairs of recordings of a machine in order that differ by as much.
-    changed : tuple of LevelSince
-        Levels that differ by more than three of their standard deviations, the farthest first, five at most.
-    """
-
-    p_value: Annotated[float, Field(ge=0.0, le=1.0)]
-    changed: tuple[LevelSince, ...]
-
-
-class Suggestion(_Frozen):
+class Suggestion(Frozen):
     """One thing that could be done to tell the first hypotheses apart, and what it would bring.
 
     Attributes
@@ -330,7 +249,7 @@ class Suggestion(_Frozen):
     error: float
 
 
-class RecordingShare(_Frozen):
+class RecordingShare(Frozen):
     """What one of several recordings has contributed to a common answer.
 
     Attributes
@@ -371,7 +290,7 @@ class RecordingShare(_Frozen):
     left_out: str = ""
 
 
-class MatcherIdentity(_Frozen):
+class MatcherIdentity(Frozen):
     """Which method matched, and the SHA-256 of the network whose opinion counted, where there is one."""
 
     name: str
@@ -379,7 +298,7 @@ class MatcherIdentity(_Frozen):
     network: str | None = None
 
 
-class Provenance(_Frozen):
+class Provenance(Frozen):
     """Everything that determined the answer.
 
     Attributes
@@ -405,7 +324,7 @@ class Provenance(_Frozen):
     recipe: tuple[RecipeStep, ...]
 
 
-class Answer(_Frozen):
+class Answer(Frozen):
     """What a recording says of a machine."""
 
     model_config = ConfigDict(use_attribute_docstrings=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jointplay.catalogue.diagnosing.answer import FittedNumber
+from jointplay.catalogue.diagnosing.answer_of_baseline import FittedNumber
 from jointplay.catalogue.diagnosing.baseline_fit import BaselineFit, fit_numbers
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
 from jointplay.catalogue.diagnosing.healthy_machine import HealthyMachine, quantities

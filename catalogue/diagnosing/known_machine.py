@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from jointplay.catalogue.diagnosing.answer import BaselineRecording, BaselineShown
+from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineRecording, BaselineShown
 from jointplay.catalogue.diagnosing.baseline import Baseline, fit_baseline
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.errors import DiagnosisError

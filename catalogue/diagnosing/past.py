@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointplay.catalogue.diagnosing.answer import LevelSince, PastShown
+from jointplay.catalogue.diagnosing.answer_of_baseline import LevelSince, PastShown
 from jointplay.catalogue.diagnosing.baseline_levels import (
     LEAST_ENTRIES,
     LevelStatistics,
