@@ -197,11 +197,12 @@ class Service:
             return [self.store.measurement(request.measurement)]
         if request.speed not in (None, ""):
             raise BadFieldError(f"speed: {request.speed}: is for one measurement alone", field="speed")
-        known = None if asset is None or asset.baseline is None else self.store.measurement(asset.baseline)
+        in_order = () if asset is None else asset.in_order
+        known = {self.store.measurement(key).sha256 for key in in_order}
         if request.measurements is not None:
             named = [self.store.measurement(key) for key in request.measurements]
             for row in named:
-                if known is not None and row.sha256 == known.sha256:
+                if row.sha256 in known:
                     said = f"measurements: {row.id}: is the baseline that the others are compared with"
                     raise BadFieldError(said, field="measurements")
             return named
@@ -211,7 +212,7 @@ class Service:
         window = (request.since, request.until)
         rows = self.store.measurements_between(measurements_of(asset.external_id), *window, MOST_TOGETHER + 2)
         # What the others are compared with is no evidence of the present state.
-        rows = [row for row in rows if known is None or row.sha256 != known.sha256]
+        rows = [row for row in rows if row.sha256 not in known]
         if not 1 <= len(rows) <= MOST_TOGETHER:
             count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
             raise BadFieldError(
@@ -230,10 +231,10 @@ class Service:
         speed = speed_of(request.speed)
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
-        baseline = None if asset is None else self.baseline_of(asset, request.measurement)
+        baselines = () if asset is None else self.baselines_of(asset, request.measurement)
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
-        question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baseline)
+        question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baselines)
         return Asked(offer, asset, question)
 
     def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Diagnosis) -> NewDiagnosis:
@@ -266,12 +267,10 @@ class Service:
             raise BadFieldError(said, field="asset")
         return found
 
-    def baseline_of(self, asset: AssetRow, measurement: str | None) -> tuple[str, str, Told] | None:
-        """Return where the baseline of an asset lies and how to read it; none for the baseline itself."""
-        if asset.baseline is None or asset.baseline == measurement:
-            return None
-        row = self.store.measurement(asset.baseline)
-        return str(self.store.path_of(row.sha256)), row.name, row.told
+    def baselines_of(self, asset: AssetRow, measurement: str | None) -> tuple[tuple[str, str, Told], ...]:
+        """Return where the baselines of an asset lie and how to read them, without the measurement itself."""
+        rows = [self.store.measurement(key) for key in asset.in_order if key != measurement]
+        return tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows)
 
     def announce(
         self, session: Session, diagnosis: str, measurements: Sequence[str], asset: AssetRow | None, result: Diagnosis

@@ -190,7 +190,23 @@ def remarks(result: Answer) -> list[str]:
     flaws = sensor_sentences(result)
     if result.verdict == "unknown":
         flaws = flaws[1:]
-    return [said for said in (limit_sentence(result), causes_sentence(result), _reserve(result), *flaws) if said]
+    told = (limit_sentence(result), causes_sentence(result), _since(result), _reserve(result), *flaws)
+    return [said for said in told if said]
+
+
+def _since(result: Answer) -> str:
+    """How the machine is not as it was, where that is the verdict."""
+    past = result.past
+    if past is None or result.verdict != "changed" or not past.changed:
+        return ""
+    first = past.changed[0]
+    low, high = round(first.low_order + 0.5), round(first.high_order - 0.5)
+    band = f"order {low}" if low >= high else f"the band of orders {low} to {high}"
+    size = f"{first.difference_db:+.1f} dB".replace("-", "−")
+    return (
+        f"Beside the baseline, {band} in {first.channel} is off by {size} (usually {first.usual_db:.2g} dB),"
+        f" p = {past.p_value:.2g}."
+    )
 
 
 def _reserve(result: Answer) -> str:

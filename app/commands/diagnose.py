@@ -90,9 +90,12 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--baseline",
+    "baselines",
     type=click.Path(path_type=Path),
+    multiple=True,
     metavar="FILE",
-    help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains.",
+    help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains, and shows what"
+    " has changed since; may be repeated.",
 )
 @file_options
 @click.option(
@@ -118,7 +121,7 @@ def command(
     priors: Sequence[tuple[str, str]],
     worn: float,
     another: float,
-    baseline: Path | None,
+    baselines: Sequence[Path],
     mapping: Sequence[tuple[str, str]],
     profile: Path | None,
     plot: Path | None,
@@ -142,10 +145,11 @@ def command(
     recordings, said = read_measurements(measurements, told, profile, speeds)
     sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
-    in_order = None
-    if baseline is not None:
-        shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
-        in_order = read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
+    shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
+    in_order = [
+        read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
+        for baseline in baselines
+    ]
     diagnosis = diagnose_together(
         recordings,
         opened,

@@ -41,8 +41,8 @@ class DiagnosisTask:
         Column to sensor.
     prior : Mapping
         Numbers of :class:`~jointplay.catalogue.matching.prior.Prior`.
-    baseline : tuple, optional
-        Path, name and what is told of a recording of the machine in order.
+    baselines : tuple
+        Path, name and what is told of every recording of the machine in order.
     """
 
     catalogue: str
@@ -52,7 +52,7 @@ class DiagnosisTask:
     mode: ModeAsked
     mapping: Mapping[str, str]
     prior: Mapping[str, Any]
-    baseline: tuple[str, str, Told] | None = None
+    baselines: tuple[tuple[str, str, Told], ...] = ()
 
 
 def summarise(path: str, name: str, told: Told) -> dict[str, Any]:
@@ -132,7 +132,7 @@ def _asked(question: DiagnosisTask) -> dict[str, Any]:
         "mode": question.mode,
         "mapping": question.mapping or None,
         "prior": Prior(**question.prior),
-        "baseline": None if question.baseline is None else in_order(*question.baseline),
+        "baseline": [in_order(*each) for each in question.baselines],
     }
 
 

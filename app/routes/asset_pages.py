@@ -90,6 +90,9 @@ async def change(request: Request, external_id: str) -> Response:
         row = await run_in_threadpool(found.asset, external_id)
         given.update(await plain_form(request))
         _, wanted = check_form({**given, "external_id": external_id, "machine": row.machine})
+        if wanted.baseline is not None and wanted.baseline == row.baseline:
+            # The page chooses the first; those that came besides by the interface stay with it.
+            wanted = wanted.model_copy(update={"baselines": list(row.in_order)})
         await run_in_threadpool(check_baseline, service, wanted)
         await run_in_threadpool(found.put, external_id, wanted)
     except REFUSALS as error:
@@ -195,13 +198,12 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     own = store.measurements(None, SHOWN, measurements_of(external_id))
     own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
-    baseline = None if row.baseline is None else store.measurement(row.baseline)
-    if baseline is not None and baseline.id not in {each.id for each in recordings}:
-        recordings.append(baseline)
+    baselines = [store.measurement(key) for key in row.in_order]
+    recordings += [each for each in baselines[:1] if each.id not in {one.id for one in recordings}]
     findings = found.findings(None, SHOWN + 1, only={"asset": external_id})
     return {
         "asset": asset_item(row),
-        "baseline": None if baseline is None else baseline.name,
+        "baseline": ", ".join(each.name for each in baselines),
         "recordings": [(each.id, f"{each.name}, {spell_moment(each.measured_at)}") for each in recordings],
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,

@@ -27,7 +27,7 @@ CREATED: dict[int | str, dict[str, Any]] = {201: {"model": AssetOut, "descriptio
 
 @router.put("/{external_id}", responses={**CREATED, **problems(400, 413, 415, 422)}, dependencies=[Depends(json_body)])
 def put(request: Request, response: Response, external_id: ExternalId, wanted: AssetIn) -> AssetOut:
-    """Say which machine an asset is, what to note of it, and its baseline; what is left out is emptied."""
+    """Say which machine an asset is, what to note of it, and its baselines; what is left out is emptied."""
     service = of_request(request)
     check_baseline(service, wanted)
     row, new = Assets(service.store.database).put(external_id, wanted)
@@ -74,16 +74,20 @@ def own(request: Request, external_id: ExternalId, measurement: str) -> None:
 
 
 def check_baseline(service: Service, wanted: AssetIn) -> None:
-    """Refuse a baseline that is no stored recording over time."""
-    if wanted.baseline is None:
-        return
-    try:
-        measured = service.store.measurement(wanted.baseline)
-    except UnknownMeasurementError as error:
-        raise BadFieldError(f"baseline: {error}", field="baseline") from None
-    if measured.summary.get("kind") == "spectrum":
-        rule = "is a spectrum; a baseline has to be a recording over time"
-        raise BadFieldError(f"baseline: {measured.id}: {rule}", field="baseline")
+    """Refuse baselines that are no stored recordings over time."""
+    field = "baselines" if wanted.baselines else "baseline"
+    if wanted.baseline not in (None, *wanted.baselines[:1]) and wanted.baselines:
+        raise BadFieldError(
+            f"baseline: {wanted.baseline}: must be the first of baselines, or left out", field="baseline"
+        )
+    for key in wanted.in_order:
+        try:
+            measured = service.store.measurement(key)
+        except UnknownMeasurementError as error:
+            raise BadFieldError(f"{field}: {error}", field=field) from None
+        if measured.summary.get("kind") == "spectrum":
+            rule = "is a spectrum; a baseline has to be a recording over time"
+            raise BadFieldError(f"{field}: {measured.id}: {rule}", field=field)
 
 
 def asset_out(row: AssetRow) -> AssetOut:
@@ -93,6 +97,7 @@ def asset_out(row: AssetRow) -> AssetOut:
         machine=row.machine,
         notes=row.notes,
         baseline=row.baseline,
+        baselines=list(row.in_order),
         created_at=row.created_at,
         updated_at=row.updated_at,
     )

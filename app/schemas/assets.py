@@ -9,6 +9,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from jointplay.app.schemas.resources import Page, Shape
 from jointplay.app.words import Moment
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 
 EXTERNAL_ID = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,127}$"
 TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f]*$"  # a database takes no NUL, and nobody wants the others
@@ -39,6 +40,20 @@ class AssetIn(Shape):
             description="Id of a measurement of it in order; every diagnosis of the asset uses it.",
         ),
     ]
+    baselines: Annotated[
+        list[Annotated[str, Field(max_length=64)]],
+        Field(
+            default=[],
+            max_length=MOST_TOGETHER,
+            description="Ids of several such measurements; `baseline` is then the first, or left out.",
+        ),
+    ]
+
+    @property
+    def in_order(self) -> tuple[str, ...]:
+        """Ids of its baselines, each once."""
+        given = self.baselines or ([] if self.baseline is None else [self.baseline])
+        return tuple(dict.fromkeys(given))
 
 
 class AssetOut(Shape):
@@ -48,6 +63,7 @@ class AssetOut(Shape):
     machine: str
     notes: str
     baseline: str | None
+    baselines: list[str] = Field(description="All of its baselines, of which `baseline` is the first.")
     created_at: datetime
     updated_at: datetime
 

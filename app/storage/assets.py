@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ForeignKey, Select, String, Text, select
-from sqlalchemy.orm import Mapped, Session, mapped_column
+from sqlalchemy.orm import Mapped, Session, mapped_column, relationship
 
 from jointplay.app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
@@ -31,6 +31,24 @@ class AssetRow(Base):
     baseline: Mapped[str | None] = mapped_column(ForeignKey("measurements.id"))
     created_at: Mapped[datetime]
     updated_at: Mapped[datetime]
+    further: Mapped[list[AssetBaselineRow]] = relationship(
+        order_by="AssetBaselineRow.place", lazy="selectin", cascade="all, delete-orphan"
+    )
+
+    @property
+    def in_order(self) -> tuple[str, ...]:
+        """Ids of its baselines."""
+        return () if self.baseline is None else (self.baseline, *(each.measurement for each in self.further))
+
+
+class AssetBaselineRow(Base):
+    """A baseline of an asset besides its first."""
+
+    __tablename__ = "asset_baselines"
+
+    asset: Mapped[str] = mapped_column(ForeignKey("assets.external_id"), primary_key=True)
+    place: Mapped[int] = mapped_column(primary_key=True)
+    measurement: Mapped[str] = mapped_column(ForeignKey("measurements.id"))
 
 
 class AssetMeasurementRow(Base):
@@ -81,14 +99,15 @@ class Assets:
     def put(self, external_id: str, wanted: AssetIn, *, only_new: bool = False) -> tuple[AssetRow, bool]:
         """Store what is known of an asset; return it, and whether it is new.
 
-        The baseline has to be a stored measurement; the caller has looked.
+        Its baselines have to be stored measurements; the caller has looked.
 
         Raises
         ------
         BadFieldError
             With `only_new`, when there is one of this id.
         """
-        moment, asked = now(), wanted.model_dump()
+        moment, in_order = now(), wanted.in_order
+        asked = {**wanted.model_dump(exclude={"baselines"}), "baseline": in_order[0] if in_order else None}
         first = {"external_id": external_id, "created_at": moment, "updated_at": moment, **asked}
         with self._database.writing() as session:
             # Two that put it at once wait for each other: one makes it, the other finds it.
@@ -100,13 +119,16 @@ class Assets:
                 said = f"external_id: {external_id}: there is an asset of this id already"
                 raise BadFieldError(said, field="external_id")
             row = session.scalars(select(AssetRow).filter_by(external_id=external_id).with_for_update()).one()
-            if any(getattr(row, name) != value for name, value in asked.items()):
+            if row.in_order != in_order or any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():
                     setattr(row, name, value)
+                row.further = [
+                    AssetBaselineRow(place=place, measurement=key) for place, key in enumerate(in_order[1:], 1)
+                ]
                 row.updated_at = moment
             session.flush()
-            if wanted.baseline is not None:
-                self.own_in(session, external_id, wanted.baseline)
+            for measurement in in_order:
+                self.own_in(session, external_id, measurement)
         return row, new
 
     def asset(self, external_id: str) -> AssetRow:

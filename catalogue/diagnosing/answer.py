@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
+from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineShown, Frozen, PastShown
 from jointplay.catalogue.matching.modes import Effort, Mode, ModeAsked
 from jointplay.catalogue.signals.recipe_steps import RecipeStep
 
 Verdict = Literal["worn", "in_order", "changed", "unknown"]
 Bound = Literal["none", "at_least", "at_most"]
 Condition = Literal["worn", "in_order", "open"]
-
-
-class Frozen(BaseModel):
-    """A shape that does not change, with finite numbers and no other members."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class JointClearance(Frozen):
@@ -226,37 +221,6 @@ class EffortSpent(Frozen):
     note: str
 
 
-class FittedNumber(Frozen):
-    """What a baseline says of a number: factor on what it should be, and standard deviation of its logarithm."""
-
-    factor: float
-    scatter: float
-
-
-class BaselineShown(Frozen):
-    """What a recording of the machine in order said of machine and sensors.
-
-    Attributes
-    ----------
-    measurement, measurement_sha256 : str
-        Name of that recording, and checksum of its bytes.
-    used : bool
-        Whether a machine in order explains it; nothing of it is used otherwise.
-    p_before, p_after : float
-        Share of simulated machines in order that fit worse: with the numbers of the machine file, and as fitted.
-    numbers, gains : mapping of str to FittedNumber
-        By path as in a plan ("frame.mass"), and by sensor.
-    """
-
-    measurement: str
-    measurement_sha256: str
-    used: bool
-    p_before: float
-    p_after: float
-    numbers: Mapping[str, FittedNumber]
-    gains: Mapping[str, FittedNumber]
-
-
 class Suggestion(Frozen):
     """One thing that could be done to tell the first hypotheses apart, and what it would bring.
 
@@ -403,6 +367,8 @@ class Answer(Frozen):
     evidence: Evidence
     baseline: BaselineShown | None
     """What a recording of the machine in order said; null without one."""
+    past: PastShown | None = None
+    """How the recording differs from that one as such; null without one, or where it is by other sensors."""
     suggestions: tuple[Suggestion, ...]
     """What would tell the first hypotheses apart, the best first."""
     recordings: tuple[RecordingShare, ...] = ()

@@ -7,169 +7,26 @@ simulations of the healthy machine, and the numbers fitted by damped Gauss-Newto
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from jointplay.catalogue.diagnosing.answer import BaselineShown, FittedNumber
-from jointplay.catalogue.diagnosing.baseline_levels import GAIN_SCATTER, LevelStatistics, OrderLevels, class_statistics
-from jointplay.catalogue.diagnosing.healthy_machine import STEP, HealthyMachine, Motion, quantities
+from jointplay.catalogue.diagnosing.answer_of_baseline import FittedNumber
+from jointplay.catalogue.diagnosing.baseline_fit import BaselineFit, fit_numbers
+from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_statistics
+from jointplay.catalogue.diagnosing.healthy_machine import HealthyMachine, quantities
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import with_filed_suspension
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 
-#: Steps at most from each of the best starts, and the gain in squared distance after which there is none more.
+#: Steps of a fit at most, from each of the best starts.
 MOST_STEPS = 8
-SETTLED = 0.05
-STARTS = 2
-#: Where to begin (ln of the factors on each stiffness), and what a level counts at most there [standard deviations].
-START_STIFFNESSES = (-0.45, -0.22, 0.0, 0.22, 0.45)
-FAR_OFF = 4.0
-
-
-@dataclass(frozen=True, eq=False)
-class BaselineFit:
-    """What was fitted, and how well.
-
-    Parameters
-    ----------
-    found : (k + s,) array
-        Logarithms of the factors on k numbers and of s gains.
-    scatter : (k + s,) array
-        Their standard deviations.
-    p_before, p_after : float
-        Without and with them, see :meth:`LevelStatistics.p_value`.
-    """
-
-    found: FloatArray
-    scatter: FloatArray
-    p_before: float
-    p_after: float
-
-
-def fit_numbers(levels: OrderLevels, model: HealthyMachine, known: LevelStatistics, steps: int) -> BaselineFit:
-    """Fit numbers of the machine, and gains, to the levels of a recording.
-
-    Parameters
-    ----------
-    levels : OrderLevels
-    model : HealthyMachine
-    known : LevelStatistics
-        Of the condition the machine was in.
-    steps : int
-        At most, from each of two starts.
-
-    Raises
-    ------
-    DiagnosisError
-        Too few levels stand out of the noise, or a case cannot be simulated.
-    """
-    count = len(model.quantities)
-    believed = np.array([*(quantity.scatter for quantity in model.quantities), *([GAIN_SCATTER] * levels.sensors)])
-    points = _starts(model)
-    nearby = levels.of_motion(model.powers(points))
-    nominal = nearby[0]
-    # What play adds to the levels of the machine without it is kept while its numbers change.
-    offset = known.mean - nominal
-    used = known.usable(nominal)
-    if used.sum() < len(believed):
-        raise DiagnosisError(f"baseline {levels.name}: only {int(used.sum())} levels stand out of noise and scatter")
-    noise = known.covariance(used)
-    weight = np.asarray(np.linalg.inv(noise), dtype=np.float64)
-    misfit = (levels.measured - offset - nearby)[:, used] / np.sqrt(np.diag(noise))
-    # Levels jump where a number moves a resonance across an order: single ones must not decide where to begin.
-    order = np.argsort(np.minimum(np.square(misfit), FAR_OFF**2).sum(axis=1))
-    starts = [np.concatenate([points[index], np.zeros(levels.sensors)]) for index in order[:STARTS]]
-    problem = _FitProblem(levels, model, offset, used, weight, believed)
-    found, motion, residual = min((problem.solve(start, steps) for start in starts), key=problem.cost)
-    jacobian = _jacobian(levels, motion, found[count:])[used]
-    first = (levels.measured - nominal - offset)[used]
-    return BaselineFit(
-        found=found,
-        scatter=np.sqrt(np.diag(np.linalg.inv(jacobian.T @ weight @ jacobian + np.diag(believed**-2)))),
-        p_before=known.p_value(float(first @ weight @ first), used, np.zeros_like(noise)),
-        p_after=known.p_value(problem.cost((found, motion, residual)), used, (jacobian * believed**2) @ jacobian.T),
-    )
-
-
-def _starts(model: HealthyMachine) -> list[FloatArray]:
-    """The numbers of the file, then other stiffnesses: a resonance next to an order leaves several minima."""
-    points = [np.zeros(len(model.quantities))]
-    stiff = [index for index, quantity in enumerate(model.quantities) if "stiffness" in quantity.name]
-    for factors in itertools.product(START_STIFFNESSES, repeat=len(stiff)):
-        if any(factors):
-            point = np.zeros(len(model.quantities))
-            point[stiff] = factors
-            points.append(point)
-    return points
-
-
-_Point = tuple[FloatArray, Motion, FloatArray]
-"""Numbers and gains (ln), the motion there, and what it leaves of the measured levels, dB."""
-
-
-@dataclass(frozen=True, eq=False)
-class _FitProblem:
-    """Least squares with what was believed before (Levenberg 1944, Marquardt 1963)."""
-
-    levels: OrderLevels
-    model: HealthyMachine
-    offset: FloatArray
-    used: BoolArray
-    weight: FloatArray
-    believed: FloatArray
-
-    def cost(self, point: _Point) -> float:
-        """Squared distance of the levels, and of the numbers from what was believed."""
-        found, _, residual = point
-        return float(residual @ self.weight @ residual + np.square(found / self.believed).sum())
-
-    def at(self, found: FloatArray) -> _Point:
-        """Simulate the machine with these numbers."""
-        count = len(self.model.quantities)
-        motion = self.model.at(found[:count])
-        predicted = self.levels.of_motion(motion.power, np.exp(found[count:])) + self.offset
-        return found, motion, (self.levels.measured - predicted)[self.used]
-
-    def solve(self, start: FloatArray, steps: int) -> _Point:
-        """Go downhill from here."""
-        here, damping = self.at(start), 0.0
-        for _ in range(steps):
-            found, motion, residual = here
-            jacobian = _jacobian(self.levels, motion, found[len(self.model.quantities) :])[self.used]
-            normal = jacobian.T @ self.weight @ jacobian + np.diag(self.believed**-2)
-            right = jacobian.T @ self.weight @ residual - found / self.believed**2
-            change = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), right)
-            # What was believed to be the usual error is as far as derivatives are to be trusted.
-            there = self.at(found + np.clip(change, -self.believed, self.believed))
-            gained = self.cost(here) - self.cost(there)
-            if gained > 0.0:
-                here, damping = there, 0.1 * damping
-            else:
-                damping = max(10.0 * damping, 0.3)
-            if 0.0 <= gained < SETTLED:
-                break
-        return here
-
-
-def _jacobian(levels: OrderLevels, motion: Motion, log_gains: FloatArray) -> FloatArray:
-    """Derivatives (m, k + s) of the levels by the numbers and by the gains, dB for a unit of their logarithms."""
-    gains = np.exp(log_gains)
-    here = levels.of_motion(motion.power, gains)
-    numbers = (levels.of_motion(motion.shifted, gains) - here) / STEP
-    small = 1e-4
-    factors = gains * np.exp(small * np.eye(len(gains)))
-    by_gain = np.array([(levels.of_motion(motion.power, row) - here) / small for row in factors])
-    return np.vstack([numbers, by_gain]).T
-
-
 #: P-value below which a healthy machine does not explain the recording, whatever its numbers. The p-value is cautious,
 #: as it allows for errors of a model that simulations do not have: recordings of machines in order had 0.74 and more.
 UNEXPLAINED = 0.1
@@ -191,7 +48,7 @@ class Baseline:
     Parameters
     ----------
     name : str
-        Of the recording.
+        Of the recording, or of several.
     numbers : mapping of str to FittedNumber
         By path as in a plan: "frame.mass".
     gains : mapping of str to FittedNumber
@@ -281,18 +138,21 @@ class Baseline:
         return np.maximum(weights, LEAST_WEIGHT)
 
 
-def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: int = MOST_STEPS) -> Baseline:
-    """Check and fit the model of a machine by a recording of it in order.
+def fit_baseline(
+    prepared: PreparedMeasurement | Sequence[PreparedMeasurement], catalogue: Catalogue, *, steps: int = MOST_STEPS
+) -> Baseline:
+    """Check and fit the model of a machine by one or several recordings of it in order.
 
     Parameters
     ----------
-    prepared : PreparedMeasurement
-        Of the healthy machine, by the sensors that are used for diagnosis.
+    prepared : PreparedMeasurement or sequence of PreparedMeasurement
+        Of the healthy machine, by the sensors that are used for diagnosis; several at any speeds, by the same sensors:
+        numbers and gains are common to them.
     catalogue : Catalogue
         Of the same machine, with the hypothesis healthy: says what scatters even when all numbers are right.
     steps : int
         Steps at most, >= 1, from each of two starts; each simulates the machine once for every number that can be
-        corrected, and once more.
+        corrected, and once more, at the speed of every recording.
 
     Returns
     -------
@@ -301,19 +161,29 @@ def fit_baseline(prepared: PreparedMeasurement, catalogue: Catalogue, *, steps: 
     Raises
     ------
     DiagnosisError
-        The catalogue holds no such machines, or the healthy machine cannot be simulated at this speed.
+        The catalogue holds no such machines, the healthy machine cannot be simulated at this speed, or recordings are
+        by different sensors.
     """
     if steps < 1:
         raise DiagnosisError(f"baseline steps: {steps}: must be at least 1")
-    levels = OrderLevels.of(prepared)
-    known = class_statistics(catalogue, levels, HEALTHY, as_filed=True)
-    if known is None:
-        raise DiagnosisError(f"catalogue {catalogue.path}: holds too few machines that are healthy")
-    model = HealthyMachine(catalogue, quantities(catalogue.machine), prepared.drive_speed)
-    return _answer(levels, model, fit_numbers(levels, model, known, steps))
+    recordings = [prepared] if isinstance(prepared, PreparedMeasurement) else list(prepared)
+    known = []
+    for each in recordings:
+        if each.sensing.sensors != recordings[0].sensing.sensors:
+            raise DiagnosisError(f"baseline {each.name}: its sensors are not those of {recordings[0].name}")
+        levels = OrderLevels.of(each)
+        statistics = class_statistics(catalogue, levels, HEALTHY, as_filed=True)
+        if statistics is None:
+            raise DiagnosisError(f"catalogue {catalogue.path}: holds too few machines that are healthy")
+        model = HealthyMachine(catalogue, quantities(catalogue.machine), each.drive_speed)
+        known.append((levels, model, statistics))
+    fit = fit_numbers(known, steps)
+    first, model, _ = known[0]
+    simulations = sum(each.simulations for _, each, _ in known)
+    return _answer(", ".join(each.name for each in recordings), first, model, fit, simulations)
 
 
-def _answer(levels: OrderLevels, model: HealthyMachine, fit: BaselineFit) -> Baseline:
+def _answer(name: str, levels: OrderLevels, model: HealthyMachine, fit: BaselineFit, simulations: int) -> Baseline:
     count = len(model.quantities)
     estimates = [
         FittedNumber(factor=math.exp(x), scatter=float(sd)) for x, sd in zip(fit.found, fit.scatter, strict=True)
@@ -324,54 +194,24 @@ def _answer(levels: OrderLevels, model: HealthyMachine, fit: BaselineFit) -> Bas
     warnings = []
     if fit.p_after < UNEXPLAINED:
         warnings.append(
-            f"baseline {levels.name}: no healthy machine explains it (p {fit.p_after:.2g}): nothing of it was used"
+            f"baseline {name}: no healthy machine explains it (p {fit.p_after:.2g}): nothing of it was used"
         )
     else:
         for what, group, least in (("", numbers, NOTEWORTHY), ("gain of ", gains, NOTEWORTHY_GAIN)):
             warnings += [
-                f"baseline: {what}{name} is {estimate.factor:.3g} times what it should be"
+                f"baseline: {what}{path} is {estimate.factor:.3g} times what it should be"
                 f" (+- {100 * estimate.scatter:.2g} %)"
-                for name, estimate in group.items()
+                for path, estimate in group.items()
                 if abs(math.log(estimate.factor)) > max(least, 2.0 * estimate.scatter)
             ]
     return Baseline(
-        name=levels.name,
+        name=name,
         numbers=numbers,
         gains=gains,
         p_before=fit.p_before,
         p_after=fit.p_after,
         parameters=model.parameters(fit.found[:count]),
         warnings=tuple(warnings),
-        simulations=model.simulations,
+        simulations=simulations,
         paths={quantity.name: quantity.paths for quantity in model.quantities},
     )
-
-
-@dataclass(frozen=True)
-class KnownMachine:
-    """What was fitted to a recording of the machine in order, and the checksum of that recording."""
-
-    baseline: Baseline
-    sha256: str
-
-    def weights(self, catalogue: Catalogue) -> FloatArray | None:
-        """Return how much each entry of a catalogue is of this machine; None where all count the same."""
-        if not self.baseline.explained:
-            return None
-        matrix = catalogue.matrix
-        paths = [path for group in self.baseline.paths.values() for path in group]
-        rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
-        return self.baseline.weights(matrix.numbers(paths), rows)
-
-    def describe(self) -> BaselineShown:
-        """Return it as the answer shows it."""
-        found = self.baseline
-        return BaselineShown(
-            measurement=found.name,
-            measurement_sha256=self.sha256,
-            used=found.explained,
-            p_before=found.p_before,
-            p_after=found.p_after,
-            numbers=found.numbers,
-            gains=found.gains,
-        )

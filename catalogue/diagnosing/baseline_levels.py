@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointplay.catalogue.plans.parameters import MachineNumbers
+from jointplay.catalogue.signals.feature_bands import join_bands
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.store import Catalogue
@@ -38,44 +39,48 @@ FOLDS = 4
 class OrderLevels:
     """Levels of orders 1 to 20 of a recording: of its sensors, and of the frame's motions where these see them all.
 
-    The motions follow from the sensors, but a gain that is off mixes them, so both are compared.
+    The motions follow from the sensors, but a gain that is off mixes them, so both are compared. Where more bands are
+    asked for, third octaves follow.
 
     Parameters
     ----------
     prepared : PreparedMeasurement
     measured : (m,) array
-        dB, noise included; order by order, the channels of an order side by side.
+        dB, noise included; band by band, the channels of a band side by side.
     noise : (m,) array
         Power of the recording's noise.
     cells : (m,) array
         Independent cells the noise was averaged over: half its degrees of freedom.
+    bands : int
+        Feature bands, the first 20 of which are the orders.
     """
 
     prepared: PreparedMeasurement
     measured: FloatArray
     noise: FloatArray
     cells: FloatArray
+    bands: int = FEATURE_ORDERS
 
     @classmethod
-    def of(cls, prepared: PreparedMeasurement) -> OrderLevels:
-        """Levels of a recording."""
-        sensing, bands = prepared.sensing, prepared.sensor_bands
-        edges = bands.scheme.edges_hz(prepared.drive_speed)[: FEATURE_ORDERS + 1]
+    def of(cls, prepared: PreparedMeasurement, count: int = FEATURE_ORDERS) -> OrderLevels:
+        """Levels of a recording in its first so many feature bands."""
+        sensing, bands, cuts = prepared.sensing, prepared.sensor_bands, prepared.cuts[: count + 1]
+        edges = bands.scheme.edges_hz(prepared.drive_speed)[list(cuts)]
         own = prepared.floor.band_power(edges, sensing.derivatives)
-        noise = np.hstack([own, prepared.noise_power[:FEATURE_ORDERS]]) if sensing.rigid_body else own
-        power = bands.power[:FEATURE_ORDERS]
+        noise = np.hstack([own, join_bands(prepared.noise_power, cuts)]) if sensing.rigid_body else own
+        power = np.add.reduceat(bands.power[: cuts[-1]], cuts[:-1], axis=0)
         if prepared.hum_power is not None:
             # What may be hum counts as noise, as if there were so much in any case.
-            hum, own_view = prepared.hum_power[:FEATURE_ORDERS], np.eye(power.shape[-1])
+            hum, own_view = join_bands(prepared.hum_power[:, None], cuts)[:, 0], np.eye(power.shape[-1])
             views = np.vstack([own_view, sensing.channels]) if sensing.rigid_body else own_view
             power = power + hum[:, None, None] * own_view
             noise = noise + np.outer(hum, np.sum(views**2, axis=1))
         seen = [np.diagonal(power, axis1=-2, axis2=-1).real]
         if sensing.rigid_body:
             seen.append(np.einsum("ci,bij,cj->bc", sensing.channels, power.real, sensing.channels))
-        cells = 0.5 * np.repeat(bands.degrees_of_freedom[:FEATURE_ORDERS, None], noise.shape[1], axis=1)
+        cells = 0.5 * np.repeat(join_bands(bands.degrees_of_freedom[:, None], cuts), noise.shape[1], axis=1)
         measured = DECIBELS * np.log(np.maximum(np.hstack(seen), LEAST_POWER))
-        return cls(prepared, measured.ravel(), np.maximum(noise, LEAST_POWER).ravel(), cells.ravel())
+        return cls(prepared, measured.ravel(), np.maximum(noise, LEAST_POWER).ravel(), cells.ravel(), len(cuts) - 1)
 
     @property
     def name(self) -> str:
@@ -92,13 +97,18 @@ class OrderLevels:
         sensing = self.prepared.sensing
         transform = sensing.transform if gains is None else gains[:, None] * sensing.transform
         mix = np.vstack([transform, sensing.channels @ transform]) if sensing.rigid_body else transform
-        orders = np.asarray(power)[..., :FEATURE_ORDERS, :, :].real
+        orders = np.asarray(power)[..., : self.bands, :, :].real
         # What each channel takes of the nine cross-powers: a product of matrices costs a fifth of the sum over both.
         squared = (mix[:, :, None] * mix[:, None, :]).reshape(len(mix), -1)
         seen = orders.reshape(*orders.shape[:-2], -1) @ squared.T
         total = np.maximum(seen.reshape(*seen.shape[:-2], -1), 0.0) + self.noise
         levels: FloatArray = DECIBELS * np.log(total)
         return levels
+
+    def with_noise(self, noise: FloatArray) -> OrderLevels:
+        """Levels as they were with the noise (m,) of another recording, no less than their own."""
+        clean = np.maximum(10.0 ** (0.1 * self.measured) - self.noise, 0.0)
+        return replace(self, measured=DECIBELS * np.log(clean + noise), noise=noise)
 
     def noise_variance(self) -> FloatArray:
         """Variance (m,) of the levels by the recording's noise, dB^2."""
@@ -120,9 +130,15 @@ class LevelStatistics:
     deviations : (n, m) array
         Of entries from the mean at their own speed, dB.
     power : (K, 3, 3) array
-        Cross-powers of the frame in orders 1 to K, averaged over entries.
+        Cross-powers of the frame in orders 1 to K, or K feature bands, averaged over entries.
     fitted : int
         Numbers that the mean has of every level.
+    known_to : float
+        What a level is not better known to, dB.
+    further : (m,) array
+        Variance of the mean by what is no scatter of machines, dB^2.
+    gain_scatter : float
+        Standard deviation of the logarithm of a sensor's gain.
     """
 
     levels: OrderLevels
@@ -130,6 +146,9 @@ class LevelStatistics:
     deviations: FloatArray
     power: AnyComplexArray
     fitted: int = 3
+    known_to: float = MODEL_DB
+    further: FloatArray | float = 0.0
+    gain_scatter: float = GAIN_SCATTER
 
     @property
     def error_variance(self) -> FloatArray:
@@ -140,7 +159,7 @@ class LevelStatistics:
         """
         sensing = self.levels.prepared.sensing
         views = 1.0 + len(sensing.sensors) / len(sensing.compared) if sensing.rigid_body else 1.0
-        variance: FloatArray = views * (self.levels.noise_variance() + MODEL_DB**2)
+        variance: FloatArray = views * (self.levels.noise_variance() + self.further + self.known_to**2)
         return variance
 
     def usable(self, nominal: FloatArray) -> BoolArray:
@@ -206,7 +225,7 @@ def class_statistics(
     rows = matrix.rows(label, "trusted", speed=prepared.drive_speed) if rows is None else rows
     if len(rows) < LEAST_ENTRIES:
         return None
-    power = unpack(matrix.packed(rows)[:, :FEATURE_ORDERS])  # feature bands, the first of which are the orders
+    power = unpack(matrix.packed(rows)[:, : levels.bands])  # feature bands, the first of which are the orders
     seen = levels.of_motion(power)
     # Levels change smoothly with the speed, which the recording tells: what is left is scatter.
     off = np.log(np.abs(matrix.table(rows).drive_speed) / prepared.drive_speed)

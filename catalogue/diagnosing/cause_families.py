@@ -15,7 +15,7 @@ from typing import Protocol, Self
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
-from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, GAIN_SCATTER, LevelStatistics, OrderLevels
+from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Wrench, family_wrenches
 from jointplay.catalogue.signals.suspension import accelerance
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, ComplexArray, FloatArray
@@ -285,11 +285,13 @@ class Misfit:
         """Compare a recording with machines of some statistics."""
         levels, power = known.levels, known.power
         # With no change, and with changes that move single levels far: levels that noise hides say nothing of either.
-        used = np.asarray(known.deviations.std(axis=0) < MOST_SCATTER_DB) & (
-            10.0 ** (0.1 * levels.measured) > LEAST_SIGNAL * levels.noise
+        used = (
+            np.asarray(known.deviations.std(axis=0) < MOST_SCATTER_DB)
+            & (known.error_variance < MOST_SCATTER_DB**2)
+            & (10.0 ** (0.1 * levels.measured) > LEAST_SIGNAL * levels.noise)
         )
         by_gain = _by_gain(levels, power)[used]
-        gains = by_gain @ by_gain.T * GAIN_SCATTER**2
+        gains = by_gain @ by_gain.T * known.gain_scatter**2
         away = (levels.measured - known.mean)[used]
         strange = _observe(levels, power - power_of(model.motion))
         before = levels.of_motion(power)
@@ -299,6 +301,12 @@ class Misfit:
     def none(self) -> float:
         """Distance of the recording from machines that nothing has changed in; others are to be compared with it."""
         return float(np.sum(self.away * np.linalg.solve(self.covariance, self.away)))
+
+    @property
+    def unknown(self) -> float:
+        """The same from machines in which something has changed that shifts no level, but makes them less sure."""
+        power = np.asarray(self.known.power, np.complex128)[None]
+        return float(self._distance(power, np.zeros_like(power))[0])
 
     def in_order(self) -> FloatArray:
         """Distances (n,) of machines in order from each other."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -36,6 +36,10 @@ LEAST_PROBABILITY = 0.05
 #: of every level, or fits as well as this.
 MOST_LEFT = 0.35
 EXPLAINED = 0.01
+#: What has changed since a recording of the same machine shows much more clearly, so that more is asked of what is
+#: named: such a gain, and to leave no more than this part.
+LEAST_GAIN_SINCE = 50.0
+MOST_LEFT_SINCE = 0.2
 #: Families that are searched beyond their starts: the best so many,
 SEARCHED = 5
 #: where one of the starts is no more than so much less likely (ln) than no change: half of the time of a recording of a
@@ -65,6 +69,8 @@ class NamedCause:
         Among the families that were tried, nothing at all among them.
     suspension : mapping of str to float
         Numbers of frame and supports as they then are, by path; empty where forces are the cause.
+    since : bool
+        Whether it explains the difference to the machine's own past.
     """
 
     name: str
@@ -72,6 +78,7 @@ class NamedCause:
     unit: str
     probability: float
     suspension: Mapping[str, float] = field(default_factory=dict)
+    since: bool = False
 
 
 def name_causes(
@@ -103,10 +110,10 @@ def name_causes(
         The ideal machine does not come round at this speed.
     """
     machine = catalogue.machine
-    if not on_mounts(machine) or isinstance(machine.drive, ForceDrive):
+    model = _ideal(catalogue, prepared.drive_speed)
+    if model is None:
         return ()
     levels = OrderLevels.of(prepared)
-    model = IdealFrame.of(machine, math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed))
     families = tuple(families_of(model))
     drawn = catalogue.plan.spread(machine, "trusted")
     has_tolerances = any(path.startswith(("frame.", "supports.", f"links.{machine.frame}.")) for path in drawn)
@@ -120,14 +127,45 @@ def name_causes(
     return () if best is not None and best.is_small and not small else _rank(scored)
 
 
+def name_changes(expected: LevelStatistics, catalogue: Catalogue) -> tuple[NamedCause, ...]:
+    """Say which change other than play explains how a recording differs from the machine's own past.
+
+    Parameters
+    ----------
+    expected : LevelStatistics
+        How its levels were to lie.
+    catalogue : Catalogue
+
+    Returns
+    -------
+    tuple of NamedCause
+        As for :func:`name_causes`, and raises as that.
+    """
+    model = _ideal(catalogue, expected.levels.prepared.drive_speed)
+    if model is None:
+        return ()
+    scored = list(_score(expected, model, tuple(families_of(model)), LEAST_GAIN_SINCE, since=True))
+    found = _rank([each for each in scored if each.family is None or each.left <= MOST_LEFT_SINCE])
+    return tuple(replace(cause, since=True) for cause in found)
+
+
+def _ideal(catalogue: Catalogue, speed: float) -> IdealFrame | None:
+    """The ideal machine at a speed; None where it is not one that causes can be worked out for."""
+    machine = catalogue.machine
+    if not on_mounts(machine) or isinstance(machine.drive, ForceDrive):
+        return None
+    return IdealFrame.of(machine, math.copysign(speed, catalogue.recipe.nominal_drive_speed))
+
+
 @dataclass(frozen=True, eq=False)
 class _Scored:
-    """The best member of a family, and whether it may be named; no family where nothing was changed."""
+    """The best member of a family, whether it may be named, and the part it leaves; no family where nothing changed."""
 
     family: Family | None
     evidence: float
     numbers: FloatArray
     named: bool = False
+    left: float = 1.0
 
     @property
     def is_small(self) -> bool:
@@ -138,13 +176,17 @@ class _Scored:
 
 
 def _score(
-    known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float
+    known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float, *, since: bool = False
 ) -> Iterator[_Scored]:
-    """Score every family, and no change at all, for some machines of the catalogue."""
+    """Score every family, and no change at all, for some machines of the catalogue, or for one beside its past.
+
+    Where scatter is so small, what is not known of any change would speak for every family: a change of nothing that
+    the ideal machine knows counts as no change then.
+    """
     misfit = Misfit.of(known, model)
     if len(misfit.away) < LEAST_LEVELS:
         return
-    none, count = misfit.none, len(misfit.away)
+    none, count = min(misfit.none, misfit.unknown if since else math.inf), len(misfit.away)
     penalty = 0.5 * math.log(count)
     yield _Scored(None, -0.5 * none / TEMPERATURE, np.zeros(0))
     starts = []
@@ -166,11 +208,12 @@ def _score(
         if rank < SEARCHED:
             numbers, found = better[rank]
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
-        named = gain >= least_gain and found - count <= MOST_LEFT * (none - count)
+        left = (found - count) / max(misfit.none - count, 1.0)
+        named = gain >= least_gain and left <= MOST_LEFT
         if gain >= least_gain and not named:
             in_order = misfit.in_order() if in_order is None else in_order
             named = share_beyond(found, in_order) >= EXPLAINED
-        yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named)
+        yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named, left)
 
 
 def _rank(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:

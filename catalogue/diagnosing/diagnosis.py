@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
-from jointplay.catalogue.diagnosing.baseline import KnownMachine
 from jointplay.catalogue.diagnosing.hearing import hear
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.diagnosing.together import diagnose_together
@@ -31,7 +31,7 @@ def diagnose(
     coverage: float = 0.95,
     cases: int = 2304,
     prior: Prior | None = None,
-    baseline: Recording | None = None,
+    baseline: Recording | Sequence[Recording] | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
     """Say which joints are worn, by how much, and how sure that is.
@@ -50,8 +50,9 @@ def diagnose(
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
-    baseline : Recording, optional
-        Recording of the same machine in order by the same sensors: fits what is uncertain about machine and sensors.
+    baseline : Recording or sequence of Recording, optional
+        Recordings of the same machine in order by the same sensors: they fit what is uncertain about machine and
+        sensors, and are what the recording is compared with as such.
     library : ModelLibrary, optional
         Answers, and keeps what was learned for the next recording; the catalogue's own unless given. One of another
         method is a :class:`jointplay.catalogue.evaluation.cross_checks.MethodLibrary`.

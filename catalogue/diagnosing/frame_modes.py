@@ -161,7 +161,7 @@ def _levels(catalogue: Catalogue, rows: IntArray, sensing: Sensing, edges: Float
 
 
 def _kinds(catalogue: Catalogue, speed: float) -> list[IntArray]:
-    """Rows of machines in order at a speed: of those with play, and of those without any, which lie far from them."""
+    """Rows of machines in order at about a speed: of those with play, and of those without, which lie far from them."""
     rows = catalogue.matrix.rows("healthy", "trusted", speed=speed)
     has_play = np.any(np.nan_to_num(catalogue.matrix.clearance(rows)) > 0.0, axis=1)
     return [kind for kind in (rows[has_play], rows[~has_play]) if len(kind) >= LEAST_ENTRIES]

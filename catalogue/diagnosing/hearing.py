@@ -7,11 +7,12 @@ from functools import partial
 
 from jointplay.catalogue.diagnosing.answer import EffortSpent, Verdict
 from jointplay.catalogue.diagnosing.as_found import refine
-from jointplay.catalogue.diagnosing.baseline import KnownMachine
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
 from jointplay.catalogue.diagnosing.question import Question
-from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, find_causes, judge, needs_cause
+from jointplay.catalogue.diagnosing.verdict import OTHERWISE_BELOW, SURE_ABOVE, find_causes, judge, needs_cause
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, Observed, one_thread
 from jointplay.catalogue.matching.observation import Sensing
@@ -44,6 +45,8 @@ class Heard:
         What a recording of the machine in order has shown.
     weighed : bool
         Whether entries counted by how near they are to that.
+    past : PastComparison, optional
+        The recording beside those of the machine in order.
     """
 
     prepared: PreparedMeasurement
@@ -57,6 +60,7 @@ class Heard:
     spent: EffortSpent
     known: KnownMachine | None = None
     weighed: bool = False
+    past: PastComparison | None = None
 
 
 def hear(
@@ -73,8 +77,12 @@ def hear(
     """Return what a recording says that has been prepared; arguments as for
     :func:`~jointplay.catalogue.diagnosing.diagnosis.answer`.
     """
-    weights = None
+    weights, past, p_since = None, None, 1.0
     if known:
+        if not prepared.flaws:
+            with one_thread():
+                past = compare_with_past(prepared, known.past, catalogue)
+        p_since = past.p_value if past else 1.0
         prepared = known.baseline.correct(prepared, catalogue.machine)
         # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
         if all(step.name != "suspension" for step in prepared.steps):
@@ -82,10 +90,10 @@ def hear(
     look = partial(_match, catalogue=catalogue, library=library, question=question, without=without, most=most)
     sensing, feature, result = look(prepared, weights)
     causes: tuple[NamedCause, ...] = ()
-    if not prepared.flaws and (question.effort != "fast" or needs_cause(result)):
+    if not prepared.flaws and (question.effort != "fast" or needs_cause(result) or p_since < OTHERWISE_BELOW):
         with one_thread():
-            causes = find_causes(prepared, catalogue, result)
-    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws)
+            causes = find_causes(prepared, catalogue, result, past)
+    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since)
     if causes and causes[0].suspension:
         # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
         seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
@@ -118,15 +126,14 @@ def hear(
             result, causes = refined.result, (refined.load,) if refined.load else causes
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             if refined.simulations:
-                p_value, verdict = judge(result, question.coverage, causes)
+                p_value, verdict = judge(result, question.coverage, causes, p_since=p_since)
                 if was_changed and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
                     # With a load that the file does not have it is not in order, however well that explains it.
                     verdict = "unknown" if verdict == "unknown" else "changed"
                 elif p_before is not None and p_before < DOUBTED_BELOW and verdict == "worn":
                     verdict = "worn" if result.p_worn >= SURE_ABOVE else "unknown"  # as without the simulation
-    return Heard(
-        prepared, sha256, sensing, feature, result, causes, p_value, verdict, spent, known, weights is not None
-    )
+    weighed = weights is not None
+    return Heard(prepared, sha256, sensing, feature, result, causes, p_value, verdict, spent, known, weighed, past)
 
 
 def _match(

@@ -113,7 +113,7 @@ def tell(
                 prior.model_dump(mode="json"),
                 # What a sender has said of the file: units, sensitivities, a full scale.
                 list(prepared.notes),
-                known and [known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
+                known and [*known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
                 *said,
             ]
         )[:32],
@@ -139,6 +139,7 @@ def tell(
         "goodness_of_fit": GoodnessOfFit(p_value=heard.p_value),
         "evidence": evidence(prepared, result.best, heard.feature[: heard.sensing.noise.size], rival_of(result)),
         "baseline": known.describe() if known else None,
+        "past": heard.past.describe() if heard.past else None,
         "suggestions": suggestions,
         "recordings": tuple(recordings),
         "warnings": tuple(dict.fromkeys(told)),

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis, EffortSpent, RecordingShare
-from jointplay.catalogue.diagnosing.baseline import KnownMachine, fit_baseline
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.hearing import Heard, hear
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine, recordings_in_order
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause
@@ -45,7 +45,7 @@ def diagnose_together(
     coverage: float = 0.95,
     cases: int = 2304,
     prior: Prior | None = None,
-    baseline: Recording | None = None,
+    baseline: Recording | Sequence[Recording] | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
     """Say which joints are worn, by how much, and how sure that is, from several recordings of one machine.
@@ -84,7 +84,8 @@ def diagnose_together(
         raise DiagnosisError(f"speed: {len(given)} for {len(recordings)} measurements: must be one for each, or none")
     different = _different(recordings, given)
     columns = {name for recording, _ in different for name in recording.channel_names}
-    columns.update(baseline.channel_names if baseline is not None else ())
+    in_order = recordings_in_order(baseline)
+    columns.update(name for each in in_order.values() for name in each.channel_names)
 
     def own(recording: Recording | MeasuredSpectrum) -> dict[str, str]:
         """A column that only some have is mapped there; one that none has is refused by name."""
@@ -93,9 +94,9 @@ def diagnose_together(
 
     scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
     known = None
-    if baseline is not None:
-        in_order = prepare(baseline, catalogue.machine, own(baseline), None, *scale)
-        known = KnownMachine(fit_baseline(in_order, catalogue), baseline.sha256)
+    if in_order:
+        past = {key: prepare(each, catalogue.machine, own(each), None, *scale) for key, each in in_order.items()}
+        known = KnownMachine.of(past, catalogue)
     shelf = library or library_of(catalogue)
     heard = []
     warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))

@@ -12,8 +12,9 @@ import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, JointClearance, RankedHypothesis, Verdict
 from jointplay.catalogue.diagnosing.baseline import Baseline
-from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes
+from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes, name_changes
 from jointplay.catalogue.diagnosing.frame_modes import find_mode
+from jointplay.catalogue.diagnosing.past import PastComparison
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -32,6 +33,12 @@ SURE_ABOVE, SURE_P_VALUE = 0.9, 0.05
 """Probability of wear that is called worn where the model is doubted; also where the machine is not as its file says,
 if the robust mode has this p-value."""
 
+OTHERWISE_BELOW = 0.005
+"""P-value of a recording beside the machine's own past below which it is not as it was."""
+
+AS_BEFORE = 0.1
+"""The same from which on it is as it was: then no cause is looked for beside other machines."""
+
 NAMED_ABOVE = 0.8
 """Probability from which on a cause is what has changed."""
 
@@ -46,6 +53,7 @@ def judge(
     coverage: float,
     causes: Sequence[NamedCause] = (),
     flaws: Sequence[SensorContradiction] = (),
+    p_since: float = 1.0,
 ) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
@@ -53,8 +61,9 @@ def judge(
     cause explains it. Below :data:`UNKNOWN_BELOW`, or where the set is empty, the verdict is unknown, unless a cause
     other than play was found. A machine that is not as its file says (:func:`needs_cause`) is never in order, and worn
     only where nothing else is found and that is nearly sure; one that could be as filed, but has a cause, is not in
-    order either. What is neither nearly surely worn, nor in order rather than not, is unknown where the machine is
-    doubted. So is what sensors say that are not what the file says of them.
+    order either, and neither is one that is not as it was: beside its own past it has a p-value `p_since` below
+    :data:`OTHERWISE_BELOW`, or a cause explains the difference. What is neither nearly surely worn, nor in order rather
+    than not, is unknown where the machine is doubted. So is what sensors say that are not what the file says of them.
     """
     p_value = result.p_value_within(coverage)
     if flaws:
@@ -72,16 +81,27 @@ def judge(
         return p_value, "changed"
     if not explained or not (in_order or is_worn):
         return p_value, "unknown"
-    return p_value, "in_order" if in_order else "worn"
+    if not in_order:
+        return p_value, "worn"
+    was_otherwise = p_since < OTHERWISE_BELOW or any(cause.since for cause in causes)
+    return p_value, "changed" if was_otherwise else "in_order"
 
 
-def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult) -> tuple[NamedCause, ...]:
-    """Return the causes other than play that may be, beside wear as the recording seems to have it or without any."""
-    worn = [
-        (match.label, _nearest(catalogue, match, prepared.drive_speed))
-        for match in result.hypotheses[:1]
-        if match.joints
-    ]
+def find_causes(
+    prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult, past: PastComparison | None = None
+) -> tuple[NamedCause, ...]:
+    """Return the causes other than play that may be, beside wear as the recording seems to have it or without any.
+
+    What has changed since recordings of the machine in order is told by these, if it explains the difference.
+    """
+    if past is not None and result.p_worn <= 0.5:
+        if changes := name_changes(past.expected, catalogue):
+            return changes
+        if past.p_value >= AS_BEFORE and not needs_cause(result):
+            # What tells it from other machines it had when it was in order.
+            return ()
+    speed = prepared.drive_speed
+    worn = [(match.label, _nearest(catalogue, match, speed)) for match in result.hypotheses[:1] if match.joints]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
     # Beside wear it has not been measured.
     mode = None if found or worn else find_mode(prepared, catalogue)
@@ -89,7 +109,7 @@ def find_causes(prepared: PreparedMeasurement, catalogue: Catalogue, result: Mat
 
 
 def _nearest(catalogue: Catalogue, match: HypothesisMatch, speed: float) -> IntArray:
-    """Rows of a hypothesis at a speed whose clearances are next to those found."""
+    """Rows of a hypothesis at about a drive speed whose clearances are next to those found."""
     rows = catalogue.matrix.rows(match.label, "trusted", speed=speed)
     columns = [catalogue.matrix.joints.index(found.joint) for found in match.clearances]
     away = np.log(catalogue.matrix.clearance(rows)[:, columns]) - np.log([found.median for found in match.clearances])

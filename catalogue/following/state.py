@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from jointplay.catalogue.diagnosing.answer import Frozen
+from jointplay.catalogue.diagnosing.answer_of_baseline import Frozen
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 

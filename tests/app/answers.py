@@ -27,6 +27,7 @@ ANSWER: dict[str, Any] = {
     "goodness_of_fit": {"p_value": 0.5},
     "evidence": {"orders": [], "bands": []},
     "baseline": None,
+    "past": None,
     "suggestions": [],
     "warnings": [],
     "provenance": {

@@ -88,13 +88,15 @@ def test_the_same_again_changes_nothing_and_other_content_does(client: httpx.Cli
     [
         ("a", {}, "machine"),
         ("a", {"machine": "slider-crank", "baseline": "none"}, "baseline"),
+        ("a", {"machine": "slider-crank", "baselines": ["none"]}, "baselines"),
+        ("a", {"machine": "slider-crank", "baseline": "none", "baselines": ["other"]}, "baseline"),
         ("a", {"machine": "slider-crank", "owner": "x"}, "owner"),
         ("a", {"machine": "slider\u0000crank"}, "machine"),
         (".a", {"machine": "slider-crank"}, "path.external_id"),
         ("a" * 129, {"machine": "slider-crank"}, "path.external_id"),
     ],
 )
-def test_a_wrong_asset_is_refused_by_field(client: httpx.Client, name: str, body: dict[str, str], field: str) -> None:
+def test_a_wrong_asset_is_refused_by_field(client: httpx.Client, name: str, body: dict[str, Any], field: str) -> None:
     answer = client.put(f"{API}/assets/{name}", json=body)
     assert answer.status_code == 422, answer.text
     assert [entry["field"] for entry in answer.json()["errors"]] == [field]
@@ -126,6 +128,23 @@ def test_a_diagnosis_of_an_asset_uses_its_baseline(
     report = client.get(f"{API}/diagnoses/{diagnosis['id']}/report").text
     assert "Joint play of press-7" in report
     assert "baseline slider-crank-01.csv, used" in report
+
+
+def test_several_baselines(client: httpx.Client, in_order: str, worn_id: str) -> None:
+    """All of them are used and shown, but for the one that is asked about; clients that know one see the first."""
+    place = f"{API}/assets/press-10"
+    body = {"machine": "slider-crank", "baselines": [in_order, worn_id, in_order]}
+    made = client.put(place, json=body).json()
+    assert (made["baseline"], made["baselines"]) == (in_order, [in_order, worn_id])
+    assert client.get(place).json() == made == client.put(place, json={**body, "baseline": in_order}).json()
+    assert sorted(ids(client, "measurements", asset="press-10")) == sorted([in_order, worn_id])
+    answer = ask(client, sent(client, "slider-crank-05"), asset="press-10").json()
+    assert answer["baseline"]["measurement"] == "slider-crank-01.csv"
+    assert [each["measurement"] for each in answer["baseline"]["further"]] == ["slider-crank-02.csv"]
+    alone = ask(client, worn_id, asset="press-10").json()["baseline"]
+    assert (alone["measurement"], alone["further"]) == ("slider-crank-01.csv", [])
+    fewer = client.put(place, json={"machine": "slider-crank", "baselines": [worn_id]}).json()
+    assert (fewer["baseline"], fewer["baselines"]) == (worn_id, [worn_id])
 
 
 def test_a_baseline_is_not_judged_by_itself(client: httpx.Client, asset: dict[str, Any], in_order: str) -> None:

@@ -153,6 +153,17 @@ def test_a_machine_that_has_changed() -> None:
     assert words.remarks(doubted) == [
         "Whether there is wear in joint O as well is told with reserve: measure again when the change is put right."
     ]
+    level = {"channel": "x", "low_order": 1.5, "high_order": 2.5, "difference_db": -1.84, "usual_db": 0.071}
+    since = changed(found, past={"p_value": 0.0005, "changed": [level]})
+    assert words.remarks(since) == [
+        "Beside the baseline, order 2 in x is off by −1.8 dB (usually 0.071 dB), p = 0.0005."
+    ]
+    band = {**level, "low_order": 20.5, "high_order": 25.5, "difference_db": 3.0}
+    assert (
+        "orders 21 to 25 in x is off by +3.0 dB"
+        in words.remarks(changed(found, past={"p_value": 0.0005, "changed": [band]}))[0]
+    )
+    assert words.remarks(changed(found, past={"p_value": 0.5, "changed": []})) == []
     nameless = changed(found, causes=[])
     assert words.sentence(nameless) == "Changed, but not by play; none of the known causes explains it."
     assert (words.short(nameless), words.probability(nameless)) == ("changed", "–")

@@ -11,6 +11,7 @@ from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.verdict import (
     CHANGED_BELOW,
     NAMED_ABOVE,
+    OTHERWISE_BELOW,
     SURE_ABOVE,
     UNKNOWN_BELOW,
     judge,
@@ -65,6 +66,17 @@ def test_an_empty_set_is_unknown_however_well_the_best_fits() -> None:
     changed = replace(even, trusted_p_value=1e-6)
     assert judge(changed, 0.95) == (0.5, "unknown")
     assert judge(changed, 0.95, [MOUNT]) == (0.5, "changed")
+
+
+def test_a_machine_that_is_not_as_it_was_is_not_in_order() -> None:
+    """Neither one that differs from its own past, nor one of which a cause explains how it does; wear stays wear."""
+    in_order, worn = answer(healthy=(0.98, 0.5), A=(0.02, 0.3)), answer(A=(0.98, 0.5), healthy=(0.02, 0.3))
+    for p_since, verdict in ((OTHERWISE_BELOW, "in_order"), (0.99 * OTHERWISE_BELOW, "changed")):
+        assert judge(in_order, 0.95, p_since=p_since) == (0.5, verdict)
+        assert judge(worn, 0.95, p_since=p_since) == (0.5, "worn")
+    faint = replace(MOUNT, probability=0.4)
+    assert judge(in_order, 0.95, [faint]) == (0.5, "in_order")
+    assert judge(in_order, 0.95, [replace(faint, since=True)]) == (0.5, "changed")
 
 
 def test_a_machine_is_not_as_filed_below_a_p_value() -> None:

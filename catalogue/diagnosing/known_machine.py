@@ -1,0 +1,81 @@
+"""What recordings of a machine in order have shown of it, for the diagnosis of later ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineRecording, BaselineShown
+from jointplay.catalogue.diagnosing.baseline import Baseline, fit_baseline
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.measurements.measurement import Recording
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class KnownMachine:
+    """What was fitted to recordings of a machine in order, and these themselves.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        What was fitted.
+    sha256 : tuple of str
+        Of the recordings.
+    past : tuple of PreparedMeasurement
+        The recordings, which later ones are compared with as such.
+    """
+
+    baseline: Baseline
+    sha256: tuple[str, ...]
+    past: tuple[PreparedMeasurement, ...] = ()
+
+    @classmethod
+    def of(cls, in_order: Mapping[str, PreparedMeasurement], catalogue: Catalogue) -> KnownMachine:
+        """Fit recordings of the machine in order, by their checksums; raises as :func:`fit_baseline`."""
+        past = tuple(in_order.values())
+        return cls(fit_baseline(past, catalogue), tuple(in_order), past)
+
+    def weights(self, catalogue: Catalogue) -> FloatArray | None:
+        """Return how much each entry of a catalogue is of this machine; None where all count the same."""
+        if not self.baseline.explained:
+            return None
+        matrix = catalogue.matrix
+        paths = [path for group in self.baseline.paths.values() for path in group]
+        rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
+        return self.baseline.weights(matrix.numbers(paths), rows)
+
+    def describe(self) -> BaselineShown:
+        """Return it as the answer shows it."""
+        found = self.baseline
+        first, *further = (
+            BaselineRecording(measurement=each.name, measurement_sha256=sha256)
+            for each, sha256 in zip(self.past, self.sha256, strict=True)
+        )
+        return BaselineShown(
+            measurement=first.measurement,
+            measurement_sha256=first.measurement_sha256,
+            further=tuple(further),
+            used=found.explained,
+            p_before=found.p_before,
+            p_after=found.p_after,
+            numbers=found.numbers,
+            gains=found.gains,
+        )
+
+
+def recordings_in_order(given: Recording | Sequence[Recording] | None) -> dict[str, Recording]:
+    """Recordings of a machine in order by checksum, none of them twice; empty where there are none.
+
+    Raises
+    ------
+    DiagnosisError
+        There are too many.
+    """
+    found = [] if given is None else [given] if isinstance(given, Recording) else list(given)
+    if len(found) > MOST_TOGETHER:
+        raise DiagnosisError(f"baseline: {len(found)}: must be at most {MOST_TOGETHER} recordings")
+    return {each.sha256: each for each in found}

@@ -1,0 +1,259 @@
+"""A machine beside its own past: what a recording differs by from recordings of the same machine in order.
+
+Two recordings of one machine by the same sensors share its mounts, its play and the gains of the sensors, so their
+levels differ by much less than those of two machines do. How levels go with the speed, and how much they scatter from
+machine to machine, is the catalogue's; of that scatter two recordings of one machine have a small share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointplay.catalogue.diagnosing.answer_of_baseline import LevelSince, PastShown
+from jointplay.catalogue.diagnosing.baseline_levels import (
+    LEAST_ENTRIES,
+    LevelStatistics,
+    OrderLevels,
+    class_statistics,
+    share_beyond,
+)
+from jointplay.catalogue.plans.entry import HEALTHY
+from jointplay.catalogue.signals.feature_bands import feature_axes
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
+from jointplay.solver.spectra.bands import FEATURE_ORDERS
+
+#: What two recordings of a machine in order differ by at one speed, as a part of what machines scatter by,
+SHARE = 0.05
+#: and what is added for a difference in speed, for a unit of its logarithm.
+SHARE_BY_SPEED = 8.0
+#: Machines are not all as steady as each other: standard deviation of the logarithm of that share.
+SHARE_SCATTER = 0.25
+#: What a level of a recording repeats to, dB, however steady the machine.
+REPEATS_DB = 0.02
+#: Recordings that the share stands for, where several of the machine say what it is.
+BELIEVED = 4.0
+#: A level counts where the machine has this many times the power of the noise, before or now.
+LEAST_SIGNAL = 4.0
+#: What an order says nothing by in which hum was taken out, dB.
+HIDDEN_DB = 30.0
+#: Degrees of freedom of Student's distribution, by which single levels that are far off count for little.
+FREEDOM = 3.0
+#: Recordings of machines in order that a change is ranked among, at least.
+DRAWS = 2000
+#: Levels that are told: so many standard deviations off, and the farthest so many.
+TOLD_FROM, MOST_TOLD = 3.0, 5
+#: Median of the square of a normal number.
+MEDIAN_SQUARE = 0.455
+
+
+@dataclass(frozen=True, eq=False)
+class PastComparison:
+    """A recording beside the machine's own past.
+
+    Parameters
+    ----------
+    p_value : float
+        Share of pairs of recordings of a machine in order that differ by as much.
+    changed : tuple of LevelSince
+        Levels that have changed, the farthest from what is usual first.
+    expected : LevelStatistics
+        How the orders of the recording were to lie by what was recorded before.
+    """
+
+    p_value: float
+    changed: tuple[LevelSince, ...]
+    expected: LevelStatistics
+
+    def describe(self) -> PastShown:
+        """Return it as the answer shows it."""
+        return PastShown(p_value=self.p_value, changed=self.changed)
+
+
+def compare_with_past(
+    prepared: PreparedMeasurement, past: Sequence[PreparedMeasurement], catalogue: Catalogue
+) -> PastComparison | None:
+    """Say how a recording differs from recordings of the same machine in order.
+
+    Parameters
+    ----------
+    prepared : PreparedMeasurement
+    past : sequence of PreparedMeasurement
+        Those by other sensors do not count.
+    catalogue : Catalogue
+
+    Returns
+    -------
+    PastComparison or None
+        None where no recording of the past is by these sensors, the catalogue holds too few machines in order, or no
+        level stands out of the noise.
+    """
+    before = [each for each in past if _view(each) == _view(prepared)]
+    if not before:
+        return None
+    count = min(len(each.cuts) - 1 for each in (prepared, *before))
+    levels = [OrderLevels.of(each, count) for each in (prepared, *before)]
+    noise = np.max([each.noise for each in levels], axis=0)
+    known = [
+        class_statistics(catalogue, each.with_noise(noise), HEALTHY, _with_play(catalogue, each)) for each in levels
+    ]
+    now, *then = [each for each in known if each is not None]
+    if len(then) < len(before):
+        return None
+    steadiness = _steadiness(then)
+    distance = _Distance.of(now, then, steadiness)
+    used = distance.usable()
+    if not used.any():
+        return None
+    return PastComparison(distance.p_value(used), tuple(distance.farthest(used)), distance.expected())
+
+
+def _view(prepared: PreparedMeasurement) -> tuple[object, ...]:
+    """What levels have to have in common to be compared."""
+    sensing = prepared.sensing
+    return sensing.sensors, sensing.compared, sensing.phases
+
+
+def _with_play(catalogue: Catalogue, levels: OrderLevels) -> IntArray:
+    """Rows of machines in order, of those that have play where there are such: others do not rattle."""
+    rows = catalogue.matrix.rows(HEALTHY, "trusted", speed=levels.prepared.drive_speed)
+    playing = rows[np.any(np.nan_to_num(catalogue.matrix.clearance(rows)) > 0.0, axis=1)]
+    return playing if len(playing) >= LEAST_ENTRIES else rows
+
+
+def _steadiness(then: Sequence[LevelStatistics]) -> float:
+    """How many times the usual share this machine's recordings differ by, as several of them say."""
+    found = []
+    for place, one in enumerate(then if len(then) > 1 else ()):
+        others = [*then[:place], *then[place + 1 :]]
+        distance = _Distance.of(one, others, 1.0)
+        used = distance.usable()
+        if used.any():
+            found.append(float(np.median(np.square(distance.away / distance.spread)[used])) / MEDIAN_SQUARE)
+    return math.sqrt((BELIEVED + sum(found)) / (BELIEVED + len(found)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Distance:
+    """Levels (m,) of a recording less those that others of the machine lead to expect, dB.
+
+    What is expected differs by a part (m,) of what machines scatter by, and by errors of the levels themselves, dB^2.
+    """
+
+    now: LevelStatistics
+    then: tuple[LevelStatistics, ...]
+    away: FloatArray
+    part: FloatArray
+    errors: FloatArray
+
+    @classmethod
+    def of(cls, now: LevelStatistics, then: Sequence[LevelStatistics], steadiness: float) -> _Distance:
+        """Carry recordings to the speed of another one, and weigh them by how well each tells its levels."""
+        scatter = np.maximum(now.deviations.var(axis=0), 1e-12)
+        own = 0.5 * (steadiness * SHARE) ** 2
+        carried, parts, errors = [], [], []
+        for each in then:
+            apart = math.log(now.levels.prepared.drive_speed / each.levels.prepared.drive_speed)
+            carried.append(each.levels.measured + now.mean - each.mean)
+            parts.append(np.full(len(scatter), min(1.0, own + (steadiness * SHARE_BY_SPEED * apart) ** 2)))
+            errors.append(_errors(each))
+        weights = 1.0 / (np.array(parts) * scatter + np.array(errors))
+        weights /= weights.sum(axis=0)
+        return cls(
+            now,
+            tuple(then),
+            now.levels.measured - np.sum(weights * np.array(carried), axis=0),
+            np.sqrt(own + np.sum(weights**2 * np.array(parts), axis=0)),
+            _errors(now) + np.sum(weights**2 * np.array(errors), axis=0),
+        )
+
+    @property
+    def spread(self) -> FloatArray:
+        """Standard deviations (m,) where nothing has changed, dB."""
+        return np.asarray(np.sqrt(self.part**2 * self.now.deviations.var(axis=0) + self.errors))
+
+    def usable(self) -> BoolArray:
+        """Levels (m,) that say something: motions where the sensors see them, where they stand out of the noise."""
+        prepared, noise = self.now.levels.prepared, self.now.levels.noise
+        highest = np.max([each.levels.measured for each in (self.now, *self.then)], axis=0)
+        found = (10.0 ** (0.1 * highest) > (1.0 + LEAST_SIGNAL) * noise) & ~self._hum()
+        if prepared.sensing.rigid_body:
+            found &= np.tile(np.arange(self._channels) >= len(prepared.sensing.sensors), self.now.levels.bands)
+        return np.asarray(found)
+
+    @property
+    def _channels(self) -> int:
+        """Levels of a band."""
+        return len(self.away) // self.now.levels.bands
+
+    def _hum(self) -> BoolArray:
+        """Levels (m,) of single orders that hum was taken out of, now or before."""
+        orders = {
+            round(line.frequency * 2.0 * math.pi / each.levels.prepared.drive_speed)
+            for each in (self.now, *self.then)
+            for line in each.levels.prepared.lines
+        }
+        bands = np.arange(1, self.now.levels.bands + 1)
+        return np.repeat(np.isin(bands, [order for order in orders if order <= FEATURE_ORDERS]), self._channels)
+
+    def p_value(self, used: BoolArray) -> float:
+        """Share of pairs of recordings of a machine in order that differ by as much."""
+        generator = np.random.default_rng(0)
+        spread, errors = self.spread[used], np.sqrt(self.errors[used])
+        machines = self.part[used] * self.now.deviations[:, used]
+        drawn = []
+        for _ in range(math.ceil(DRAWS / len(machines))):
+            steady = np.exp(SHARE_SCATTER * generator.normal(size=(len(machines), 1)))
+            drawn.append(_distance((steady * machines + errors * generator.normal(size=machines.shape)) / spread))
+        return share_beyond(float(_distance(self.away[used] / spread)), np.concatenate(drawn))
+
+    def farthest(self, used: BoolArray) -> list[LevelSince]:
+        """The levels that are farthest from what is usual."""
+        prepared, spread = self.now.levels.prepared, self.spread
+        sensing = prepared.sensing
+        names = (*sensing.sensors, *(sensing.compared if sensing.rigid_body else ()))
+        axes = feature_axes(prepared.scheme, prepared.cuts[: self.now.levels.bands + 1], names, prepared.drive_speed)
+        off = np.where(used, np.abs(self.away) / spread, 0.0)
+        return [
+            LevelSince(
+                channel=axes[place].channel,
+                low_order=axes[place].low_order,
+                high_order=axes[place].high_order,
+                difference_db=float(self.away[place]),
+                usual_db=float(spread[place]),
+            )
+            for place in np.argsort(-off, kind="stable")[:MOST_TOLD].tolist()
+            if off[place] >= TOLD_FROM
+        ]
+
+    def expected(self) -> LevelStatistics:
+        """How the orders were to lie: as far as machines scatter, and as far as levels err."""
+        orders = slice(0, FEATURE_ORDERS * self._channels)
+        levels = self.now.levels
+        first = OrderLevels(levels.prepared, levels.measured[orders], levels.noise[orders], levels.cells[orders])
+        hidden = np.where(self._hum(), HIDDEN_DB**2, 0.0)
+        return LevelStatistics(
+            levels=first,
+            mean=(levels.measured - self.away)[orders],
+            deviations=(self.part * self.now.deviations)[:, orders],
+            power=self.now.power[:FEATURE_ORDERS],
+            fitted=self.now.fitted,
+            known_to=REPEATS_DB,
+            further=(self.errors - _errors(self.now) + hidden)[orders],
+            gain_scatter=0.0,
+        )
+
+
+def _errors(known: LevelStatistics) -> FloatArray:
+    """Variance (m,) of the levels of one recording by themselves, dB^2."""
+    return known.levels.noise_variance() + 0.5 * REPEATS_DB**2
+
+
+def _distance(away: FloatArray) -> FloatArray:
+    """Mean, over levels (..., m) in standard deviations, of what they say by Student's distribution."""
+    return np.asarray(np.mean(np.log1p(away**2 / FREEDOM), axis=-1))

@@ -1,0 +1,79 @@
+"""A machine beside its own past: what has not changed is not told, what has is, by its name and size."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from in_order import off_by, recordings
+
+from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
+from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
+from jointplay.catalogue.diagnosing.verdict import OTHERWISE_BELOW
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.cases.case import Case
+
+#: A machine that is not as its file says: mass and inertia of the frame, stiffness in x and y, damping.
+OFF = (1.04, 0.96, 0.93, 1.05, 1.1)
+#: Numbers that change: the stiffness of a mount, and a mass on the crank, which moves its centre of gravity.
+SOFTER = {"supports.1.stiffness.0": 0.85, "supports.1.stiffness.1": 0.85}
+
+
+def changed(catalogue: Catalogue, speed: float, factors: dict[str, float]) -> Case:
+    case = off_by(catalogue, OFF, speed)
+    numbers = {path: case.parameters[path] * factor for path, factor in factors.items()}
+    return dataclasses.replace(case, parameters={**case.parameters, **numbers})
+
+
+@pytest.fixture(scope="module")
+def visits(small_catalogue: Catalogue) -> dict[str, PreparedMeasurement]:
+    """One machine, three times in order at other speeds, and with a softer mount."""
+    cases = [changed(small_catalogue, speed, {}) for speed in (1.0, 1.012, 0.99)]
+    made = recordings(small_catalogue, [*cases, changed(small_catalogue, 1.006, SOFTER)])
+    return dict(zip(("first", "second", "third", "softer"), made, strict=True))
+
+
+def beside(catalogue: Catalogue, now: PreparedMeasurement, *before: PreparedMeasurement) -> PastComparison:
+    found = compare_with_past(now, before, catalogue)
+    assert found is not None
+    return found
+
+
+def test_a_machine_as_it_was(small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]) -> None:
+    for now, before in (("second", "first"), ("first", "second"), ("third", "second")):
+        found = beside(small_catalogue, visits[now], visits[before])
+        assert found.p_value > 0.05
+        assert name_changes(found.expected, small_catalogue) == ()
+
+
+def test_a_mount_that_is_little_softer_is_named(
+    small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]
+) -> None:
+    """Beside other machines it is one of many that are not quite as filed; beside itself it is a mount at 0.85."""
+    found = beside(small_catalogue, visits["softer"], visits["first"])
+    first = name_changes(found.expected, small_catalogue)[0]
+    assert isinstance(first, NamedCause)
+    assert first.name == "mount 1" and first.size == pytest.approx(0.85, abs=0.05) and first.probability > 0.9
+    assert found.p_value < OTHERWISE_BELOW
+    told = found.changed[0]
+    assert abs(told.difference_db) > 3.0 * told.usual_db and told.low_order < 5.0
+    assert not any(cause.name == "mount 1" for cause in name_causes(visits["softer"], small_catalogue, small=True))
+
+
+def test_several_recordings_narrow_what_is_expected(
+    small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]
+) -> None:
+    one = beside(small_catalogue, visits["softer"], visits["first"]).expected
+    three = beside(small_catalogue, visits["softer"], *(visits[name] for name in ("first", "second", "third"))).expected
+    assert np.median(three.error_variance / one.error_variance) < 0.9
+
+
+def test_recordings_by_other_sensors_are_not_compared(
+    small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]
+) -> None:
+    now, before = visits["second"], visits["first"]
+    fewer = dataclasses.replace(now.sensing, sensors=now.sensing.sensors[:3])
+    assert compare_with_past(now, [dataclasses.replace(before, sensing=fewer)], small_catalogue) is None
+    assert compare_with_past(now, [], small_catalogue) is None
