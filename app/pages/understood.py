@@ -9,6 +9,7 @@ from jointplay.app.jobs.summaries import channel_words, kind_of, summarise_told
 from jointplay.app.pages.page_forms import NOT_USED
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.rows import MeasurementRow
+from jointplay.app.words import SOURCES, spell_moment
 from jointplay.catalogue.signals.sensors import match_by_name
 
 
@@ -39,6 +40,7 @@ def confirmation(
         "facts": [
             ("Machine", f"{offer.description.machine}, {offer.description.entries} cases in {offer.description.name}"),
             *extents(summary),
+            ("Measured", f"{spell_moment(measurement.measured_at)} UTC, {SOURCES[measurement.measured_at_source]}"),
             *((("You said", summarise_told(measurement.told.shown)),) if measurement.told.shown else ()),
         ],
         "columns": [

@@ -75,9 +75,20 @@
   document.addEventListener("change", (event) => {
     if (event.target.id === "file") tooLarge();
   });
+  // A moment is typed in the reader's own time zone, which is named beside it, and sent in UTC.
+  const local = (moment) => new Date(moment - moment.getTimezoneOffset() * 60000).toISOString().slice(0, 19);
+  document.addEventListener("formdata", (event) => {
+    const typed = event.target.id === "ask" && event.formData.get("measured_at");
+    if (typed) event.formData.set("measured_at", new Date(typed).toISOString());
+  });
   // A page that comes back from the browser's own cache is as it was left: it waits for nothing any more.
   window.addEventListener("pageshow", () => {
-    if (byId("ask")) waiting("");
+    if (!byId("ask")) return;
+    waiting("");
+    const field = byId("measured_at");
+    byId("zone").textContent = Intl.DateTimeFormat().resolvedOptions().timeZone;
+    const before = new Date(field.dataset.moment);
+    if (!field.value && !Number.isNaN(before.getTime())) field.value = local(before);
   });
 
   const over = (event) => event.target.closest?.("#drop");

@@ -33,7 +33,7 @@ class FileField:
     by_column : str
         What each column is given; empty where it is said of the whole file.
     by_file : bool
-        Whether each of several files has its own.
+        Whether each of several files has its own; what is so is a moment.
     """
 
     name: str

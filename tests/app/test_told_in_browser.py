@@ -57,3 +57,24 @@ def test_a_spectrum_is_confirmed_as_one(visit: Visit, tmp_path: Path) -> None:
     expect(page.get_by_text("0.5 Hz, 2000 lines")).to_be_visible(timeout=SECONDS)
     expect(page.get_by_text("acceleration in m/s², amplitude, rms")).to_be_visible()
     assert serious(page) == [] and is_within_screen(page)
+
+
+def test_a_moment_is_typed_in_the_zone_of_the_reader(
+    browser: Browser, server: str, worn: bytes, tmp_path: Path
+) -> None:
+    file = tmp_path / "typed.csv"
+    file.write_bytes(worn)
+    with visiting(browser, server, SCREENS[0], timezone_id="America/New_York") as visit:
+        page = visit.page
+        page.get_by_label("Recording", exact=True).set_input_files(file)
+        page.get_by_text("What the file does not say").click()
+        field = page.get_by_label("Measured at")
+        expect(page.locator("label[for=measured_at]")).to_contain_text("America/New_York")
+        assert serious(page) == [] and is_within_screen(page)
+        field.fill("2024-07-21T10:03:05")
+        page.get_by_role("button", name="Read the recording").click()
+        expect(page.get_by_text("2024-07-21 14:03 UTC, as its sender says")).to_be_visible(timeout=SECONDS)
+    with visiting(browser, server, SCREENS[0], timezone_id="Europe/Berlin") as visit:
+        page = visit.page
+        page.goto(f"{server}/?measured_at=2024-07-21T14:03:05.000Z")
+        expect(page.get_by_label("Measured at")).to_have_value("2024-07-21T16:03:05")

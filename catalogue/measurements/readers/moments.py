@@ -53,6 +53,9 @@ _NAMES = re.compile(
 _LINE = re.compile(rf"(?P<label>.*?)(?P<value>{_WEEKDAY}(?:{_MONTH}\s+)?\d.*)", re.IGNORECASE)
 
 
+LOOKED_AT = 200
+"""Characters of a line or a text; a date stands at its beginning."""
+
 Place = TypeVar("Place")
 
 
@@ -81,7 +84,7 @@ def find_in_lines(lines: Sequence[tuple[int, str]]) -> tuple[RawMoment | None, s
     """
     named = []
     for index, line in lines:
-        found = _LINE.fullmatch(line.strip())
+        found = _LINE.fullmatch(line.strip()[:LOOKED_AT])
         if found:
             named.append((index, found["label"], found["value"].replace('"', "")))
     moment, used = _choose(named)
@@ -98,7 +101,7 @@ def find_in_members(members: Mapping[str, object]) -> RawMoment | None:
 
 
 def _plain(value: object) -> str:
-    return f"{value:.6f}" if isinstance(value, float) else str(value).strip()
+    return f"{value:.6f}" if isinstance(value, float) else str(value).strip()[:LOOKED_AT]
 
 
 def _choose(named: Iterable[tuple[Place, str, str]]) -> tuple[str | None, list[Place]]:
