@@ -132,7 +132,7 @@ def conclude(
     flaws = used[0].prepared.flaws if all(each.prepared.flaws for each in used) else ()
     p_value, verdict = judge(joined.result, question.coverage, causes, flaws)
     is_sure = verdict == "worn" and joined.result.p_worn >= SURE_ABOVE
-    if 2 * sum(each.verdict == "changed" for each in used) >= len(used) and verdict != "unknown" and not is_sure:
+    if 2 * sum(each.verdict == "changed" for each in used) > len(used) and verdict != "unknown" and not is_sure:
         # Each alone is never in order, and worn only where that is nearly sure: nor are they together.
         verdict = "changed"
     together = replace(

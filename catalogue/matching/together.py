@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointplay.catalogue.matching.curves import log_sum_exp
-from jointplay.catalogue.matching.matcher import ClearanceEstimate, MatchResult
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.solver.arrays import FloatArray, IntArray
 
 ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
@@ -23,6 +23,9 @@ ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
 
 SLIP = 1e-3
 """Share of recordings that say nothing of the machine, whatever they look like: none rules a state out alone."""
+
+HELD = 0.05
+"""Share of recordings in which a load holds a worn joint shut, so that it looks as in order."""
 
 LEAST_DENSITY = 0.02
 """Of a clearance in any recording, against what was likely before: intervals do not always hold."""
@@ -123,12 +126,14 @@ class _Said:
     evidence : ndarray, shape (n, h)
         ln of how much likelier each hypothesis has become.
     densities : for each hypothesis and joint, (points (p,), probability beforehand (p,), ln ratio (n, p))
+    as_seen : for each recording and hypothesis, the match of what it looks like: itself, or with some joints held shut
     """
 
     results: Sequence[MatchResult]
     log_prior: FloatArray
     evidence: FloatArray
     densities: Sequence[Sequence[tuple[FloatArray, FloatArray, FloatArray]]]
+    as_seen: Sequence[Sequence[HypothesisMatch]]
 
     @classmethod
     def of(cls, results: Sequence[MatchResult], prior: FloatArray) -> _Said:
@@ -136,12 +141,20 @@ class _Said:
         matches = [{match.label: match for match in result.hypotheses} for result in results]
         share = prior / prior.sum()
         found = np.array([[own[match.label].probability for match in first] for own in matches])
-        slipped = (1.0 - SLIP) * found + SLIP * share
+        likely = ((1.0 - SLIP) * found + SLIP * share) / share
+        held = _held_shut([match.joints for match in first])
+        seen = (likely[:, None, :] * held).argmax(axis=2)
+        as_seen = tuple(
+            tuple(own[first[s].label] for s in row) for own, row in zip(matches, seen.tolist(), strict=True)
+        )
         densities = [
-            [_densities([own[match.label].clearances[j] for own in matches]) for j in range(len(match.clearances))]
-            for match in first
+            [
+                _densities([_estimate_of(row[h], joint) for row in as_seen], match, j)
+                for j, joint in enumerate(match.joints)
+            ]
+            for h, match in enumerate(first)
         ]
-        return cls(results, np.log(share), np.log(slipped) - np.log(share), densities)
+        return cls(results, np.log(share), np.log((likely[:, None, :] * held).max(axis=2)), densities, as_seen)
 
     def weigh(self, chosen: IntArray, weights: FloatArray) -> tuple[FloatArray, float]:
         """Probabilities (h,) by some recordings, and ln of how much likelier they are together than by chance."""
@@ -156,10 +169,11 @@ class _Said:
         """The answer of all recordings."""
         results, first = self.results, self.results[0]
         probability, _ = self.weigh(np.arange(len(results)), weights)
-        by_label = [{match.label: match for match in result.hypotheses} for result in results]
         matches = []
-        for match, joints, share in zip(first.hypotheses, self.densities, probability.tolist(), strict=True):
-            own = [known[match.label] for known in by_label]
+        for h, (match, joints, share) in enumerate(
+            zip(first.hypotheses, self.densities, probability.tolist(), strict=True)
+        ):
+            own = [row[h] for row in self.as_seen]
             clearances = tuple(
                 _estimate(found.joint, edges, np.log(before) + weights @ ratio)
                 for found, (edges, before, ratio) in zip(match.clearances, joints, strict=True)
@@ -179,16 +193,32 @@ class _Said:
         )
 
 
-def _densities(estimates: Sequence[ClearanceEstimate]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _held_shut(joints: Sequence[Sequence[str]]) -> FloatArray:
+    """How often a machine of each hypothesis looks as of each (h, h): some of its joints may be held shut that day."""
+    sets = [frozenset(worn) for worn in joints]
+    return np.array([[HELD ** len(worn - seen) if seen <= worn else 0.0 for seen in sets] for worn in sets])
+
+
+def _estimate_of(match: HypothesisMatch, joint: str) -> ClearanceEstimate | None:
+    """The clearance of a joint; None where it looks as in order."""
+    return next((found for found in match.clearances if found.joint == joint), None)
+
+
+def _densities(
+    estimates: Sequence[ClearanceEstimate | None], match: HypothesisMatch, place: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Cells of ln(clearance) (p + 1,), probability of each beforehand, and ln of how much denser each recording has it.
 
-    Clearances are log-uniform beforehand.
+    Clearances are log-uniform beforehand; a recording in which the joint is held shut says nothing of it. The cells are
+    those of the joint in some recording, the first result's at the least.
     """
-    courses = [estimate.course or _log_normal(estimate) for estimate in estimates]
+    known = [estimate or match.clearances[place] for estimate in estimates]
+    courses = [estimate.course or _log_normal(estimate) for estimate in known]
     edges = np.unique(np.concatenate([course[0] for course in courses]))
     before = np.diff(edges) / (edges[-1] - edges[0])
     below = np.array([np.interp(edges, *course, left=0.0, right=1.0) for course in courses])
     ratio = np.log(np.maximum(np.diff(below, axis=1) / before, LEAST_DENSITY))
+    ratio[[estimate is None for estimate in estimates]] = 0.0
     return edges, before, ratio
 
 
