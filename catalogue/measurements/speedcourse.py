@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, TRACKED_ORDERS, thin
+from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, COMB_ORDERS, TRACKED_ORDERS, thin
 from jointplay.solver.arrays import FloatArray
 
 #: Revolutions in a window and from window to window, at the middle of the speeds that are looked at, and windows of a
@@ -75,9 +75,10 @@ def find_course(signal: npt.ArrayLike, sample_rate: float, low: float, high: flo
     starts = np.unique(np.linspace(0, len(kept) - length, count).round().astype(np.intp))
     tried = low * np.exp(STEP * np.arange(math.ceil(math.log(high / low) / STEP) + 1))
     blocks = np.array_split(starts, math.ceil(len(starts) / AT_A_TIME))
-    contrast = np.concatenate([_contrasts(kept, rate, block, length, tried) for block in blocks])
+    contrast, of_low = np.hstack([_contrasts(kept, rate, block, length, tried) for block in blocks])
     path = _likeliest_path(contrast)
-    clear = contrast[np.arange(len(starts)), path] >= COMB_CONTRAST_DB
+    # A quiet machine shows its low orders only; all of them say the speed twice as well.
+    clear = np.maximum(contrast, of_low)[np.arange(len(starts)), path] >= COMB_CONTRAST_DB
     middle = (starts + 0.5 * (length - 1)) / rate
     return SpeedCourse(np.asarray(middle, dtype=np.float64), np.where(clear, tried[path], np.nan))
 
@@ -85,14 +86,14 @@ def find_course(signal: npt.ArrayLike, sample_rate: float, low: float, high: flo
 def _contrasts(
     kept: FloatArray, rate: float, starts: npt.NDArray[np.intp], length: int, tried: FloatArray
 ) -> FloatArray:
-    """How far the orders of each speed stand out in each window, dB, by the change that shows them best."""
+    """How far all and the low orders of each speed stand out (2, w, s) in each window, dB, by the best change."""
     orders = np.arange(1, TRACKED_ORDERS + 1)
     orders = orders[orders * tried[-1] / (2.0 * math.pi) < 0.45 * rate]
     padded = scipy.fft.next_fast_len(8 * length, real=True)
     on, off = (np.rint(np.outer(tried, orders - by) * (padded / (2.0 * math.pi * rate))).astype(np.intp)
                for by in (0.0, 0.5))  # fmt: skip
     window = np.hanning(length)
-    best = np.full((len(starts), len(tried)), -np.inf)
+    best = np.full((2, len(starts), len(tried)), -np.inf)
     # Of -1 to 1 in a window: the angle by a change a is u + a (u^2 - 1) / 4, evenly sampled in it.
     even = np.linspace(-1.0, 1.0, length)
     for change in CHANGES:
@@ -105,7 +106,8 @@ def _contrasts(
         even_angle -= even_angle.mean(axis=1, keepdims=True)
         spectrum = np.abs(scipy.fft.rfft(even_angle * window[:, None], padded, axis=1)) ** 2
         level = np.log(spectrum + 1e-30).mean(axis=2) * (10.0 / math.log(10.0))
-        best = np.maximum(best, (level[:, on] - level[:, off]).mean(axis=2))
+        above = level[:, on] - level[:, off]
+        best = np.maximum(best, [above.mean(axis=2), above[:, :, :COMB_ORDERS].mean(axis=2)])
     return best
 
 

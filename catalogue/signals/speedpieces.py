@@ -35,7 +35,8 @@ LEAST_REVOLUTIONS = 6
 #: Pieces about one stored speed at most, the longest: a third tells hardly anything more.
 MOST_ABOUT_A_SPEED = 2
 #: What an order may be swept by within the decay time (to 1/e) of a mode of the suspension, in half-power widths of it.
-QUASI_STEADY = 0.3
+#: Levels are then off by 0.4 dB in a run-up and 0.9 dB in a coast-down (rms, ``benchmarks/sweeps.py``).
+QUASI_STEADY = 0.1
 #: Decay times after which a faster change is over.
 DECAYS = 3.0
 #: Damping ratio below which a mode never decays: it is in the catalogue's spectra as well.
@@ -109,21 +110,19 @@ def cut_by_speed(
         about, own = float(stored[nearest[first]]), speed[first:last]
         stays = np.abs(own / np.median(own) - 1.0) <= COVERED
         dwells = bool(np.count_nonzero(stays) > 0.5 * len(own))
-        inside = stays if dwells else np.abs(own / about - 1.0) <= COVERED
-        if not inside.any():
-            continue
-        followed = _followed(time, speed, machine) if followed is None else followed
-        sound = _runs(np.where(inside & followed[first:last], 1, -1))
-        begin, end = max(sound, key=lambda run: run[1] - run[0], default=(0, 0))
-        try:
-            if begin == end:
-                raise MeasurementError(recording.name, rule="its speed changes faster than the suspension follows")
-            found.append(
-                (about, dwells, _piece(recording, columns, course, time[first + begin], time[first + end - 1]))
-            )
-        except MeasurementError as error:
-            when = time[first:last][inside]
-            left_out.append(f"{when[0]:.3g} to {when[-1]:.3g} s, about {_rpm(about)} rpm: left out: {error.rule}")
+        inside = np.full(len(time), -1)
+        inside[first:last] = np.where(stays if dwells else np.abs(own / about - 1.0) <= COVERED, 1, -1)
+        for begin, end in _runs(inside):
+            followed = _followed(time, speed, machine) if followed is None else followed
+            sound = [(begin + i, begin + j - 1) for i, j in _runs(np.where(followed[begin:end], 1, -1))]
+            try:
+                if not sound:
+                    raise MeasurementError(recording.name, rule="its speed changes faster than the suspension follows")
+                i, j = max(sound, key=lambda ends: ends[1] - ends[0])
+                found.append((about, dwells, _piece(recording, columns, course, float(time[i]), float(time[j]))))
+            except MeasurementError as error:
+                when = f"{time[begin]:.3g} to {time[end - 1]:.3g} s"
+                left_out.append(f"{when}, about {_rpm(about)} rpm: left out: {error.rule}")
     longest = sorted(found, key=lambda each: -each[2].duration)
     chosen = [
         each for each in found
