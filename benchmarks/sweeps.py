@@ -103,11 +103,11 @@ def main() -> int:
             steady[float(relative)] = levels(signal, angle, last - WINDOW - np.arange(6.0)).mean(axis=0)
         for widths in WIDTHS:
             rate = change * widths / speedpieces.QUASI_STEADY
-            turns = 2 * speedpieces.COVERED / rate * nominal / (2 * math.pi)
-            if turns < WINDOW:
+            passed = 2 * speedpieces.COVERED / rate * nominal / (2 * math.pi)
+            if passed < WINDOW:
                 continue
             up, down = (deviation(machine, nominal, rate, side, steady) for side in (1.0, -1.0))
-            rows.append((f"{factor:g}", f"{widths:g}", f"{100 * rate:.3g} %/s", f"{turns:.0f}",
+            rows.append((f"{factor:g}", f"{widths:g}", f"{100 * rate:.3g} %/s", f"{passed:.0f}",
                          f"{up[0]:.2f} ({up[1]:.1f})", f"{down[0]:.2f} ({down[1]:.1f})"))  # fmt: skip
             print(rows[-1], file=sys.stderr, flush=True)
     head = ("dampers", "half-power widths a decay", "change of speed", "revolutions", "up: rms (largest) dB", "down")

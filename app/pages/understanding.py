@@ -26,13 +26,14 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     Returns
     -------
     dict
-        ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found; ``tacho``: whether pulses say it;
+        ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found, of the first piece where it changes; ``tacho``: whether pulses say it;
         ``warnings``; ``field`` and ``message``: what has to be put right first, empty where nothing has.
     """
     from jointplay.catalogue.errors import MeasurementError
     from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.signals.features import prepare
     from jointplay.catalogue.signals.sensors import map_sensors
+    from jointplay.catalogue.signals.speedpieces import cut_by_speed
 
     measurement = read(path, name, told)
     found = open_catalogue(catalogue, stamp)
@@ -42,8 +43,9 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     try:
         map_sensors(measurement, found.machine)
         field = "speed"
+        cut = cut_by_speed(measurement, found.machine, found.drive_speeds)
         prepared = prepare(
-            measurement,
+            cut.pieces[0],
             found.machine,
             scheme=found.scheme,
             nominal=found.recipe.nominal_drive_speed,
@@ -52,11 +54,12 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     except MeasurementError as error:
         return {**answer, "warnings": list(measurement.warnings), "field": field, "message": str(error)}
     estimate = prepared.speed
+    compared = [f"compared by itself: {piece.name}" for piece in cut.pieces] if len(cut.pieces) > 1 else []
     return {
         **answer,
         "speed_rpm": estimate.speed * RPM,
         "uncertainty_rpm": estimate.uncertainty * RPM,
-        "warnings": list(dict.fromkeys(prepared.warnings)),
+        "warnings": list(dict.fromkeys([*prepared.warnings, *compared, *cut.left_out])),
     }
 
 

@@ -26,7 +26,7 @@ from jointplay.catalogue.matching.together import Together, match_together
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.features import prepare
-from jointplay.catalogue.signals.speedpieces import cut_by_speed
+from jointplay.catalogue.signals.speedpieces import Cut, cut_by_speed
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
 
@@ -100,11 +100,11 @@ def diagnose_together(
     heard = []
     warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))
     for recording, speed in different:
-        pieces: Sequence[Recording | MeasuredSpectrum] = [recording]
-        if isinstance(recording, Recording) and speed is None:
+        cut = Cut((recording,))
+        if speed is None:
             cut = cut_by_speed(recording, catalogue.machine, catalogue.drive_speeds, own(recording))
-            pieces, warnings = cut.pieces, [*warnings, *cut.left_out]
-        for piece in pieces:
+            warnings += cut.left_out
+        for piece in cut.pieces:
             prepared = prepare(piece, catalogue.machine, own(recording), speed, *scale)
             heard.append(hear(prepared, piece.sha256, catalogue, question, shelf, known=known))
     if len(heard) == 1:

@@ -20,6 +20,7 @@ from jointplay.catalogue.measurements.drivespeed import (
     SpeedTrack,
     track_speed,
 )
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.speedcourse import WINDOW_REVOLUTIONS, SpeedCourse, find_course
 from jointplay.catalogue.signals.sensors import map_sensors
@@ -43,8 +44,8 @@ DECAYS = 3.0
 UNDAMPED = 1e-4
 #: The course is looked at so many times a revolution.
 LOOKS = 8
-#: Revolutions over which its change is taken at least, and the error of a speed in it, relative.
-LAG_REVOLUTIONS, COURSE_ERROR = 2, 0.015
+#: Revolutions over which its change is taken at least, and the change, relative, that is more than errors of its speeds.
+LAG_REVOLUTIONS, COURSE_ERROR = 2, 0.03
 #: Degree of the polynomial that a piece's course is smoothed by, and how far beyond its ends, in its lengths.
 COURSE_DEGREE, BESIDE = 3, 0.25
 
@@ -55,24 +56,28 @@ class Cut:
 
     Parameters
     ----------
-    pieces : tuple of Recording
-        In the order of time; the recording itself where its speed is one.
+    pieces : tuple of Recording or MeasuredSpectrum
+        In the order of time; what was measured itself where its speed is one.
     left_out : tuple of str
         What is not compared and why, one line each.
     """
 
-    pieces: tuple[Recording, ...]
+    pieces: tuple[Recording | MeasuredSpectrum, ...]
     left_out: tuple[str, ...] = ()
 
 
 def cut_by_speed(
-    recording: Recording, machine: Machine, speeds: Sequence[float], mapping: Mapping[str, str] | None = None
+    recording: Recording | MeasuredSpectrum,
+    machine: Machine,
+    speeds: Sequence[float],
+    mapping: Mapping[str, str] | None = None,
 ) -> Cut:
     """Cut a recording into pieces that are each about one speed.
 
     Parameters
     ----------
-    recording : Recording
+    recording : Recording or MeasuredSpectrum
+        A spectrum is not cut.
     machine : Machine
         Gives sensors and suspension.
     speeds : sequence of float
@@ -95,6 +100,8 @@ def cut_by_speed(
     is within 10 % of a stored one, within 3 % of that. What is swept faster than the suspension follows is left out,
     and so are three of its decay times after that.
     """
+    if isinstance(recording, MeasuredSpectrum):
+        return Cut((recording,))
     stored = np.sort(np.abs(speeds))
     columns = list(map_sensors(recording, machine, mapping).columns)
     course = _course(recording, columns, stored)
@@ -119,7 +126,9 @@ def cut_by_speed(
                 if not sound:
                     raise MeasurementError(recording.name, rule="its speed changes faster than the suspension follows")
                 i, j = max(sound, key=lambda ends: ends[1] - ends[0])
-                found.append((about, dwells, _piece(recording, columns, course, float(time[i]), float(time[j]))))
+                centre = float(np.median(own)) if dwells else about
+                piece = _piece(recording, columns, course, centre, float(time[i]), float(time[j]))
+                found.append((about, dwells, piece))
             except MeasurementError as error:
                 when = f"{time[begin]:.3g} to {time[end - 1]:.3g} s"
                 left_out.append(f"{when}, about {_rpm(about)} rpm: left out: {error.rule}")
@@ -193,15 +202,18 @@ def _followed(time: FloatArray, speed: FloatArray, machine: Machine) -> BoolArra
     return found
 
 
-def _piece(recording: Recording, columns: list[int], course: SpeedCourse, begin: float, end: float) -> Recording:
+def _piece(
+    recording: Recording, columns: list[int], course: SpeedCourse, about: float, begin: float, end: float
+) -> Recording:
     """What is recorded between two times [s], with the ends of its revolutions.
 
     Raises
     ------
     MeasurementError
-        Too few revolutions, or no orders stand out.
+        Too few revolutions, no orders stand out, or those that do are of another speed.
     """
     rate = recording.sample_rate
+    _refuse_few((end - begin) * about / (2.0 * math.pi), recording.name)
     first, last = round(begin * rate), min(len(recording.signal), round(end * rate) + 1)
     signal = recording.signal[first:last]
     if recording.turns is None:
@@ -209,20 +221,29 @@ def _piece(recording: Recording, columns: list[int], course: SpeedCourse, begin:
     else:
         turns = recording.turns[(recording.turns >= first) & (recording.turns < last)] - first
     count = len(turns) - 1
-    if count < LEAST_REVOLUTIONS:
-        rule = f"{max(count, 0)} revolutions; at least {LEAST_REVOLUTIONS} are needed of a speed that changes"
+    _refuse_few(count, recording.name)
+    mean = 2.0 * math.pi * rate * count / float(turns[-1] - turns[0])
+    if abs(mean / about - 1.0) > COVERED:
+        rule = f"seen as a whole it turns at {_rpm(mean)} rpm"
         raise MeasurementError(recording.name, rule=rule)
-    rpm = 60.0 * rate * count / (turns[-1] - turns[0])
     flaws = [replace(flaw, first=flaw.first - first, last=flaw.last - first) for flaw in recording.flaws]
     return replace(
         recording,
-        name=f"{recording.name}, {rpm:.4g} rpm, {first / rate:.3g} to {last / rate:.3g} s",
+        name=f"{recording.name}, {_rpm(mean)} rpm, {first / rate:.3g} to {last / rate:.3g} s",
         signal=signal,
         warnings=(),
         sha256=hashlib.sha256(f"{recording.sha256} {first} {last}".encode()).hexdigest(),
         flaws=tuple(flaw for flaw in flaws if flaw.kind != "dropout" or (flaw.last > 0 and flaw.first < last - first)),
         turns=turns,
     )
+
+
+def _refuse_few(revolutions: float, source: str) -> None:
+    if revolutions < LEAST_REVOLUTIONS:
+        rule = (
+            f"{max(revolutions, 0.0):.2g} revolutions; at least {LEAST_REVOLUTIONS} are needed of a speed that changes"
+        )
+        raise MeasurementError(source, rule=rule)
 
 
 def _turns(signal: FloatArray, rate: float, course: SpeedCourse, begin: float, end: float, source: str) -> FloatArray:

@@ -143,8 +143,9 @@ def test_one_speed_of_a_catalogue() -> None:
 
 
 def test_what_is_left_out_is_said() -> None:
-    recording, _ = turned([(0.0, 0.7), (4.0, 1.0), (8.0, 1.0), (10.0, 1.2), (14.0, 1.2)])
-    (line,) = cut_by_speed(recording, MACHINE, SPEEDS).left_out
+    recording, revolutions = turned([(0.0, 0.7), (4.0, 1.0), (8.0, 1.0), (10.0, 1.2), (14.0, 1.2)])
+    turns = np.interp(np.arange(1.0, revolutions[-1]), revolutions, np.arange(len(revolutions)))
+    (line,) = cut_by_speed(replace(recording, turns=turns), MACHINE, SPEEDS).left_out
     assert "about 480 rpm: left out: " in line
     assert "revolutions; at least 6 are needed of a speed that changes" in line
 
