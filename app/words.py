@@ -21,6 +21,14 @@ CLEARLY = 0.8
 """Probability from which on a joint is said to be beyond its limit, or within."""
 
 
+def recorded(result: Answer, name: str) -> str:
+    """Return what an answer is to: a recording of a name, or how many recordings or pieces of that one."""
+    count = len(result.recordings)
+    if all(share.measurement.startswith(f"{name}, ") for share in result.recordings):
+        return f"{name}, {count} pieces" if count else name
+    return f"{count} recordings"
+
+
 def sentence(result: Answer) -> str:
     """Return the verdict in one sentence.
 

@@ -50,7 +50,7 @@ def diagnosis_row(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, A
         "percent": words.probability(result),
         "sent": spell_moment(measurement.created_at),
         "diagnosed": spell_moment(row.created_at),
-        "recording": f"{len(result.recordings)} recordings" if result.recordings else measurement.name,
+        "recording": words.recorded(result, measurement.name),
         "effort": result.effort,
     }
 

@@ -26,8 +26,9 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     Returns
     -------
     dict
-        ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found, of the first piece where it changes; ``tacho``: whether pulses say it;
-        ``warnings``; ``field`` and ``message``: what has to be put right first, empty where nothing has.
+        ``speed_rpm`` and ``uncertainty_rpm``, None where the speed was not found, of the first piece where it changes;
+        ``tacho``: whether pulses say it; ``warnings``; ``field`` and ``message``: what has to be put right first, empty
+        where nothing has.
     """
     from jointplay.catalogue.errors import MeasurementError
     from jointplay.catalogue.measurements.measurement import Recording

@@ -38,7 +38,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "joints": joint_rows(result),
         "machine": result.machine,
         "speed": speeds(result),
-        "recording": f"{len(result.recordings)} recordings" if result.recordings else measurement.name,
+        "recording": words.recorded(result, measurement.name),
         "recordings": recording_rows(result),
         "asset": row.request.get("asset"),
         "created": f"{spell_moment(row.created_at)} UTC",

@@ -44,7 +44,7 @@ DECAYS = 3.0
 UNDAMPED = 1e-4
 #: The course is looked at so many times a revolution.
 LOOKS = 8
-#: Revolutions over which its change is taken at least, and the change, relative, that is more than errors of its speeds.
+#: Revolutions over which its change is taken at least, and the relative change that is more than its speeds' errors.
 LAG_REVOLUTIONS, COURSE_ERROR = 2, 0.03
 #: Degree of the polynomial that a piece's course is smoothed by, and how far beyond its ends, in its lengths.
 COURSE_DEGREE, BESIDE = 3, 0.25
