@@ -26,7 +26,7 @@ from jointplay.solver.machines.parts import Mount, RotationDrive
 from jointplay.solver.simulation.simulate import simulate
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
-DAMPING = (1.0, 0.3, 0.2)
+DAMPING = (1.0, 0.3)
 ORDERS = 20
 RATE = 10_000.0
 #: Samples a revolution, and revolutions a window.

@@ -167,3 +167,21 @@ def test_rates_of_the_drive_are_those_of_its_angle() -> None:
         assert here[1] == pytest.approx((after[0] - before[0]) / (2 * small), rel=1e-6)
         assert here[2] == pytest.approx((after[1] - before[1]) / (2 * small), rel=1e-4, abs=1e-3)
     assert angle(course, 0.0)[0] == 0.0
+
+
+def test_the_angle_of_a_speed_that_changes() -> None:
+    """Half of 10 rad/s until 1 s, to one and a half times that in 2 s, held; with a ripple on it."""
+    for ripple in ([], [Ripple(3, 0.01, 0.4)]):
+        course = turning(10.0, None, ripple, [(0.0, 0.5), (2.0, 1.5), (3.0, 1.5)], begin=1.0)
+        times = np.array([0.3, 1.0, 1.5, 2.0, 2.7, 3.0, 3.5, 6.0])
+        factor = np.interp(times, [1.0, 3.0], [0.5, 1.5])
+        covered = [
+            5 * t if t < 1 else 5 + 5 * (t - 1) + 2.5 * (t - 1) ** 2 if t < 3 else 25 + 15 * (t - 3) for t in times
+        ]
+        found = np.array([angle(course, t) for t in times])
+        assert found[:, 3] == pytest.approx(np.array(covered))
+        if not ripple:
+            assert found[:, 1] == pytest.approx(10 * factor)
+        for t in (0.5, 2.2, 4.0):
+            before, now, after = (np.array(angle(course, t + by)) for by in (-1e-4, 0.0, 1e-4))
+            assert now[1:3] == pytest.approx((after[:2] - before[:2]) / 2e-4, rel=1e-5)
