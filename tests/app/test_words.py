@@ -34,6 +34,22 @@ def test_one_worn_joint() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        ((), "press.csv"),
+        (("press.csv, 477 rpm, 1.98 to 3.52 s", "press.csv, 599 rpm, 8.45 to 10.4 s"), "press.csv, 2 pieces"),
+        (("press.csv", "other.csv"), "2 recordings"),
+        (("press.csv, 477 rpm, 1.98 to 3.52 s", "press.csv, 599 rpm, 8.45 to 10.4 s", "other.csv"), "3 recordings"),
+    ],
+)
+def test_what_was_recorded(names: tuple[str, ...], text: str) -> None:
+    said = {"alone": "A", "p_alone": 0.9, "verdict": "worn", "weight": 0.7, "without": "A", "p_without": 0.9}
+    share = {**said, "sha256": "0" * 64, "drive_speed_rpm": 480.0, "one_machine": 3.0, "contradicts": False}
+    found = result("worn", joints=WORN, recordings=[{**share, "measurement": name} for name in names])
+    assert words.recorded(found, "press.csv") == text
+
+
 def test_two_worn_joints() -> None:
     joints = {"A": joint("worn", 250.0, 0.97, p_over_limit=0.9), "C": joint("worn", 80.0, 0.96, p_over_limit=0.02)}
     found = result("worn", hypothesis("A+C", 0.8, A=250, C=80), joints=joints)
