@@ -23,11 +23,16 @@ import numpy as np
 
 from benchmarks.real_machines import interval
 from jointplay.app.tables import table
-from jointplay.catalogue.diagnosing.diagnosis import diagnose
-from jointplay.catalogue.diagnosing.together import diagnose_together
+from jointplay.catalogue.diagnosing.hearing import Heard, hear
+from jointplay.catalogue.diagnosing.question import Question
+from jointplay.catalogue.diagnosing.telling import tell
+from jointplay.catalogue.diagnosing.together import conclude
+from jointplay.catalogue.matching.model_library import library_of
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
+from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.storage.store import Catalogue
 
+QUESTION = Question()
 #: Ends of the classes of promised probabilities of being right.
 CLASSES = (0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
 
@@ -58,21 +63,29 @@ def promises(folder: Path, catalogues: Path) -> list[Promise]:
             worn = frozenset(truths[names[0]]["worn_um"])
             machine = truths[names[0]]["machine"]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
-            recordings = {name: read_recording(truth_file.with_name(f"{name}.npz")) for name in names}
+            heard = {name: _heard(truth_file.with_name(f"{name}.npz"), catalogue) for name in names}
             for name, other in itertools.permutations(names, 2):
-                alone = diagnose(recordings[name], catalogue)
-                asked = [each for each in alone.suggestions if each.kind == "speed"]
-                near = [each for each in asked if near_to(each.what, truths[other]["speed_rpm"])]
-                if not near:
+                alone = tell(heard[name], catalogue, QUESTION, library_of(catalogue), suggesting=True)
+                rpm = truths[other]["speed_rpm"]
+                asked = [each for each in alone.suggestions if each.kind == "speed" and near_to(each.what, rpm)]
+                if not asked:
                     continue
-                both = diagnose_together([recordings[name], recordings[other]], catalogue)
+                # With fast nothing more is suggested, which would cost as much again.
+                both = conclude([heard[name], heard[other]], catalogue, Question("fast"), library_of(catalogue))
                 true = sum(each.probability for each in both.hypotheses if frozenset(each.joints) == worn)
                 first, then = alone.hypotheses[0], both.hypotheses[0]
                 now, right = frozenset(first.joints) == worn, frozenset(then.joints) == worn
-                row = (1 - near[0].error_now, 1 - near[0].error, then.probability, true)
+                row = (1 - asked[0].error_now, 1 - asked[0].error, then.probability, true)
                 found.append(Promise(f"{name} + {other}", *row, now, right))
                 print(found[-1], file=sys.stderr, flush=True)
     return found
+
+
+def _heard(file: Path, catalogue: Catalogue) -> Heard:
+    recording = read_recording(file)
+    scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
+    prepared = prepare(recording, catalogue.machine, None, None, *scale)
+    return hear(prepared, recording.sha256, catalogue, QUESTION, library_of(catalogue))
 
 
 def near_to(what: str, rpm: float) -> bool:
