@@ -36,10 +36,8 @@ LEAST_PROBABILITY = 0.05
 #: of every level, or fits as well as this.
 MOST_LEFT = 0.35
 EXPLAINED = 0.01
-#: What has changed since a recording of the same machine shows much more clearly, so that more is asked of what is
-#: named: such a gain, and to leave no more than this part.
+#: What has changed since a recording of the same machine shows much more clearly: then that gain is to be so large.
 LEAST_GAIN_SINCE = 50.0
-MOST_LEFT_SINCE = 0.2
 #: Families that are searched beyond their starts: the best so many,
 SEARCHED = 5
 #: where one of the starts is no more than so much less likely (ln) than no change: half of the time of a recording of a
@@ -145,8 +143,7 @@ def name_changes(expected: LevelStatistics, catalogue: Catalogue) -> tuple[Named
     if model is None:
         return ()
     scored = list(_score(expected, model, tuple(families_of(model)), LEAST_GAIN_SINCE, since=True))
-    found = _rank([each for each in scored if each.family is None or each.left <= MOST_LEFT_SINCE])
-    return tuple(replace(cause, since=True) for cause in found)
+    return tuple(replace(cause, since=True) for cause in _rank(scored))
 
 
 def _ideal(catalogue: Catalogue, speed: float) -> IdealFrame | None:
@@ -159,13 +156,12 @@ def _ideal(catalogue: Catalogue, speed: float) -> IdealFrame | None:
 
 @dataclass(frozen=True, eq=False)
 class _Scored:
-    """The best member of a family, whether it may be named, and the part it leaves; no family where nothing changed."""
+    """The best member of a family, and whether it may be named; no family where nothing was changed."""
 
     family: Family | None
     evidence: float
     numbers: FloatArray
     named: bool = False
-    left: float = 1.0
 
     @property
     def is_small(self) -> bool:
@@ -208,12 +204,11 @@ def _score(
         if rank < SEARCHED:
             numbers, found = better[rank]
         gain = 0.5 * (none - found) / TEMPERATURE - penalty * len(numbers)
-        left = (found - count) / max(misfit.none - count, 1.0)
-        named = gain >= least_gain and left <= MOST_LEFT
+        named = gain >= least_gain and found - count <= MOST_LEFT * (misfit.none - count)
         if gain >= least_gain and not named:
             in_order = misfit.in_order() if in_order is None else in_order
             named = share_beyond(found, in_order) >= EXPLAINED
-        yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named, left)
+        yield _Scored(family, gain - 0.5 * none / TEMPERATURE, numbers, named)
 
 
 def _rank(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:

@@ -24,8 +24,9 @@ from jointplay.catalogue.diagnosing.baseline_levels import (
 from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.feature_bands import feature_axes
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
+from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 #: What two recordings of a machine in order differ by at one speed, as a part of what machines scatter by,
@@ -48,6 +49,8 @@ FREEDOM = 3.0
 DRAWS = 2000
 #: Levels that are told: so many standard deviations off, and the farthest so many.
 TOLD_FROM, MOST_TOLD = 3.0, 5
+#: Entries whose speed is nearest to the recording's.
+NEAREST = 60
 #: Median of the square of a normal number.
 MEDIAN_SQUARE = 0.455
 
@@ -110,7 +113,8 @@ def compare_with_past(
     used = distance.usable()
     if not used.any():
         return None
-    return PastComparison(distance.p_value(used), tuple(distance.farthest(used)), distance.expected())
+    power = _power(catalogue, levels[0])
+    return PastComparison(distance.p_value(used), tuple(distance.farthest(used)), distance.expected(power))
 
 
 def _view(prepared: PreparedMeasurement) -> tuple[object, ...]:
@@ -124,6 +128,15 @@ def _with_play(catalogue: Catalogue, levels: OrderLevels) -> IntArray:
     rows = catalogue.matrix.rows(HEALTHY, "trusted", speed=levels.prepared.drive_speed)
     playing = rows[np.any(np.nan_to_num(catalogue.matrix.clearance(rows)) > 0.0, axis=1)]
     return playing if len(playing) >= LEAST_ENTRIES else rows
+
+
+def _power(catalogue: Catalogue, levels: OrderLevels) -> AnyComplexArray:
+    """Cross-powers of machines in order at nearly the recording's speed, which a change is worked out on."""
+    rows = _with_play(catalogue, levels)
+    off = np.log(np.abs(catalogue.matrix.table(rows).drive_speed) / levels.prepared.drive_speed)
+    nearest = rows[np.sort(np.argsort(np.abs(off), kind="stable")[:NEAREST])]
+    power = unpack(catalogue.matrix.packed(nearest)[:, :FEATURE_ORDERS])
+    return np.asarray(power.mean(axis=0, dtype=np.complex128))
 
 
 def _steadiness(then: Sequence[LevelStatistics]) -> float:
@@ -231,7 +244,7 @@ class _Distance:
             if off[place] >= TOLD_FROM
         ]
 
-    def expected(self) -> LevelStatistics:
+    def expected(self, power: AnyComplexArray) -> LevelStatistics:
         """How the orders were to lie: as far as machines scatter, and as far as levels err."""
         orders = slice(0, FEATURE_ORDERS * self._channels)
         levels = self.now.levels
@@ -241,7 +254,7 @@ class _Distance:
             levels=first,
             mean=(levels.measured - self.away)[orders],
             deviations=(self.part * self.now.deviations)[:, orders],
-            power=self.now.power[:FEATURE_ORDERS],
+            power=power,
             fitted=self.now.fitted,
             known_to=REPEATS_DB,
             further=(self.errors - _errors(self.now) + hidden)[orders],

@@ -79,7 +79,8 @@ def test_the_recording_is_read_once(shelf: Path, tmp_path: Path, worn: bytes, mo
     assert pool.asked == ["summarise_and_diagnose"]
     assert len(times) == 1
     stored = service.store.measurement(row.measurement)
-    assert stored.summary == tasks.summarise(str(service.store.path_of(stored.sha256)), "worn.csv", Told())
+    again = tasks.summarise(str(service.store.path_of(stored.sha256)), "worn.csv", Told())
+    assert {**stored.summary, "measured_at": None} == again  # when it was measured has columns of its own
     again = asyncio.run(service.diagnose(DiagnosisRequest.model_validate(row.request)))
     assert (again.id, again.result) == (row.id, row.result)
 

@@ -20,7 +20,7 @@ from uploaded import uploaded
 from jointplay.app.cli import main
 from jointplay.app.schemas.assets import AssetIn
 from jointplay.app.storage.assets import AssetMeasurementRow, Assets, measurements_of
-from jointplay.app.storage.backup import Place, back_up, restore
+from jointplay.app.storage.backup import ROWS, Place, back_up, restore
 from jointplay.app.storage.store import Store
 from jointplay.app.storage.told import Told, read_told
 
@@ -82,17 +82,22 @@ def test_a_window_goes_by_when_they_were_made(store: Store) -> None:
     assert [row.name for row in everything] == ["first.csv", "second.csv", "third.csv"]
 
 
-def test_of_version_1_the_moment_of_receipt_is_known(tmp_path: Path) -> None:
+def of_version_1(file: Path, sha256: str) -> None:
+    """Make a database as version 1 has it, with a measurement that is the baseline of an asset."""
     script = (Path(__file__).parents[1] / "data/service/revision-1.sql").read_text()
-    with closing(sqlite3.connect(tmp_path / "service.sqlite")) as connection:
+    with closing(sqlite3.connect(file)) as connection:
         connection.executescript(script)
-        values = "1, 'm1', 'aa', 'a.csv', 7, '{}', '2023-05-06 07:08:09.000010', '{}'"
+        values = f"1, 'm1', '{sha256}', 'a.csv', 7, '{{}}', '2023-05-06 07:08:09.000010', '{{}}'"
         connection.execute(f"INSERT INTO measurements VALUES ({values})")
         connection.execute(
             "INSERT INTO assets VALUES (1, 'press', 'slider-crank', '', 'm1', '2023-01-01', '2023-01-01')"
         )
         connection.execute("INSERT INTO asset_measurements VALUES ('press', 'm1')")
         connection.commit()
+
+
+def test_of_version_1_the_moment_of_receipt_is_known(tmp_path: Path) -> None:
+    of_version_1(tmp_path / "service.sqlite", "aa")
     with closing(Store(tmp_path)) as store:
         row = store.measurement("m1")
         assert row.measured_at == row.created_at == datetime(2023, 5, 6, 7, 8, 9, 10, tzinfo=UTC)
@@ -131,6 +136,20 @@ def test_a_backup_brings_it_back(tmp_path: Path) -> None:
     with closing(Store(other.data)) as store:
         found = store.measurement(kept.id)
         assert (found.measured_at, found.measured_at_source) == (AT, "sender")
+
+
+def test_a_backup_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
+    place = Place(tmp_path / "data", tmp_path / "shelf", "")
+    with closing(Store(place.data)) as store:
+        kept = store.add_measurement(store.receive(io.BytesIO(b"bytes")), "a.csv", None, {})
+    back_up(place, tmp_path / "backup")
+    (tmp_path / "backup" / ROWS).unlink()
+    of_version_1(tmp_path / "backup" / ROWS, kept.sha256)
+    other = Place(tmp_path / "other", tmp_path / "shelf-2", "")
+    restore(tmp_path / "backup", other)
+    with closing(Store(other.data)) as store:
+        found = store.measurement("m1")
+        assert found.measured_at == found.created_at and found.measured_at_source == "received"
 
 
 def test_what_is_told_of_it(worn: bytes) -> None:
