@@ -16,7 +16,8 @@ from second_simulator.machine_file import read
 from second_simulator.recording import write
 
 from jointplay.catalogue.building.build import build
-from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, EffortSpent, FittedNumber
+from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, EffortSpent
+from jointplay.catalogue.diagnosing.answer_of_baseline import FittedNumber
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
