@@ -34,8 +34,8 @@ def test_the_commands_find_the_worn_joint(tmp_path: Path) -> None:
     shown = re.search(r"```text\n(.*?)```", text, re.DOTALL)
     assert shown is not None
     assert said.startswith("Joint B is worn: radial clearance ") and shown[1].startswith("Joint B is worn: ")
-    # So small a catalogue's intervals hold as often as they say, not always: 200 um were told as 147 (124 to 195) and as
-    # 227 (150 to 336) by processors with other roundings.
+    # So small a catalogue's intervals hold as often as they say, not always: 200 um were told as 147 (124 to 195) and
+    # as 227 (150 to 336) by processors with other roundings.
     low, high = map(int, re.findall(r"\(90 %: (\d+) to (\d+)\)", said)[0])
     assert low / 1.2 < 200 < 1.2 * high
     assert {file.name for file in tmp_path.iterdir()} >= {"rocker.svg", "worn.h5", "worn.png", "rocker-tiny"}
