@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from jointplay.app.errors import BadFieldError, TimeLimitError, WorkerDiedError
+from jointplay.app.errors import BadFieldError, TimeLimitError, UnknownMeasurementError, WorkerDiedError
 from jointplay.app.figures.pictures import response_picture
 from jointplay.app.jobs import following, tasks
 from jointplay.app.jobs.build_runner import BuildRunner
@@ -270,7 +271,11 @@ class Service:
     def baselines_of(self, asset: AssetRow, measurement: str | None) -> tuple[tuple[str, str, Told], ...]:
         """Return where the baselines of an asset lie and how to read them, without the measurement itself."""
         rows = [self.store.measurement(key) for key in asset.in_order if key != measurement]
-        return tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows)
+        own = None
+        if rows and measurement is not None:
+            with suppress(UnknownMeasurementError):  # it is on its way, with this question
+                own = self.store.measurement(measurement).sha256
+        return tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows if row.sha256 != own)
 
     def announce(
         self, session: Session, diagnosis: str, measurements: Sequence[str], asset: AssetRow | None, result: Diagnosis

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -10,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import select
 
 from jointplay.app.errors import NothingToFollowError
-from jointplay.app.storage.assets import Assets, diagnoses_of
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
+from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.app.storage.store import Store
 
 if TYPE_CHECKING:
+    from jointplay.catalogue.diagnosing.answer import Diagnosis
     from jointplay.catalogue.following.state import WearState
 
-MOST_VISITS = 2000
-"""Recordings of an asset that are followed: the newest so many."""
+MOST_VISITS, MOST_RECORDINGS = 2000, 20_000
+"""Diagnoses of an asset that are followed, the newest so many, and recordings that they may be of."""
 
 MOST_LESSONS = 1000
 """Findings of machines of one kind that teach: the newest so many."""
@@ -52,7 +54,7 @@ class Life:
 def gather(store: Store, asset: str) -> Life:
     """Return what is known of an asset.
 
-    Of several answers to the same recordings the newest counts; of recordings that have an answer together, that one.
+    Every recording counts once, by its bytes: in the newest answer that several have together, or else in its own.
 
     Raises
     ------
@@ -64,24 +66,30 @@ def gather(store: Store, asset: str) -> Life:
     assets = Assets(store.database)
     row = assets.asset(asset)
     diagnoses = store.diagnoses(None, MOST_VISITS, among=diagnoses_of(asset))
-    newest = list({each.measurements: each for each in reversed(diagnoses)}.values())
-    if not newest:
+    if not diagnoses:
         raise NothingToFollowError(f"asset {asset}: none of its recordings was diagnosed yet", field="asset")
-    together = {key for each in newest if len(each.measurements) > 1 for key in each.measurements}
-    counted = [each for each in newest if len(each.measurements) > 1 or each.measurement not in together]
-    used = {key for each in counted for key in each.measurements}
-    known = store.measurements(None, len(used), select(MeasurementRow.id).where(MeasurementRow.id.in_(used)))
-    made = {each.id: each.measured_at for each in known}
+    # Whoever diagnoses a recording for an asset notes it as one of the asset's.
+    known = {each.id: each for each in store.measurements(None, MOST_RECORDINGS, measurements_of(asset))}
+    # The same bytes by several names were made once: when somebody says, or else when they were first received.
+    made: dict[str, tuple[bool, datetime]] = {}
+    for row_of in known.values():
+        moment = (row_of.measured_at_source == "received", row_of.measured_at)
+        made[row_of.sha256] = min(made.get(row_of.sha256, moment), moment)
+    heard: set[str] = set()
+    counted: list[tuple[datetime, str, DiagnosisRow]] = []
+    for each in sorted(diagnoses, key=lambda each: len(each.measurements) == 1):  # the newest of either first
+        recordings = [known[key] for key in each.measurements if key in known]
+        bytes_of = sorted({recording.sha256 for recording in recordings})
+        if recordings and heard.isdisjoint(bytes_of):
+            heard.update(bytes_of)
+            counted.append((max(made[key][1] for key in bytes_of), " ".join(bytes_of), each))
     fleet = assets.findings_of_machine(row.machine, MOST_LESSONS)
     ids = select(DiagnosisRow.id).where(DiagnosisRow.id.in_({found.diagnosis for found in fleet}))
     answered = store.diagnoses(None, len(fleet), among=ids)
     results = {each.id: _without_evidence(each) for each in answered}
     return Life(
         machine=diagnoses[0].machine,
-        visits=[
-            (max(made[key] for key in each.measurements), " ".join(each.measurements), _without_evidence(each))
-            for each in counted
-        ],
+        visits=[(at, key, _without_evidence(each)) for at, key, each in counted],
         findings=[(found.at, found.id, found.joints) for found in fleet if found.asset == asset],
         lessons=[(results[found.diagnosis], found.joints) for found in reversed(fleet)],
     )
@@ -113,9 +121,22 @@ def follow_life(life: Life) -> WearState:
         for at, key, joints in life.findings
     ]
     lessons = [
-        Lesson(Diagnosis.model_validate(result), joint, clearance, worn=clearance >= bounds[joint].worn_from)
-        for result, joints in life.lessons
+        Lesson(answer, joint, clearance, worn=clearance >= bounds[joint].worn_from)
+        for answer, joints in _readable(life.lessons)
         for joint, clearance in ((joint, 1e-6 * found["clearance_um"]) for joint, found in joints.items())
         if joint in bounds
     ]
     return follow(visits, inspections, bounds=bounds, correction=learn_from(lessons)).state
+
+
+def _readable(
+    lessons: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]],
+) -> Iterator[tuple[Diagnosis, Mapping[str, Any]]]:
+    """Answers of other assets, and what was found; one that this version cannot read teaches nothing."""
+    from pydantic import ValidationError
+
+    from jointplay.catalogue.diagnosing.answer import Diagnosis
+
+    for result, joints in lessons:
+        with suppress(ValidationError):
+            yield Diagnosis.model_validate(result), joints

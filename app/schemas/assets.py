@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field, model_validator
 
 from jointplay.app.schemas.resources import Page, Shape
-from jointplay.app.words import Moment
+from jointplay.app.words import MeasuredAt
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 
 EXTERNAL_ID = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,127}$"
@@ -101,7 +101,7 @@ class FindingIn(Shape):
 
     joints: Annotated[dict[str, JointFound], Field(default={}, max_length=200, description="By name of the joint.")]
     text: Annotated[str, Field(default="", max_length=4000, pattern=TEXT)]
-    at: Annotated[Moment, Field(description="When it was found, with a time zone.")]
+    at: Annotated[MeasuredAt, Field(description="When it was found, with a time zone.")]
 
     @model_validator(mode="after")
     def says_something(self) -> FindingIn:

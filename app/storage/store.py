@@ -258,6 +258,7 @@ class Store:
     ) -> MeasurementRow:
         held = dict(summary)
         received, in_file = now(), held.pop("measured_at", None)
+        moment = told.measured_at or (datetime.fromisoformat(in_file) if in_file else received)
         source: MomentSource = "sender" if told.measured_at else "file" if in_file else "received"
         row = {
             "id": measurement_key(upload.sha256, name, told),
@@ -267,12 +268,13 @@ class Store:
             "said": told.shown,
             "created_at": received,
             "summary": held,
-            "measured_at": told.measured_at or (datetime.fromisoformat(in_file) if in_file else received),
+            "measured_at": moment,
             "measured_at_source": source,
         }
         kept, new = self._put(session, MeasurementRow, row)
-        if not new and told.measured_at is not None:
-            kept.measured_at, kept.measured_at_source = told.measured_at, source
+        is_first_told = source == "file" and kept.measured_at_source == "received"
+        if not new and (told.measured_at is not None or is_first_told):
+            kept.measured_at, kept.measured_at_source = moment, source
         return kept
 
     def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:

@@ -38,7 +38,7 @@ class BaselineShown(Frozen):
     further : tuple of BaselineRecording
         The others.
     used : bool
-        Whether a machine in order explains it; nothing of it is used otherwise.
+        Whether a machine in order explains it; no number or gain of it is used otherwise.
     p_before, p_after : float
         Share of simulated machines in order that fit worse: with the numbers of the machine file, and as fitted.
     numbers, gains : mapping of str to FittedNumber

@@ -77,7 +77,7 @@ class Baseline:
 
     @property
     def explained(self) -> bool:
-        """Whether a healthy machine explains the recording; nothing of the baseline is used otherwise."""
+        """Whether a healthy machine explains the recording; no number or gain of the baseline is used otherwise."""
         return self.p_after >= UNEXPLAINED
 
     def correct(self, prepared: PreparedMeasurement, machine: Machine) -> PreparedMeasurement:
@@ -194,7 +194,7 @@ def _answer(name: str, levels: OrderLevels, model: HealthyMachine, fit: Baseline
     warnings = []
     if fit.p_after < UNEXPLAINED:
         warnings.append(
-            f"baseline {name}: no healthy machine explains it (p {fit.p_after:.2g}): nothing of it was used"
+            f"baseline {name}: no healthy machine explains it (p {fit.p_after:.2g}): no number or gain of it was used"
         )
     else:
         for what, group, least in (("", numbers, NOTEWORTHY), ("gain of ", gains, NOTEWORTHY_GAIN)):

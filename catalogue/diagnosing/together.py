@@ -130,14 +130,19 @@ def conclude(
     joined = match_together([each.result for each in used], _prior(used[0].result, catalogue, question), speeds)
     causes = _causes(used)
     flaws = used[0].prepared.flaws if all(each.prepared.flaws for each in used) else ()
-    p_value, verdict = judge(joined.result, question.coverage, causes, flaws)
+    # The least of several p-values, by Bonferroni's bound.
+    p_since = min(1.0, len(used) * min(each.past.p_value if each.past else 1.0 for each in used))
+    p_value, verdict = judge(joined.result, question.coverage, causes, flaws, p_since)
     is_sure = verdict == "worn" and joined.result.p_worn >= SURE_ABOVE
-    if 2 * sum(each.verdict == "changed" for each in used) > len(used) and verdict != "unknown" and not is_sure:
-        # Each alone is never in order, and worn only where that is nearly sure: nor are they together.
+    changed = 2 * sum(each.verdict == "changed" for each in used) - len(used)
+    if (changed > 0 and verdict != "unknown" and not is_sure) or (changed == 0 and verdict == "in_order"):
+        # Each alone is never in order, and worn only where that is nearly sure: nor are they together. But a load that
+        # one of two has may have held shut what the other shows.
         verdict = "changed"
     together = replace(
         used[0],
         result=joined.result,
+        past=min((each.past for each in used if each.past), key=lambda past: past.p_value, default=None),
         causes=causes,
         p_value=p_value,
         verdict=verdict,
@@ -148,7 +153,10 @@ def conclude(
         ),
     )
     shares = _shares(heard, reasons, joined)
-    told = [*warnings, *(f"{each.prepared.name}: {line}" for each in used[1:] for line in each.prepared.warnings)]
+    told = [
+        *warnings,
+        *(f"{each.prepared.name}: {line}" for each in heard if each is not used[0] for line in each.prepared.warnings),
+    ]
     told += [f"{share.measurement}: left out: {share.left_out}" for share in shares if share.left_out]
     told += [
         f"{share.measurement}: contradicts the others: alone it says {share.alone}, they say {share.without}"

@@ -15,6 +15,12 @@ from jointplay.catalogue.following.state import CauseFollowed
 COMES, GOES = 0.1 / YEAR, 0.05 / YEAR
 """How often a cause comes, and goes, 1/s."""
 
+USUAL = COMES / (COMES + GOES)
+"""Probability of a cause of which nothing was heard for long."""
+
+LEAST_SPAN = 7.0 / 365.25
+"""Years over which a size's course is told at least."""
+
 THERE_AT_FIRST = 0.05
 """Probability beforehand."""
 
@@ -34,7 +40,8 @@ def _follow(name: str, answers: Sequence[tuple[datetime, Answer]]) -> CauseFollo
     told: list[tuple[datetime, Cause]] = []
     for at, answer in answers:
         passed = (at - before).total_seconds() if before else 0.0
-        there += (1.0 - there) * (1.0 - math.exp(-COMES * passed)) - there * (1.0 - math.exp(-GOES * passed))
+        # Of two states, after long with what is usual, which is below a half where a recording does not name it.
+        there = USUAL + (there - USUAL) * math.exp(-(COMES + GOES) * passed)
         before = at
         said = next((cause for cause in answer.causes if cause.name == name), None)
         share = min(said.probability, 1.0 - 1e-9) if said else 0.0
@@ -46,7 +53,7 @@ def _follow(name: str, answers: Sequence[tuple[datetime, Answer]]) -> CauseFollo
     lately = [(at, cause) for at, cause in told if since is None or at >= since]
     times = np.array([(at - lately[-1][0]).total_seconds() / YEAR for at, _ in lately])
     sizes = np.array([cause.size for _, cause in lately])
-    if len(lately) < 3 or np.ptp(times) == 0.0:
+    if len(lately) < 3 or np.ptp(times) < LEAST_SPAN:
         slope, size = 0.0, float(np.median(sizes))
     else:
         slope, size = np.polyfit(times, sizes, 1, w=np.sqrt([cause.probability for _, cause in lately])).tolist()

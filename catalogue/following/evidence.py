@@ -66,7 +66,7 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     before = np.array([prior.weight(match.joints, len(bounds), most) for match in answer.hypotheses])
     found = np.array([match.probability for match in answer.hypotheses])
     weights = np.maximum(found, 1e-12) / (before / before.sum())
-    edges = [_edge(answer.joints[joint], bounds[joint]) for joint in bounds]
+    edges = [_edge(answer.joints.get(joint), bounds[joint]) for joint in bounds]
     densities = np.array(
         [
             [
@@ -93,13 +93,15 @@ class _Edge(NamedTuple):
     most: FloatArray
 
 
-def _edge(seen: JointState, bounds: JointBounds) -> _Edge:
+def _edge(seen: JointState | None, bounds: JointBounds) -> _Edge:
     """Where an answer's say on small wear ends.
 
     Below the clearance from which wear shows with 95 % an answer knows whether it shows, not how much it is: what looks
     like 40 um in a sound joint of another machine looks so in every recording of it.
     """
     begins = math.log(bounds.worn_from)
+    if seen is None:
+        return _Edge(np.ones(len(AXIS)), np.ones(len(AXIS)), np.ones(len(AXIS)))
     if seen.detectable_from_um is None:
         return _Edge(np.ones(len(AXIS)), np.asarray(AXIS >= begins, np.float64), np.ones(len(AXIS)))
     shows = max(math.log(1e-6 * seen.detectable_from_um), begins + STEP)
@@ -113,11 +115,12 @@ def _edge(seen: JointState, bounds: JointBounds) -> _Edge:
 
 def _density(found: JointClearance, bounds: JointBounds) -> FloatArray:
     """Likelihood (X,) of the clearance of a worn joint, against clearances that are log-uniform beforehand."""
-    middle = math.log(found.clearance_um * 1e-6)
-    low, high = (math.log(end * 1e-6) for end in found.interval_um)
+    low, middle, high = np.log(1e-6 * np.array([found.interval_um[0], found.clearance_um, found.interval_um[1]]))
+    beyond = np.clip(middle, AXIS[0], AXIS[-1]) - middle
+    low, middle, high = low + beyond, middle + beyond, high + beyond
     width = np.where(middle > AXIS, middle - low, high - middle) / HALF_90
     law = np.exp(-0.5 * ((AXIS - middle) / np.maximum(width, STEP)) ** 2)
-    ratio = law / law[bounds.worn].sum() * bounds.worn.sum()
+    ratio = law / max(float(law[bounds.worn].sum()), 1e-12) * bounds.worn.sum()
     return np.asarray(np.maximum(ratio, LEAST_DENSITY))
 
 

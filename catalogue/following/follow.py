@@ -109,6 +109,8 @@ def follow(
                 if joint in event.joints:
                     belief[j] *= read_measured(event.joints[joint])
                     belief[j] /= belief[j].sum()
+                    if float(belief[j].sum(axis=(0, 1))[is_worn[j]].sum()) < UNWORN:
+                        sure[joint] = None
                 if joint in event.repaired:
                     belief[j], sure[joint] = bounds[joint].mended(belief[j]), None
                     repairs.append(Repair(at=event.at, joint=joint, probability=1.0))

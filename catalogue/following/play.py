@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
+from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.cases import BEYOND_FIT
 from jointplay.catalogue.plans.plan_parts import ClearanceRange
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
@@ -136,12 +137,24 @@ class JointBounds:
 
 
 def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]:
-    """Return what clearances of joints of a machine mean, as its file says and plans have it."""
+    """Return what clearances of joints of a machine mean, as its file says and plans have it that say nothing else.
+
+    Raises
+    ------
+    DiagnosisError
+        A joint is not the machine's, or its fit is beyond what is followed.
+    """
     found = {}
     for name in joints:
+        if name not in machine.joints:
+            raise DiagnosisError(f"joint {name}: must be one of those of the machine, {', '.join(machine.joints)}")
         joint = machine.joints[name]
         low, high = joint.play_as_new
-        found[name] = JointBounds((low, high), max(ClearanceRange().low, BEYOND_FIT * high), joint.worn_out_from)
+        worn_from = max(ClearanceRange().low, BEYOND_FIT * high)
+        if not (low >= LEAST and worn_from < MOST / 2):
+            rule = f"must be from {1e6 * LEAST:g} um to {1e3 * MOST / 2 / BEYOND_FIT:g} mm to be followed"
+            raise DiagnosisError(f"joint {name}: fit {1e6 * low:g} to {1e6 * high:g} um: {rule}")
+        found[name] = JointBounds((low, high), worn_from, joint.worn_out_from)
     return found
 
 

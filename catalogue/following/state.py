@@ -82,7 +82,7 @@ class CauseFollowed(Frozen):
     size : float
         By the recordings since it came, at the last one.
     per_year : float
-        By how much the size moves; 0 where fewer than three recordings say it.
+        By how much the size moves; 0 where fewer than three recordings, or less than a week, say it.
     since : datetime or None
         First recording from which on it was likelier than not.
     """

@@ -142,8 +142,12 @@ class _Said:
         share = prior / prior.sum()
         found = np.array([[own[match.label].probability for match in first] for own in matches])
         likely = ((1.0 - SLIP) * found + SLIP * share) / share
-        held = _held_shut([match.joints for match in first])
+        sets = [frozenset(match.joints) for match in first]
+        held = _held_shut(sets)
         seen = (likely[:, None, :] * held).argmax(axis=2)
+        # A joint that is held shut in every recording is heard in none: then it may as well not be worn.
+        never = [bool(frozenset.intersection(*(worn - sets[s] for s in seen[:, h]))) for h, worn in enumerate(sets)]
+        seen = np.where(never, np.arange(len(sets)), seen)
         as_seen = tuple(
             tuple(own[first[s].label] for s in row) for own, row in zip(matches, seen.tolist(), strict=True)
         )
@@ -154,7 +158,9 @@ class _Said:
             ]
             for h, match in enumerate(first)
         ]
-        return cls(results, np.log(share), np.log((likely[:, None, :] * held).max(axis=2)), densities, as_seen)
+        own = np.arange(len(sets))
+        evidence = np.log(np.take_along_axis(likely, seen, axis=1) * held[own, seen])
+        return cls(results, np.log(share), evidence, densities, as_seen)
 
     def weigh(self, chosen: IntArray, weights: FloatArray) -> tuple[FloatArray, float]:
         """Probabilities (h,) by some recordings, and ln of how much likelier they are together than by chance."""
@@ -193,9 +199,8 @@ class _Said:
         )
 
 
-def _held_shut(joints: Sequence[Sequence[str]]) -> FloatArray:
-    """How often a machine of each hypothesis looks as of each (h, h): some of its joints may be held shut that day."""
-    sets = [frozenset(worn) for worn in joints]
+def _held_shut(sets: Sequence[frozenset[str]]) -> FloatArray:
+    """How often a machine of each set looks as of each (h, h): some of its joints may be held shut that day."""
     return np.array([[HELD ** len(worn - seen) if seen <= worn else 0.0 for seen in sets] for worn in sets])
 
 

@@ -14,6 +14,8 @@ from jointplay.solver.arrays import FloatArray
 PULSE_HYSTERESIS = 0.1
 #: Longest and shortest revolution, relative to the usual one: beyond, a pulse is missing or one too many.
 UNEVEN = 0.3
+#: Revolutions before and after one that it is compared with.
+BESIDE = 2
 #: Revolutions a speed is taken from at least.
 LEAST_REVOLUTIONS = 3
 
@@ -67,6 +69,19 @@ def turns_of(
 def usual_speed(turns: FloatArray, sample_rate: float) -> float:
     """Drive speed of most of the revolutions between `turns` (k,) in samples, rad/s."""
     return 2.0 * math.pi * sample_rate / float(np.median(np.diff(turns)))
+
+
+def misses_pulses(turns: FloatArray) -> bool:
+    """Whether a revolution between `turns` (k,) is far longer or shorter than those beside it: no machine turns so.
+
+    A run-up has longer and shorter revolutions as well, but each is much like the two before and the two after it.
+    """
+    lengths = np.diff(turns)
+    if len(lengths) < 2 * BESIDE + 1:
+        return False
+    windows = np.lib.stride_tricks.sliding_window_view(lengths, 2 * BESIDE + 1)
+    usual = np.median(windows, axis=1)
+    return bool(np.any(np.abs(lengths[BESIDE:-BESIDE] / usual - 1.0) > UNEVEN))
 
 
 def track_of(turns: FloatArray, sample_rate: float, first: int, last: int, source: str) -> SpeedTrack:

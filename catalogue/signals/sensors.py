@@ -113,6 +113,8 @@ def map_sensors(
             rule = f"is the second column for sensor {matched}; {lists}"
             raise MeasurementError(measurement.name, None, name, rule=rule)
         found[matched] = index
+    # In the machine's order, whatever that of the columns: recordings by the same sensors are compared.
+    found = {name: found[name] for name in sensors if name in found}
     if not found:
         raise MeasurementError(measurement.name, rule=f"no column is a sensor; {lists}; map them: COLUMN=SENSOR")
     unused = [name for index, name in enumerate(names) if index not in found.values()]

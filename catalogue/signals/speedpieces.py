@@ -23,6 +23,7 @@ from jointplay.catalogue.measurements.drivespeed import (
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.speedcourse import WINDOW_REVOLUTIONS, SpeedCourse, find_course
+from jointplay.catalogue.measurements.tacho import misses_pulses
 from jointplay.catalogue.signals.sensors import map_sensors
 from jointplay.catalogue.signals.steadiness import at_mean_speed, places_at_mean_speed
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
@@ -104,6 +105,8 @@ def cut_by_speed(
         return Cut((recording,))
     stored = np.sort(np.abs(speeds))
     columns = list(map_sensors(recording, machine, mapping).columns)
+    if recording.turns is not None and misses_pulses(recording.turns):
+        return Cut((recording,))  # refused, with where it is, when its speed is asked for
     course = _course(recording, columns, stored)
     if np.count_nonzero(np.isfinite(course.speed)) < 2:
         return Cut((recording,))
@@ -138,7 +141,7 @@ def cut_by_speed(
         if each in [other for other in longest if other[0] == each[0]][:MOST_ABOUT_A_SPEED]
     ]  # fmt: skip
     if len(chosen) < 2 and all(dwells for _, dwells, _ in chosen):
-        return Cut((recording,))
+        return Cut((recording,), () if chosen else tuple(left_out))
     pieces = [piece for *_, piece in chosen]
     left_out += [
         f"{piece.name}: left out: others about this speed are longer" for *_, piece in found if piece not in pieces

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
@@ -12,10 +13,10 @@ from recordings import RECORDINGS
 ASSET = "crank-that-wears"
 
 
-def diagnose(client: httpx.Client, number: int, asset: str = ASSET) -> dict[str, Any]:
+def diagnose(client: httpx.Client, number: int, asset: str = ASSET, called: str = "") -> dict[str, Any]:
     """Answer to a recording of the asset."""
     name = f"slider-crank-{number:02}.csv.gz"
-    files = {"file": (name, (RECORDINGS / name).read_bytes())}
+    files = {"file": (called or name, (RECORDINGS / name).read_bytes())}
     asked = {"catalogue": "slider-crank", "asset": asset, "effort": "fast"}
     answer = client.post(f"{API}/diagnoses", files=files, data=asked)
     assert answer.status_code == 201, answer.text
@@ -44,6 +45,7 @@ def test_all_recordings_count_once(client: httpx.Client, answers: list[dict[str,
     assert state["joints"]["B"]["p_worn"] > 0.95
     assert state["joints"]["B"]["first_sure_at"] is not None
     diagnose(client, 2)
+    diagnose(client, 2, called="the-same-again.csv.gz")
     again = client.get(f"{API}/assets/{ASSET}/state")
     assert again.json() == state
     tag = {"If-None-Match": again.headers["ETag"]}
@@ -55,14 +57,27 @@ def test_a_repair_that_somebody_reports_counts(client: httpx.Client) -> None:
     client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
     answer = diagnose(client, 2, asset)
     before = state_of(client, asset)["joints"]["B"]
-    found = {"joints": {"B": {"clearance_um": 170, "repaired": True}}, "at": "2126-01-01T00:00:00Z"}
+    moment = (datetime.now(UTC) + timedelta(hours=2)).replace(microsecond=0)
+    found = {"joints": {"B": {"clearance_um": 170, "repaired": True}}, "at": moment.isoformat()}
     told = client.post(f"{API}/diagnoses/{answer['id']}/finding", json=found)
     assert told.status_code == 201, told.text
     assert told.json()["joints"]["B"] == {"clearance_um": 170, "repaired": True}
     state = state_of(client, asset)
     assert before["p_worn"] > 0.5 > state["joints"]["B"]["p_worn"]
     assert [repair["joint"] for repair in state["repairs"]] == ["B"]
-    assert state["at"] == "2126-01-01T00:00:00Z"
+    assert datetime.fromisoformat(state["at"]) == moment
+    late = {**found, "at": "2126-01-01T00:00:00Z"}
+    assert_problem(client.post(f"{API}/diagnoses/{answer['id']}/finding", json=late), 422)
+
+
+def test_recordings_that_have_several_answers_together_count_in_the_newest(client: httpx.Client) -> None:
+    asset = "crank-heard-together"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
+    keys = [diagnose(client, number, asset)["measurement"] for number in (2, 5, 3)]
+    for together in (keys[:2], keys[:2][::-1], keys):
+        body = {"measurements": together, "catalogue": "slider-crank", "asset": asset, "effort": "fast"}
+        assert client.post(f"{API}/diagnoses", json=body).status_code == 201
+    assert state_of(client, asset)["visits"] == 1
 
 
 def test_the_page_shows_it(client: httpx.Client, answers: list[dict[str, Any]]) -> None:

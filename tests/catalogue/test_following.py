@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -13,9 +14,10 @@ from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
 from jointplay.catalogue.diagnosing.answer import Cause
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.follow import follow
-from jointplay.catalogue.following.play import AXIS, RATES, STEP, YEAR, let_pass, quantiles, time_to
+from jointplay.catalogue.following.play import AXIS, RATES, STEP, YEAR, bounds_of, let_pass, quantiles, time_to
 from jointplay.catalogue.following.state import WearState
 from jointplay.catalogue.following.visits import Inspection, Visit
+from jointplay.solver.machines.machine import parse_machine, shipped_machine
 
 NONE = dict.fromkeys(JOINTS, -6.0)
 AS_NEW = dict.fromkeys(JOINTS, 26e-6)
@@ -139,6 +141,56 @@ def test_a_mount_that_loosens_is_followed() -> None:
     assert found.since == visits[6].at
     assert found.size == pytest.approx(0.68)
     assert found.per_year == pytest.approx(-0.04 * YEAR / (30 * 86400.0))
+
+
+def test_a_cause_does_not_come_by_time_alone() -> None:
+    named = answer(NONE, AS_NEW, causes=(Cause(name="mount 1", size=0.8, unit="x stiffness", probability=0.5),))
+    years_later = BEGIN + timedelta(days=26 * 365)
+    visits = [Visit(BEGIN, "1", named), Visit(years_later, "2", answer(NONE, AS_NEW, verdict="in_order"))]
+    found = followed(visits).causes["mount 1"]
+    assert found.probability < 0.5
+    assert found.since is None and found.per_year == 0.0
+
+
+def test_a_course_within_seconds_has_no_rate() -> None:
+    causes = [Cause(name="mount 1", size=size, unit="x stiffness", probability=0.9) for size in (0.8, 0.82, 0.81)]
+    told = [answer(NONE, AS_NEW, verdict="changed", causes=(cause,)) for cause in causes]
+    visits = [Visit(BEGIN + timedelta(seconds=place), str(place), each) for place, each in enumerate(told)]
+    assert followed(visits).causes["mount 1"].per_year == 0.0
+
+
+def test_an_answer_that_does_not_know_a_joint_says_nothing_of_it() -> None:
+    visits = course_of_wear(wears(12, 2), 7)
+    known = visits[-1].answer
+    told = known.model_copy(update={"joints": {name: known.joints[name] for name in "BO"}})
+    state = followed([*visits, Visit(visits[-1].at + timedelta(days=30), "n", told)])
+    assert state.visits == 13 and math.isfinite(state.joints["A"].clearance_um)
+
+
+@pytest.mark.parametrize("clearance", [1e-9, 0.08, 10.0])
+def test_clearances_beyond_the_grid_are_those_of_its_end(clearance: float) -> None:
+    told = answer({"A": -6.0, "B": 9.0, "O": -6.0}, {**AS_NEW, "B": clearance}, width=0.01)
+    found = followed([Visit(BEGIN, "b", told)]).joints["B"]
+    assert math.isfinite(found.clearance_um) and 0.0 <= found.p_worn <= 1.0
+
+
+def test_a_joint_found_sound_is_not_surely_worn() -> None:
+    visits = course_of_wear(wears(20), 8)
+    assert followed(visits).joints["B"].first_sure_at is not None
+    found = followed(visits, [Inspection(visits[-1].at + timedelta(days=1), {"B": 8e-6})]).joints["B"]
+    assert found.p_worn < 0.5 and found.first_sure_at is None
+
+
+def test_fits_beyond_what_is_followed_are_refused() -> None:
+    machine = shipped_machine("slider-crank")
+    assert bounds_of(machine, ["B"])["B"].fit == (3e-6, 20e-6)
+    with pytest.raises(DiagnosisError, match="joint Q: must be one of those of the machine, O, A, B"):
+        bounds_of(machine, ["Q"])
+    wide = parse_machine({**json.loads(machine.canonical_json()), "joints": {
+        name: {**joint, "fit": ["8 mm", "9 mm"], "limit": "50 mm"} if name == "B" else joint
+        for name, joint in json.loads(machine.canonical_json())["joints"].items()}})  # fmt: skip
+    with pytest.raises(DiagnosisError, match=r"joint B: fit 8000 to 9000 um: must be from 1 um to 2\.4 mm"):
+        bounds_of(wide, ["B"])
 
 
 def test_time_moves_a_clearance_by_its_rate_and_never_back() -> None:

@@ -158,7 +158,7 @@ def test_a_fixed_link_has_no_velocity() -> None:
         ("a: [1", "line 1: is not YAML: expected ',' or ']', but got '<stream end>'"),
         ("a: 1\n\tb: 2", "line 2: is not YAML: found character '\\t' that cannot start any token"),
         ("2.5: x", "2.5: a key must be text"),
-        ("name: 2020-01-01", "name: 2020-01-01: must be text, a number, a list or a mapping"),
+        ("name: !!binary aGk=", "name: b'hi': must be text, a number, a list or a mapping"),
         ("a: &a [*a]", "a.0.0: must not be nested deeper than 20 levels"),
         ("[" * 10_000, "must not be nested deeper than 20 levels"),
         ("a: " + "{b: " * 65, "must not be nested deeper than 20 levels"),

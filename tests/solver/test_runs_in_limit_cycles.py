@@ -90,7 +90,10 @@ def test_errors_of_harmonics_fall_with_the_tolerance() -> None:
     assert errors[3] < 1e-3 < errors[0] < 0.2  # seen 5e-5 and 0.04
     assert errors[4] < 0.5  # of steps of 12 us, seen 0.14
     point = found.recommend(0.1).point
-    assert point is not None and point.settings.rtol == 1e-4
+    # The cheapest of those that meet it: which that is, is measured, and 1e-4 and 1e-5 cost nearly the same.
+    met = [each for each in found.points if each.worst_db < 0.1]
+    assert len(met) == 4 and point in met
+    assert point.seconds <= 1.2 * min(each.seconds for each in met)
     chaotic = measure(MACHINE, CHAOTIC, rungs=[Settings(rtol=1e-6)])
     assert isinstance(chaotic, TradeOff)
     assert chaotic.chaotic and chaotic.spread_db > 0.5  # seen 1.5

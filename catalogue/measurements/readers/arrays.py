@@ -78,10 +78,9 @@ def recording_of(
     told = list(facts)
     scalars, texts, large = _sort(arrays, source)
     rate = _rate(scalars, source, told)
-    moment = find_in_members(
+    moment, dated = find_in_members(
         {**scalars, **{name: words[0] for name, words in texts.items() if len(words) == 1}, **(attributes or {})}
     )
-    dated = () if moment is None else moment.where.split(" and ")
     texts = {name: words for name, words in texts.items() if name not in dated}
     ours = {name: array for name, array in large.items() if _last(name).startswith(_SENSOR)}
     if ours:

@@ -32,6 +32,7 @@ _DATES = tuple(
 )
 _CLOCK = re.compile(_TIME, re.IGNORECASE)
 _BETWEEN = re.compile(r"[\s,;|\"'@]*(?:T(?=\d)|(?:um|at|,)\s+)?", re.IGNORECASE)
+_OTHER_TIME = re.compile(r"[\s_T,;|]*\d")
 _ZONE = re.compile(r"\s*(?:(?P<offset>[+-]\d\d(?::?\d\d)?)|(?P<name>[A-Z]{1,5}))(?![\w:])")
 #: Hours east of Greenwich; most other abbreviations mean several zones.
 _ZONES = {"Z": 0, "UTC": 0, "GMT": 0, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2}
@@ -93,11 +94,13 @@ def find_in_lines(lines: Sequence[tuple[int, str]]) -> tuple[RawMoment | None, s
     return RawMoment(moment, " and ".join(f"line {index + 1}" for index in used)), set(used)
 
 
-def find_in_members(members: Mapping[str, object]) -> RawMoment | None:
-    """Return what named texts or numbers say, such as ``start_time``; of a dotted name the last part counts."""
+def find_in_members(members: Mapping[str, object]) -> tuple[RawMoment | None, set[str]]:
+    """Return what named texts or numbers say, such as ``start_time``, and which of them; of a dotted name the last part
+    counts.
+    """
     named = [(name, name.rpartition(".")[2], _plain(value)) for name, value in members.items()]
     moment, used = _choose(named)
-    return None if moment is None else RawMoment(moment, " and ".join(used))
+    return (None, set()) if moment is None else (RawMoment(moment, " and ".join(used)), set(used))
 
 
 def _plain(value: object) -> str:
@@ -118,7 +121,7 @@ def _choose(named: Iterable[tuple[Place, str, str]]) -> tuple[str | None, list[P
         begins = _BEGINS.fullmatch(letters) is not None
         if not begins and _NAMES.fullmatch(letters) is None:
             continue
-        text = f"{value} UTC" if of_zone else value
+        text = f"{value} UTC" if of_zone and not _EPOCH.fullmatch(value) else value
         if _match_date(value) or _EPOCH.fullmatch(value):
             dates.append((not begins, place, text))
         elif _CLOCK.match(value):
@@ -130,7 +133,8 @@ def _choose(named: Iterable[tuple[Place, str, str]]) -> tuple[str | None, list[P
         date = _match_date(text)
         assert date is not None
         _, at, clock = min(times, key=lambda each: each[0])
-        return f"{date[0]} {clock}", [place, at]
+        zone = text[date.end() :].strip() if _ZONE.fullmatch(text, date.end()) else ""
+        return f"{date[0]} {clock}{f' {zone}' if zone and clock[-1].isdigit() else ''}", [place, at]
     return text, [place]
 
 
@@ -182,6 +186,8 @@ def read_moment(text: str) -> tuple[datetime, bool]:
     year, month, day = _calendar(date)
     found = _time_of(plain)
     if found is None:
+        if _OTHER_TIME.match(plain, date.end()):
+            raise ValueError("has a time of a form that is not known")
         return _whole(year, month, day), False
     clock, end = found
     moment = _whole(year, month, day) + _since_midnight(clock)

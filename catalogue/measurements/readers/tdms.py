@@ -26,8 +26,7 @@ def read_tdms(data: bytes, source: str, limits: Limits) -> RawRecording:
         groups = [group.name for group in file.groups()]
         channels = [channel for group in file.groups() for channel in group.channels() if len(channel)]
         facts = [f"TDMS, groups {', '.join(groups) or 'none'}"]
-        moment = find_in_members({name: _dated(value) for name, value in file.properties.items()})
-        dated = [] if moment is None else moment.where.split(" and ")
+        moment, dated = find_in_members({name: _dated(value) for name, value in file.properties.items()})
         facts += [
             f"{name}: {str(value)[:80]!r}: not used" for name, value in file.properties.items() if name not in dated
         ]
