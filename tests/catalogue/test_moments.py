@@ -20,7 +20,7 @@ from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, parse_profile
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
-from jointplay.catalogue.measurements.readers.moments import find_in_lines, read_moment
+from jointplay.catalogue.measurements.readers.moments import find_in_lines, find_in_members, read_moment
 
 RATE = 2000.0
 SIGNAL = np.random.default_rng(5).normal(size=(300, 2)).round(3)
@@ -85,6 +85,8 @@ def test_dates_as_loggers_write_them(text: str, moment: datetime) -> None:
         ("0001-01-01", "before 1970"),
         ("9999-12-31 23:59 -0100", "outside of the calendar"),
         ("2999-01-01", "more than a day ahead"),
+        ("2024-11-21 10.03.00", "has a time of a form that is not known"),
+        ("2024-11-21 10h03", "has a time of a form that is not known"),
     ],
 )
 def test_what_is_not_sure_is_left_out_with_a_way_on(text: str, rule: str) -> None:
@@ -159,6 +161,16 @@ def test_a_zone_that_is_missing_is_utc_unless_given_and_said() -> None:
     day = of_table("Datum;21.07.2024")
     assert day.measured_at == datetime(2024, 7, 21, tzinfo=UTC)
     assert any("a day alone" in line for line in day.import_report)
+
+
+def test_members_of_a_zone() -> None:
+    for members in ({"start_time_utc": "1732183385", "time": "10:03"}, {"start_time_utc": "1732183385"}):
+        found, used = find_in_members(members)
+        assert found is not None and used == {"start_time_utc"}
+        assert read_moment(found.text) == (AT, True)
+    found, used = find_in_members({"date_utc": "2024-11-21", "time": "10:03:05", "operator": "N.N."})
+    assert found is not None and used == {"date_utc", "time"}
+    assert read_moment(found.text) == (AT, True)
 
 
 def test_times_that_count_from_1970() -> None:

@@ -16,7 +16,7 @@ from jointplay.catalogue.measurements.measurement import Recording, read_measure
 from jointplay.catalogue.measurements.speedcourse import find_course
 from jointplay.catalogue.measurements.waveform import ChannelFlaw
 from jointplay.catalogue.plans.plan import parse_plan
-from jointplay.catalogue.signals.speedpieces import COVERED, LEAST_REVOLUTIONS, cut_by_speed, fastest_change
+from jointplay.catalogue.signals.speedpieces import COVERED, LEAST_REVOLUTIONS, Cut, cut_by_speed, fastest_change
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.machines.fault import parse_fault
@@ -87,6 +87,14 @@ def test_pieces_of_a_run_up(course: Course) -> None:
         assert np.ptp(phase) < 0.02
         rpm = 60 * (len(piece.turns) - 1) * FS / (piece.turns[-1] - piece.turns[0])
         assert piece.name.startswith(f"r, {rpm:.4g} rpm, {first / FS:.3g} to ")
+
+
+def test_a_tacho_that_misses_a_pulse_cuts_nothing() -> None:
+    recording, revolutions = turned([(0.0, 1.0), (20.0, 1.0)])
+    turns = np.interp(np.arange(1.0, revolutions[-1]), revolutions, np.arange(len(revolutions)))
+    for wrong in (np.delete(turns, 60), np.insert(turns, 60, 0.5 * (turns[59] + turns[60]))):
+        told = replace(recording, turns=wrong)
+        assert cut_by_speed(told, MACHINE, SPEEDS) == Cut((told,))
 
 
 def test_a_tacho_says_the_same() -> None:

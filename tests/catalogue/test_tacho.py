@@ -9,7 +9,7 @@ from recordings import RECORDINGS, unpacked
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.import_profile import ImportProfile, Tacho
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
-from jointplay.catalogue.measurements.tacho import pulses, track_of, turns_of
+from jointplay.catalogue.measurements.tacho import misses_pulses, pulses, track_of, turns_of
 from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.signals.features import prepare
 from jointplay.solver.machines.machine import shipped_machine
@@ -53,6 +53,14 @@ def test_a_missing_pulse_is_named() -> None:
     assert track_of(turns, RATE, 10_000, 30_000, "r").estimate.speed == pytest.approx(60.0, rel=1e-4)
     with pytest.raises(MeasurementError, match="at least 3 are needed"):
         turns_of(signal[:2_000], 1, None, False, "r", "key")
+
+
+def test_a_revolution_unlike_those_beside_it_misses_a_pulse() -> None:
+    even = np.cumsum(np.full(40, 1047.0))
+    run_up = np.cumsum(4000.0 / np.arange(4.0, 40.0))
+    assert not misses_pulses(even) and not misses_pulses(run_up) and not misses_pulses(even[:5])
+    assert misses_pulses(np.delete(even, 20)) and misses_pulses(np.insert(even, 20, 0.5 * (even[19] + even[20])))
+    assert misses_pulses(np.delete(run_up, 20))
 
 
 def test_slow_turns_of_a_run_up_are_no_missing_pulses() -> None:
