@@ -194,7 +194,7 @@ def test_given_speed(machine: Machine) -> None:
 def test_columns_find_their_sensors(machine: Machine) -> None:
     signal = np.zeros((10, 4))
     by_name = map_sensors(recorded(signal, ("S2 Y", "s1_x", "oil", "s1.y")), machine)
-    assert by_name.sensors == ("s2-y", "s1-x", "s1-y") and by_name.columns == (0, 1, 3)
+    assert by_name.sensors == ("s1-x", "s1-y", "s2-y") and by_name.columns == (1, 3, 0)
     assert by_name.warnings == (f"columns not used, as they are no sensor of {machine.name}: oil",)
     mapped = map_sensors(recorded(signal, ("a", "b", "s1-x", "s2-x")), machine, {"a": "s1-x", "b": "s1-y"})
     assert mapped.sensors == ("s1-x", "s1-y", "s2-x") and mapped.columns == (0, 1, 3)
