@@ -86,7 +86,7 @@ def command(
         answer = diagnose(recording, opened, effort=effort, mapping=sensors)
         visits.append(Visit(recording.measured_at, recording.sha256, answer))
     bounds = bounds_of(opened.machine, visits[0].answer.joints)
-    state = follow(visits, inspections, bounds=bounds).state
+    state = follow(visits, inspections, bounds=bounds)
     click.echo(state.model_dump_json(indent=2) if as_json else report(state))
 
 

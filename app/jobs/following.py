@@ -23,7 +23,7 @@ MOST_VISITS, MOST_RECORDINGS = 2000, 20_000
 """Diagnoses of an asset that are followed, the newest so many, and recordings that they may be of."""
 
 MOST_LESSONS = 1000
-"""Findings of machines of one kind that teach: the newest so many."""
+"""Findings of an asset, and those of machines of its kind, which teach: the newest so many."""
 
 NO_EVIDENCE: dict[str, Any] = {"orders": [], "bands": [], "rival": None}
 """Levels are most of an answer, and nothing here asks for them."""
@@ -83,6 +83,7 @@ def gather(store: Store, asset: str) -> Life:
         if recordings and heard.isdisjoint(bytes_of):
             heard.update(bytes_of)
             counted.append((max(made[key][1] for key in bytes_of), " ".join(bytes_of), each))
+    own = assets.findings(None, MOST_LESSONS, only={"asset": asset})
     fleet = assets.findings_of_machine(row.machine, MOST_LESSONS)
     ids = select(DiagnosisRow.id).where(DiagnosisRow.id.in_({found.diagnosis for found in fleet}))
     answered = store.diagnoses(None, len(fleet), among=ids)
@@ -90,7 +91,7 @@ def gather(store: Store, asset: str) -> Life:
     return Life(
         machine=diagnoses[0].machine,
         visits=[(at, key, _without_evidence(each)) for at, key, each in counted],
-        findings=[(found.at, found.id, found.joints) for found in fleet if found.asset == asset],
+        findings=[(found.at, found.id, found.joints) for found in own],
         lessons=[(results[found.diagnosis], found.joints) for found in reversed(fleet)],
     )
 
@@ -126,7 +127,7 @@ def follow_life(life: Life) -> WearState:
         for joint, clearance in ((joint, 1e-6 * found["clearance_um"]) for joint, found in joints.items())
         if joint in bounds
     ]
-    return follow(visits, inspections, bounds=bounds, correction=learn_from(lessons)).state
+    return follow(visits, inspections, bounds=bounds, correction=learn_from(lessons))
 
 
 def _readable(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
@@ -39,7 +38,7 @@ def show_state(state: WearState) -> dict[str, Any]:
             {"joint": repair.joint, "at": day(repair.at), "percent": percent(repair.probability)}
             for repair in state.repairs
         ],
-        "chart": chart(state.joints, state),
+        "chart": chart(state),
     }
 
 
@@ -63,9 +62,9 @@ def joint_row(name: str, found: JointFollowed) -> dict[str, Any]:
     }
 
 
-def chart(joints: Mapping[str, JointFollowed], state: WearState) -> dict[str, Any] | None:
+def chart(state: WearState) -> dict[str, Any] | None:
     """Return the course of worn joints for the script, and in words; None where none ever was."""
-    order = list(joints)
+    order = list(state.joints)
     points = {
         name: [
             {
@@ -77,7 +76,7 @@ def chart(joints: Mapping[str, JointFollowed], state: WearState) -> dict[str, An
             for point in found.course
             if point.p_worn >= WORN
         ]
-        for name, found in joints.items()
+        for name, found in state.joints.items()
     }
     drawn = [name for name in order if points[name]]
     if not drawn:

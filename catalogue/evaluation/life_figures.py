@@ -152,7 +152,7 @@ def _followed(
     visits: Sequence[LifeVisit], inspections: Sequence[Inspection], bounds: Mapping[str, JointBounds]
 ) -> WearState:
     heard = [Visit(visit.at, visit.sha256, visit.answer) for visit in visits if visit.answer is not None]
-    return follow(heard, inspections, bounds=bounds).state
+    return follow(heard, inspections, bounds=bounds)
 
 
 def _is_worn(clearance: float, bounds: JointBounds) -> bool | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -42,33 +41,13 @@ NEVER = 100 * 365.25 * 86400.0
 _SHARES = np.array([0.05, 0.5, 0.95])
 
 
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """A machine after the last event.
-
-    Parameters
-    ----------
-    state : WearState
-    belief : ndarray, shape (J, D, S, X)
-        What is believed of every joint, see :mod:`jointplay.catalogue.following.play`.
-    """
-
-    state: WearState
-    belief: FloatArray
-
-    def foretell(self, at: datetime) -> dict[str, tuple[float, float, float]]:
-        """Return quantiles 0.05, 0.5 and 0.95 of every joint's clearance, um, at a later time, without a repair."""
-        later = let_pass(self.belief, (at - self.state.at).total_seconds())
-        return {name: _three(later[j].sum(axis=(0, 1))) for j, name in enumerate(self.state.joints)}
-
-
 def follow(
     visits: Sequence[Visit],
     inspections: Sequence[Inspection] = (),
     *,
     bounds: Mapping[str, JointBounds],
     correction: Correction | None = None,
-) -> Followed:
+) -> WearState:
     """Return a machine's state of wear.
 
     Every joint's clearance grows at a rate of its own that changes now and then, and never falls, but by a repair. What
@@ -146,14 +125,13 @@ def follow(
         name: _tell(belief[j], bounds[name], last, sure[name], float(moved[j]), tuple(courses[name]))
         for j, name in enumerate(names)
     }
-    state = WearState(
+    return WearState(
         at=last,
         visits=len(heard),
         joints=joints,
         causes=follow_causes([(visit.at, visit.answer) for visit in heard]),
         repairs=tuple(repairs),
     )
-    return Followed(state, belief)
 
 
 def _check(visits: Sequence[Visit], inspections: Sequence[Inspection], names: Sequence[str]) -> None:

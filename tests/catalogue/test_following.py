@@ -24,7 +24,7 @@ AS_NEW = dict.fromkeys(JOINTS, 26e-6)
 
 
 def followed(visits: list[Visit], inspections: list[Inspection] | None = None) -> WearState:
-    return follow(visits, inspections or [], bounds=BOUNDS).state
+    return follow(visits, inspections or [], bounds=BOUNDS)
 
 
 def wears(count: int, begins: int = 8, um_a_visit: float = 15.0) -> list[dict[str, float]]:
