@@ -284,7 +284,7 @@ def suggestions(result: Diagnosis) -> str:
         )
         for each in result.suggestions
     ]
-    return table(("add", "for", "mistaken now", "then"), rows, frozenset({2, 3}))
+    return table(("add", "for", "wrong now", "then"), rows, frozenset({2, 3}))
 
 
 def ranking(result: Diagnosis, most: int | None = None) -> str:

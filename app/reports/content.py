@@ -181,7 +181,7 @@ def suggestions(result: Answer) -> tuple[str, ...]:
     first = {entry.label for entry in result.hypotheses[:2]}
     wanted = [each for each in result.suggestions if first <= set(each.hypotheses)] or result.suggestions
     lines = tuple(
-        f"{words.capital(each.kind)} {each.what}: {' and '.join(each.hypotheses)} are mistaken for each other"
+        f"{words.capital(each.kind)} {each.what}: of {' and '.join(each.hypotheses)} the wrong one is first"
         f" in {percent(each.error)} of cases then, {percent(each.error_now)} now."
         for each in wanted[:SHOWN_SUGGESTIONS]
     )

@@ -237,7 +237,10 @@ class Suggestion(Frozen):
         Distance of the hypotheses in standard deviations, as it is and as it would be; of three, what gives the same
         error.
     error_now, error : float
-        Share of machines of these hypotheses, at these clearances, that would be taken for another one.
+        Probability that the first of these hypotheses is not the true one, if one of them is, and what is to be
+        expected of it then.
+    information_bits : float
+        What it is expected to say of which of them is true.
     """
 
     kind: Literal["sensor", "direction", "speed"]
@@ -247,6 +250,7 @@ class Suggestion(Frozen):
     separation: float
     error_now: float
     error: float
+    information_bits: float = 0.0
 
 
 class RecordingShare(Frozen):

@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 import scipy.linalg
-import scipy.spatial
-from scipy.special import ndtr, ndtri
+import scipy.spatial.distance
+from scipy.special import log_softmax, ndtr, ndtri
 
 from jointplay.catalogue.diagnosing.answer import Suggestion
 from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
@@ -47,6 +47,8 @@ BLUR = 0.3
 #: Error from which on something is suggested at all, and the share of it that must go to be worth a word.
 LEAST_ERROR = 5e-3
 LEAST_GAIN = 0.05
+#: Points of Gauss and Hermite's rule along either axis: 48 give errors to 0.0032, the largest probability has a kink.
+NODES = 48
 #: Two points [m] that count as one.
 SAME_POINT = 1e-6
 
@@ -76,7 +78,7 @@ def suggest(
     Returns
     -------
     tuple of Suggestion
-        Smallest error first; what takes away less than a twentieth of the error is left out. Empty where there is one
+        What tells most first; what takes away less than a twentieth of the error is left out. Empty where there is one
         hypothesis only, or less than one in two hundred is mistaken as it is.
 
     Notes
@@ -85,6 +87,8 @@ def suggest(
     measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
     middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
     several recordings count as they do in a common answer (:class:`~jointplay.catalogue.matching.together.Likeness`).
+    What the answer is sure of already is known: what is gained follows from what separates the hypotheses *more* than
+    now, beginning with their probabilities (:func:`foresee`).
     """
     contenders = [match for match in result.hypotheses[:CONTENDERS] if match.probability >= LEAST_PROBABILITY]
     if len(contenders) < 2:
@@ -94,18 +98,16 @@ def suggest(
         return ()
     heard = [prepared.drive_speed, *others]
     now = question.of_recordings(heard)
-    error_now = question.error(now)
-    if error_now < LEAST_ERROR:
+    if 1.0 - question.probability.max() < LEAST_ERROR:
         return ()
     found = []
     for kind, what, sensing in _more_sensors(prepared, catalogue.machine):
-        error = question.error(question.of_recordings(heard, sensing))
-        found.append(question.suggestion(kind, what, error_now, error))
+        found.append(question.suggestion(kind, what, now, question.of_recordings(heard, sensing)))
     for speed in question.other_speeds(heard):
-        error = question.error(question.of_recordings([*heard, speed]))
-        found.append(question.suggestion("speed", f"{speed * 30 / math.pi:.4g} rpm", error_now, error))
+        then = question.of_recordings([*heard, speed])
+        found.append(question.suggestion("speed", f"{speed * 30 / math.pi:.4g} rpm", now, then))
     worth = [each for each in found if each.error < (1.0 - LEAST_GAIN) * each.error_now]
-    return tuple(sorted(worth, key=lambda each: each.error)[:count])
+    return tuple(sorted(worth, key=lambda each: -each.information_bits)[:count])
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,26 +174,71 @@ class _Separation:
         pairs = itertools.combinations(range(len(features)), 2)
         return np.array([_separate_held_out(features[i], cases[i], features[j], cases[j]) for i, j in pairs])
 
-    def error(self, squared: FloatArray) -> float:
-        """Share of machines taken for another one, pairs weighed by how likely both of them are."""
-        probability = [max(match.probability, LEAST_PROBABILITY) for match in self.contenders]
-        weights = np.array([p * q for p, q in itertools.combinations(probability, 2)])
+    @property
+    def probability(self) -> FloatArray:
+        """Of each of the hypotheses (k,), if it is one of them."""
+        found = np.array([max(match.probability, LEAST_PROBABILITY) for match in self.contenders])
+        return np.asarray(found / found.sum(), np.float64)
+
+    def mistaken(self, squared: FloatArray) -> float:
+        """Share of machines that these levels alone take for another, pairs weighed by how likely both of them are."""
+        weights = np.array([p * q for p, q in itertools.combinations(self.probability, 2)])
         return float(weights @ ndtr(-0.5 * np.sqrt(squared)) / weights.sum())
 
     def suggestion(
-        self, kind: Literal["sensor", "direction", "speed"], what: str, error_now: float, error: float
+        self, kind: Literal["sensor", "direction", "speed"], what: str, now: FloatArray, then: FloatArray
     ) -> Suggestion:
-        apart = [float(-2.0 * ndtri(value)) for value in (error_now, error)]
-        labels = tuple(match.label for match in self.contenders)
+        """What it brings that pairs are as far apart as `then`, in place of `now`, squared."""
+        error, information = foresee(self.probability, np.maximum(then - now, 0.0))
+        apart = [float(-2.0 * ndtri(self.mistaken(squared))) for squared in (now, then)]
         return Suggestion(
             kind=kind,
             what=what,
-            hypotheses=labels,
+            hypotheses=tuple(match.label for match in self.contenders),
             separation_now=apart[0],
             separation=apart[1],
-            error_now=error_now,
+            error_now=float(1.0 - self.probability.max()),
             error=error,
+            information_bits=information,
         )
+
+
+def foresee(probability: FloatArray, squared: FloatArray) -> tuple[float, float]:
+    """Return the error to be expected after an observation, and its expected information.
+
+    Parameters
+    ----------
+    probability : ndarray, shape (k,)
+        Of each hypothesis now; k is 2 or more.
+    squared : ndarray, shape (k (k - 1) / 2,)
+        Squared separations of its pairs by the observation, in standard deviations.
+
+    Returns
+    -------
+    error : float
+        Probability that the most probable hypothesis is not the true one then.
+    information : float
+        Bits of the hypothesis that the observation is expected to give (D. V. Lindley, Ann. Math. Stat. 27 (1956) 986).
+
+    Notes
+    -----
+    Hypotheses are points at these distances, as far as there are such (W. S. Torgerson, Psychometrika 17 (1952) 401),
+    and the observation is normal about one of them; its law is summed up by Gauss and Hermite's rule.
+    """
+    count = len(probability)
+    centred = np.eye(count) - 1.0 / count
+    value, vector = np.linalg.eigh(-0.5 * centred @ scipy.spatial.distance.squareform(squared) @ centred)
+    points = vector[:, -2:] * np.sqrt(np.maximum(value[-2:], 0.0))
+    node, weight = np.polynomial.hermite_e.hermegauss(NODES)
+    offset = np.stack(np.meshgrid(node, node, indexing="ij"), axis=-1).reshape(-1, 2)
+    share = np.outer(weight, weight).ravel() / weight.sum() ** 2
+    # (truth, node, hypothesis)
+    away = points[:, None, None] + offset[None, :, None] - points[None, None]
+    said = log_softmax(np.log(probability) - 0.5 * np.sum(away**2, axis=-1), axis=-1)
+    error = 1.0 - probability @ (np.exp(said.max(axis=-1)) @ share)
+    own = said[np.arange(count), :, np.arange(count)]
+    information = probability @ (own @ share - np.log(probability)) / math.log(2.0)
+    return float(np.clip(error, 0.0, 1.0)), max(0.0, float(information))
 
 
 def _separate_held_out(first: FloatArray, first_case: IntArray, second: FloatArray, second_case: IntArray) -> float:

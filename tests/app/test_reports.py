@@ -157,7 +157,7 @@ def test_what_tells_the_first_two_apart_comes_first(rows: tuple[DiagnosisRow, Me
     ]
     report = report_of(changed(row, suggestions=told), measurement)
     assert len(report.suggestions) == 1
-    assert report.suggestions[0].startswith(f"Sensor s3-y: {first} and {second} are mistaken")
+    assert report.suggestions[0].startswith(f"Sensor s3-y: of {first} and {second} the wrong one")
 
 
 @pytest.mark.parametrize("verdict", ["in_order", "changed", "unknown"])

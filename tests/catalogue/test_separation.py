@@ -11,7 +11,7 @@ from recordings import RECORDINGS
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.comparison import exact_sensing
-from jointplay.catalogue.diagnosing.separation import _more_sensors, _sensing, _Separation, suggest
+from jointplay.catalogue.diagnosing.separation import _more_sensors, _sensing, _Separation, foresee, suggest
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
@@ -63,13 +63,13 @@ def answer(*hypotheses: tuple[str, float], low: float = 80e-6, high: float = 250
 def test_what_a_second_axis_brings(small_catalogue: Catalogue) -> None:
     """One horizontal sensor: anything vertical tells A from B; more of the same does not."""
     found = suggest(small_catalogue, recorded(small_catalogue, (0,)), answer(("A", 0.6), ("B", 0.4)), count=20)
-    assert found and list(found) == sorted(found, key=lambda each: each.error)
+    assert found and list(found) == sorted(found, key=lambda each: -each.information_bits)
     best = found[0]
     assert best.hypotheses == ("A", "B") and best.error < 0.8 * best.error_now and best.separation > best.separation_now
     assert best.what.startswith("y at") or best.what in ("s1-y", "s2-y")
     for each in found:
-        assert each.error_now == best.error_now and each.error < 0.95 * each.error_now
-        assert each.error == pytest.approx(0.5 * math.erfc(0.5 * each.separation / math.sqrt(2.0)), rel=1e-6)
+        assert each.error_now == pytest.approx(0.4) and each.error < 0.95 * each.error_now
+        assert 0.0 < each.information_bits < -0.6 * math.log2(0.6) - 0.4 * math.log2(0.4)
     assert not any(each.what == "s1-x" for each in found)
     kinds = {each.what: each.kind for each in found}
     assert all(kind == "sensor" for what, kind in kinds.items() if what.startswith("s"))
@@ -111,9 +111,9 @@ def test_another_matcher_finds_what_was_promised(small_catalogue: Catalogue) -> 
     prepared, machine = recorded(small_catalogue, (0,)), small_catalogue.machine
     question = _Separation(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)
     now = exact_sensing(prepared)
-    errors = [question.error(question.squared_distances(sensing, prepared.drive_speed)) for sensing in (now,)]
+    errors = [question.mistaken(question.squared_distances(sensing, prepared.drive_speed)) for sensing in (now,)]
     ranked = sorted(
-        (question.error(question.squared_distances(sensing, prepared.drive_speed)), number, sensing)
+        (question.mistaken(question.squared_distances(sensing, prepared.drive_speed)), number, sensing)
         for number, (_, _, sensing) in enumerate(_more_sensors(prepared, machine))
     )
     before, after = (nearest_entry_errs(small_catalogue, question, each) for each in (now, ranked[0][2]))
@@ -133,4 +133,34 @@ def test_speeds_that_the_catalogue_holds(tmp_path: Path) -> None:
     # Recorded there as well, nothing is left to record at another speed.
     both = suggest(catalogue, recorded(catalogue, (0,)), answer(("A", 0.5), ("B", 0.5)), others=[50.0], count=30)
     assert not [each for each in both if each.kind == "speed"]
-    assert {each.error_now for each in both} == {speeds[0].error}
+    assert {each.separation_now for each in both} == {speeds[0].separation}
+
+
+def test_what_is_foreseen_of_two() -> None:
+    """The best decision between two normal laws errs as often as in closed form; apart far enough, all is told."""
+    for first, apart in ((0.5, 1.0), (0.7, 2.5), (0.95, 2.0), (0.95, 0.5)):
+        odds = math.log(first / (1.0 - first))
+        expected = first * phi(-0.5 * apart - odds / apart) + (1.0 - first) * phi(-0.5 * apart + odds / apart)
+        error, information = foresee(np.array([first, 1.0 - first]), np.array([apart**2]))
+        entropy = -first * math.log2(first) - (1.0 - first) * math.log2(1.0 - first)
+        assert error == pytest.approx(expected, abs=0.004)
+        assert 0.0 < information < entropy
+    assert foresee(np.array([0.7, 0.3]), np.array([0.0])) == (pytest.approx(0.3), pytest.approx(0.0, abs=1e-12))
+    error, information = foresee(np.array([0.7, 0.3]), np.array([400.0]))
+    assert error < 1e-6 and information == pytest.approx(-0.7 * math.log2(0.7) - 0.3 * math.log2(0.3))
+
+
+def test_what_is_foreseen_of_three() -> None:
+    """As drawn: a true one by its probability, an observation about it, and who is the most probable then."""
+    points = np.array([[0.0, 0.0], [1.5, 0.0], [0.4, 2.0]])
+    squared = np.array([np.sum((points[i] - points[j]) ** 2) for i, j in ((0, 1), (0, 2), (1, 2))])
+    probability, generator = np.array([0.5, 0.3, 0.2]), np.random.default_rng(3)
+    true = generator.choice(3, size=200_000, p=probability)
+    seen = points[true] + generator.normal(size=(200_000, 2))
+    said = np.log(probability) - 0.5 * np.sum((seen[:, None] - points) ** 2, axis=2)
+    assert foresee(probability, squared)[0] == pytest.approx(float(np.mean(said.argmax(axis=1) != true)), abs=0.004)
+
+
+def phi(x: float) -> float:
+    """Standard normal distribution."""
+    return 0.5 * math.erfc(-x / math.sqrt(2.0))
