@@ -16,7 +16,7 @@ import numpy as np
 
 from jointplay.catalogue.matching.curves import log_sum_exp
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
-from jointplay.solver.arrays import FloatArray, IntArray
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
 """Correlation of what two recordings of a machine have wrong, at one stored speed and at two."""
@@ -24,8 +24,9 @@ ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
 SLIP = 1e-3
 """Share of recordings that say nothing of the machine, whatever they look like: none rules a state out alone."""
 
-HELD = 0.05
-"""Share of recordings in which a load holds a worn joint shut, so that it looks as in order."""
+HELD, ALL_HELD = 0.05, 0.2
+"""Share of recordings in which a load holds a worn joint shut, so that it looks as in order; and all that are worn, as
+a load is carried from joint to joint. This is of the recordings that look in order where others do not."""
 
 LEAST_DENSITY = 0.02
 """Of a clearance in any recording, against what was likely before: intervals do not always hold."""
@@ -68,7 +69,7 @@ class Together:
     result : MatchResult
         The common answer.
     weights : ndarray, shape (n,)
-        What each recording counts.
+        What each recording counts for the most probable hypothesis.
     for_one_machine : ndarray, shape (n,)
         How much likelier each recording is as one of the machine of all others than of any other, ln.
     without : tuple of (str, float)
@@ -98,21 +99,22 @@ def match_together(
     """
     if len(results) == 1:
         return Together(results[0], np.ones(1), np.zeros(1), (("", 0.0),))
-    alike = likeness or Likeness()
-    said = _Said.of(results, prior)
+    said = _Said.of(results, prior, speeds, likeness or Likeness())
     everyone = np.arange(len(results))
-    weights = alike.weights(speeds)
     without, for_one = [], []
     for i in everyone:
         others = np.delete(everyone, i)
-        of_others = alike.weights([speeds[int(k)] for k in others])
+        of_others = said.weights(others)
         rest, rest_total = said.weigh(others, of_others)
-        _, own_total = said.weigh(np.array([i]), np.ones(1))
-        _, total = said.weigh(np.append(others, i), np.append(of_others, 1.0))
+        _, own_total = said.weigh(np.array([i]), np.ones_like(of_others[:1]))
+        _, total = said.weigh(np.append(others, i), np.vstack([of_others, np.ones_like(of_others[:1])]))
         lead = int(rest.argmax())
         without.append((results[0].hypotheses[lead].label, float(rest[lead])))
         for_one.append(total - rest_total - own_total)
-    return Together(said.join(weights), weights, np.array(for_one), tuple(without))
+    weights = said.weights(everyone)
+    probability, _ = said.weigh(everyone, weights)
+    best = weights[:, int(probability.argmax())]
+    return Together(said.join(weights, probability), best, np.array(for_one), tuple(without))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +129,8 @@ class _Said:
         ln of how much likelier each hypothesis has become.
     densities : for each hypothesis and joint, (points (p,), probability beforehand (p,), ln ratio (n, p))
     as_seen : for each recording and hypothesis, the match of what it looks like: itself, or with some joints held shut
+    speeds : sequence of float
+    likeness : Likeness
     """
 
     results: Sequence[MatchResult]
@@ -134,9 +138,13 @@ class _Said:
     evidence: FloatArray
     densities: Sequence[Sequence[tuple[FloatArray, FloatArray, FloatArray]]]
     as_seen: Sequence[Sequence[HypothesisMatch]]
+    speeds: Sequence[float]
+    likeness: Likeness
 
     @classmethod
-    def of(cls, results: Sequence[MatchResult], prior: FloatArray) -> _Said:
+    def of(
+        cls, results: Sequence[MatchResult], prior: FloatArray, speeds: Sequence[float], likeness: Likeness
+    ) -> _Said:
         first = results[0].hypotheses
         matches = [{match.label: match for match in result.hypotheses} for result in results]
         share = prior / prior.sum()
@@ -160,36 +168,54 @@ class _Said:
         ]
         own = np.arange(len(sets))
         evidence = np.log(np.take_along_axis(likely, seen, axis=1) * held[own, seen])
-        return cls(results, np.log(share), evidence, densities, as_seen)
+        return cls(results, np.log(share), evidence, densities, as_seen, speeds, likeness)
+
+    def showing(self, h: int) -> BoolArray:
+        """Which recordings (n,) show a hypothesis: not those in which a load holds all of its joints shut."""
+        worn = bool(self.results[0].hypotheses[h].joints)
+        return np.array([bool(row[h].joints) == worn for row in self.as_seen])
+
+    def weights(self, chosen: IntArray) -> FloatArray:
+        """What each of some recordings counts for each hypothesis (m, h).
+
+        Those that show it have the same wrong; what a load holds shut in others is hidden by the load.
+        """
+        found = np.zeros((len(chosen), len(self.log_prior)))
+        for h in range(found.shape[1]):
+            showing = self.showing(h)[chosen]
+            for alike in (np.flatnonzero(showing), np.flatnonzero(~showing)):
+                found[alike, h] = self.likeness.weights([self.speeds[n] for n in chosen[alike].tolist()])
+        return found
 
     def weigh(self, chosen: IntArray, weights: FloatArray) -> tuple[FloatArray, float]:
         """Probabilities (h,) by some recordings, and ln of how much likelier they are together than by chance."""
-        log_weight = self.log_prior + weights @ self.evidence[chosen]
+        log_weight = self.log_prior + np.sum(weights * self.evidence[chosen], axis=0)
         for h, joints in enumerate(self.densities):
             for _, before, ratio in joints:
-                log_weight[h] += float(log_sum_exp(np.log(before) + weights @ ratio[chosen]))
+                log_weight[h] += float(log_sum_exp(np.log(before) + weights[:, h] @ ratio[chosen]))
         total = float(log_sum_exp(log_weight))
         return np.exp(log_weight - total), total
 
-    def join(self, weights: FloatArray) -> MatchResult:
-        """The answer of all recordings."""
+    def join(self, weights: FloatArray, probability: FloatArray) -> MatchResult:
+        """The answer of all recordings, given what each counts (n, h) and what is probable then (h,)."""
         results, first = self.results, self.results[0]
-        probability, _ = self.weigh(np.arange(len(results)), weights)
         matches = []
         for h, (match, joints, share) in enumerate(
             zip(first.hypotheses, self.densities, probability.tolist(), strict=True)
         ):
             own = [row[h] for row in self.as_seen]
             clearances = tuple(
-                _estimate(found.joint, edges, np.log(before) + weights @ ratio)
+                _estimate(found.joint, edges, np.log(before) + weights[:, h] @ ratio)
                 for found, (edges, before, ratio) in zip(match.clearances, joints, strict=True)
             )
             distance = math.sqrt(math.fsum(each.distance_db**2 for each in own) / len(own))
-            p_value = _least([each.p_value for each in own])
+            # A load that holds joints shut is in no file: the others say whether the machine is as filed.
+            p_value = _least([own[n].p_value for n in np.flatnonzero(self.showing(h)).tolist()])
             matches.append(
                 replace(match, probability=share, clearances=clearances, distance_db=distance, p_value=p_value)
             )
-        trusted = [each.trusted_p_value for each in results if each.trusted_p_value is not None]
+        showing = np.flatnonzero(self.showing(int(probability.argmax()))).tolist()
+        trusted = [each for n in showing if (each := results[n].trusted_p_value) is not None]
         return replace(
             first,
             hypotheses=tuple(sorted(matches, key=lambda match: -match.probability)),
@@ -200,8 +226,14 @@ class _Said:
 
 
 def _held_shut(sets: Sequence[frozenset[str]]) -> FloatArray:
-    """How often a machine of each set looks as of each (h, h): some of its joints may be held shut that day."""
-    return np.array([[HELD ** len(worn - seen) if seen <= worn else 0.0 for seen in sets] for worn in sets])
+    """How often a machine of each set looks as of each (h, h): some of its joints may be held shut that day, or all."""
+
+    def share(worn: frozenset[str], seen: frozenset[str]) -> float:
+        if not seen <= worn:
+            return 0.0
+        return ALL_HELD if worn and not seen else HELD ** len(worn - seen)
+
+    return np.array([[share(worn, seen) for seen in sets] for worn in sets])
 
 
 def _estimate_of(match: HypothesisMatch, joint: str) -> ClearanceEstimate | None:

@@ -127,6 +127,20 @@ def test_one_that_contradicts_stands_out() -> None:
     assert (joined.for_one_machine[:3] > 0.0).all()
 
 
+def test_a_load_that_holds_joints_shut_says_nothing_of_them() -> None:
+    """Beside a load that no file holds, a machine looks in order and is not as filed; without it, A is worn."""
+    shut = replace(said((0.998, 0.001, 0.001), (200, 200)), trusted_p_value=1e-6)
+    free = said((0.001, 0.998, 0.001), (200, 300))
+    joined = match_together([shut, free], PRIOR, [1.0, 1.0]).result
+    assert joined.best.label == "A" and joined.best.probability > 0.9
+    assert joined.trusted_p_value == pytest.approx(0.4)
+    clearance = joined.best.clearances[0]
+    assert clearance.median == pytest.approx(200e-6, rel=0.01)
+    # Machines in order do not look worn because of a load: two to one, they stay in order.
+    sound = match_together([shut, shut, said((0.4, 0.4, 0.2), (200, 300))], PRIOR, [1.0, 1.0, 1.0]).result
+    assert sound.best.label == "healthy" and sound.trusted_p_value < 1e-5
+
+
 def recording(number: int) -> Recording:
     return read_measurement(RECORDINGS / f"slider-crank-{number:02}.csv.gz")
 
