@@ -44,6 +44,11 @@ ROUGH_REVOLUTIONS = 8.0
 #: Least mean ratio [dB] of the comb's lines to what lies between them. Machines show 30 to 50; the best comb of a
 #: single channel of white noise reached 10.6 in 200 tries.
 COMB_CONTRAST_DB = 12.0
+#: Contrast [dB] below which, and deviation from the nominal speed above which, a speed that was found is warned of.
+WEAK_CONTRAST_DB = 20.0
+FAR_FROM_NOMINAL = 0.05
+#: A drive that turns so many times slower than was found, at most, is looked for.
+MOST_SLOWER = 8
 
 
 @dataclass(frozen=True)
@@ -210,6 +215,48 @@ def comb_speed(kept: FloatArray, rate: float, turn: float) -> tuple[float, float
     off = np.log(power[between] + 1e-30).mean(axis=(1, 2))
     best = int(np.argmax(on - off))
     return float(candidates[best]), float((on - off)[best] * 10.0 / math.log(10.0))
+
+
+def doubt_speed(estimate: SpeedEstimate, signal: npt.ArrayLike, sample_rate: float, nominal: float) -> list[str]:
+    """Return what makes a drive speed doubtful, each in a line that begins with "drive speed".
+
+    Parameters
+    ----------
+    estimate : SpeedEstimate
+        What was found, or given.
+    signal, sample_rate, nominal
+        As for :func:`estimate_speed`.
+    """
+    found = f"drive speed {estimate.speed * 30.0 / math.pi:.4g} rpm"
+    doubts = []
+    if abs(estimate.speed / abs(nominal) - 1.0) > FAR_FROM_NOMINAL:
+        doubts.append(f"{found} is far from the nominal {abs(nominal) * 30.0 / math.pi:.4g} rpm")
+    if estimate.contrast_db == 0.0:  # nothing was looked for
+        return doubts
+    if estimate.contrast_db < WEAK_CONTRAST_DB:
+        clear = f"{estimate.contrast_db:.0f} dB only, usually 30 to 50"
+        doubts.append(f"{found} was found by orders that stand out by {clear}")
+    slower = _times_slower(np.asarray(signal, dtype=np.float64), sample_rate, estimate.speed / (2.0 * math.pi))
+    if slower > 1:
+        rpm = estimate.speed * 30.0 / (math.pi * slower)
+        doubts.append(f"{found} was found, but multiples of {rpm:.4g} rpm stand out, too: it may turn that slowly")
+    return doubts
+
+
+def _times_slower(values: FloatArray, sample_rate: float, turn: float) -> int:
+    """How many times slower than found a drive turns, by lines between the orders that stand out like these; 1: none."""
+    kept, rate = thin(values[: int(BLOCK_REVOLUTIONS * sample_rate / turn)], sample_rate, turn)
+    padded = scipy.fft.next_fast_len(8 * len(kept), real=True)
+    level = np.log(np.abs(scipy.fft.rfft(kept * np.hanning(len(kept))[:, None], padded, axis=0)) ** 2 + 1e-30)
+    excess = {1: COMB_CONTRAST_DB}
+    for times in range(2, MOST_SLOWER + 1):
+        if len(kept) / rate * turn / times < MIN_REVOLUTIONS:
+            break
+        parts = np.arange(1, COMB_ORDERS * times)
+        parts = parts[(parts % times > 0) & (parts * turn / times < 0.45 * rate)]
+        lines, between = (np.rint((parts - off) * turn / times * padded / rate).astype(np.intp) for off in (0, 0.5))
+        excess[times] = float((level[lines] - level[between]).mean()) * 10.0 / math.log(10.0)
+    return max(excess, key=lambda times: excess[times])
 
 
 def rough_track(signal: npt.ArrayLike, sample_rate: float, nominal: float) -> SpeedTrack | None:

@@ -13,6 +13,7 @@ from jointplay.catalogue.measurements.drivespeed import (
     SEARCH_RANGE,
     SpeedEstimate,
     SpeedTrack,
+    doubt_speed,
     likeliest_speed,
     track_speed,
 )
@@ -55,8 +56,6 @@ FEW_REVOLUTIONS = 10.0
 #: Factor on the noise power of compared channels, as it follows from independent sensors, from which on they are not
 #: taken to be independent (0.5 dB; chance makes a tenth of one).
 ALIKE = 1.12
-#: Deviation from the nominal speed that is warned of.
-FAR_FROM_NOMINAL = 0.05
 #: Wander, relative, that is warned of: the course is followed, but a machine that turns so unevenly is hardly steady.
 MUCH_WANDER = 0.015
 
@@ -164,10 +163,7 @@ def prepare(
     warnings += [flaw.text for flaw in flaws]
     if round(revolutions) < FEW_REVOLUTIONS:
         warnings.append(f"only {revolutions:.1f} revolutions: results are less certain below {FEW_REVOLUTIONS:g}")
-    if abs(estimate.speed / abs(nominal) - 1.0) > FAR_FROM_NOMINAL:
-        warnings.append(
-            f"drive speed {60 * turn:.4g} rpm is far from the nominal {abs(nominal) * 30 / math.pi:.4g} rpm"
-        )
+    warnings += doubt_speed(estimate, signal, rate, nominal)
     if wander > MUCH_WANDER:
         warnings.append(f"drive speed wanders by {100 * wander:.2g} %: results are less certain")
     if cuts[-1] < scheme.count:
