@@ -179,6 +179,11 @@ def joint_rows(result: Answer) -> list[JointRow]:
     ]
 
 
+def joint_colours(result: Answer) -> Mapping[str, float]:
+    """Return how probable the wear of joints is, for drawings; none where the verdict is not on joints."""
+    return result.joint_probabilities if has_decided(result) else {}
+
+
 def play_of(found: JointClearance | JointState, joint: str = "") -> Play:
     """Return a clearance in words."""
     low, high = found.interval_um
@@ -273,14 +278,24 @@ def comparisons(result: Answer) -> list[Comparison]:
     return [Comparison(channel, tuple(sorted(bands, key=lambda band: band.order))) for channel, bands in found.items()]
 
 
-def deciding(found: Sequence[Comparison]) -> list[tuple[Comparison, BandEvidence]]:
+def has_decided(result: Answer) -> bool:
+    """Return whether the verdict is on joints: without, none is coloured or barred, and no band decided for one."""
+    return result.verdict in ("worn", "in_order")
+
+
+def deciding(result: Answer, found: Sequence[Comparison]) -> list[tuple[Comparison, BandEvidence]]:
     """Return the bands that decided, the strongest first: the fewest that hold half of what speaks for the best.
+
+    They carry the rings, wherever levels are drawn.
 
     Parameters
     ----------
+    result : Answer
     found : sequence of Comparison
-        All channels of a diagnosis.
+        All its channels.
     """
+    if not has_decided(result):
+        return []
     speaking = [
         (favour, comparison, band)
         for comparison in found

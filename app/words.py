@@ -6,19 +6,22 @@ In requests, moments are RFC 3339 with a time zone, and nothing that merely rese
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator
 
-from jointplay.app.rows import between, joint_rows, length, percent, plays
+from jointplay.app.rows import between, has_decided, length, percent, plays
 
 if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Answer, Cause, JointState
 
 CLEARLY = 0.8
 """Probability from which on a joint is said to be beyond its limit, or within."""
+
+SEEN = 0.95
+"""Probability that wear from `detectable_from_um` on would have shown."""
 
 
 def recorded(result: Answer, name: str) -> str:
@@ -120,29 +123,89 @@ def _no_verdict(result: Answer) -> str:
     """Why there is no verdict."""
     if flaws := sensor_sentences(result):
         return f"No verdict: {flaws[0]}"
-    closest = f"; the closest is {result.hypotheses[0].label}" if result.hypotheses else ""
     p_value = result.goodness_of_fit.p_value
-    return f"No verdict: the recording fits none of the hypotheses of this catalogue, p = {p_value:.2g}{closest}."
+    return f"No verdict: the recording fits none of the hypotheses of this catalogue, p = {p_value:.2g}."
 
 
-def joints_sentence(result: Answer) -> str:
-    """Return what is said of every joint, in one line; empty where nothing is said of single joints."""
-    rows = sorted(joint_rows(result), key=lambda row: row.name)
-    parts = [f"{row.name}: worn, {row.play.say()}." for row in rows if row.condition == "worn"]
-    states = result.joints
-    in_order = [row.name for row in rows if row.condition == "in_order"]
-    shown_from = {name: found for name in in_order if (found := states[name].detectable_from_um) is not None}
-    unseen = [name for name in in_order if name not in shown_from]
-    if shown_from:
-        largest = length(max(shown_from.values()))
-        parts.append(f"{', '.join(shown_from)}: in order; wear from {largest} on would have shown.")
-    if unseen:
-        parts.append(f"{', '.join(unseen)}: in order.")
-    for row in rows:
-        if row.condition == "open":
-            low, high = states[row.name].interval_um
-            parts.append(f"{row.name}: cannot be told ({between(low, high)}).")
+def seen_sentence(result: Answer) -> str:
+    """Return above which clearances there is no wear, and of which joints nothing can be said.
+
+    The same on every verdict: what such a recording would have shown with a probability of `SEEN`, joint by joint.
+    """
+    if result.verdict == "unknown":
+        return "Nothing is said of any joint: wear of any size may be behind such a recording."
+    named = named_joints(result)
+    sound = {name: state.detectable_from_um for name, state in result.joints.items() if state.condition == "in_order"}
+    shown = {name: found for name, found in sound.items() if found is not None}
+    hidden = [name for name in sound if name not in shown]
+    parts = [f"No wear above: {_lengths(shown)} ({percent(SEEN)})."] if shown else []
+    if hidden:
+        parts.append(f"Wear of {enumerate_words(hidden)} would not have shown, however large the catalogue has it.")
+    parts += [
+        f"{name}: cannot be told ({between(*state.interval_um)})."
+        for name, state in result.joints.items()
+        if state.condition == "open" and name not in named
+    ]
     return " ".join(parts)
+
+
+def _lengths(found: Mapping[str, float]) -> str:
+    """Clearances [µm] of joints, with one unit where it is the same: "O 35, A 30, C 160 µm"."""
+    said = [f"{name} {length(value)}" for name, value in found.items()]
+    return ", ".join([*(each.removesuffix(" µm") for each in said[:-1]), said[-1]])
+
+
+def next_step(result: Answer) -> str:
+    """Return what to do next, in one line."""
+    if result.verdict in ("unknown", "changed"):
+        step = _after_no_wear(result)
+    elif result.verdict == "worn":
+        step = _after_wear(result)
+    else:
+        doubted = [name for name, state in result.joints.items() if state.condition == "open"]
+        step = "measure again at the usual interval"
+        if doubted or sound(result) < result.coverage:
+            step = _apart(result) or f"measure again, longer or with more sensors{_to_tell(doubted)}"
+    return f"Next: {step}."
+
+
+def _after_no_wear(result: Answer) -> str:
+    """What to do where nothing explains a recording, or something else than play: what may be wrong with it, first."""
+    if result.sensors:
+        names = dict.fromkeys(name for flaw in result.sensors for name in flaw.sensors)
+        return f"check {enumerate_words(list(names))} (cable, direction, scale), and measure again"
+    if doubts := [line for line in result.warnings if line.startswith("drive speed ")]:
+        return f"check the drive speed, and that this is the machine of the catalogue: {doubts[-1]}"
+    if result.verdict == "changed" and result.causes:
+        return f"look at this: {result.causes[0].name}; put it right, or the machine's file, and measure again"
+    compare = "" if result.baseline else "; compare with a recording of the machine in order as a baseline"
+    if result.verdict == "changed":
+        return f"look for what has changed: mounts, foundation, masses, load, drive{compare}"
+    return f"check that catalogue, machine, sensors (places, directions, units) and speed belong together{compare}"
+
+
+def _after_wear(result: Answer) -> str:
+    """What to do where joints are worn."""
+    named = named_joints(result)
+    joints = f"joint{'s' if len(named) > 1 else ''} {enumerate_words(list(named))}"
+    if not is_sure(result):
+        return _apart(result) or f"measure again, longer or with more sensors, or look at {joints} at the next stop"
+    if all(1.0 - state.p_over_limit >= CLEARLY for state in named.values()):
+        return f"measure again soon, to see how fast {joints} wear{'' if len(named) > 1 else 's'}"
+    return f"lock the drive out and measure the play of {joints} across the pin"
+
+
+def _apart(result: Answer) -> str:
+    """What would tell the first hypotheses apart best; empty where nothing is suggested."""
+    if not result.suggestions:
+        return ""
+    best = result.suggestions[0]
+    how = {"sensor": "with sensor", "direction": "in direction", "speed": "at"}[best.kind]
+    return f"measure {how} {best.what} as well, to tell {' and '.join(best.hypotheses)} apart"
+
+
+def _to_tell(joints: Sequence[str]) -> str:
+    return f", to tell joint{'s' if len(joints) > 1 else ''} {enumerate_words(joints)}" if joints else ""
 
 
 def limit_sentence(result: Answer) -> str:
@@ -186,11 +249,15 @@ def sensor_sentences(result: Answer) -> list[str]:
 
 
 def remarks(result: Answer) -> list[str]:
-    """Return what is said right below the verdict, and not in it: limits of joints, other causes, sensors."""
+    """Return what is said right below the verdict, and not in it, each in a line.
+
+    Limits of joints, other causes, sensors; above which clearance there is no wear; last of all, what to do next.
+    """
     flaws = sensor_sentences(result)
     if result.verdict == "unknown":
         flaws = flaws[1:]
     told = (limit_sentence(result), causes_sentence(result), _since(result), _reserve(result), *flaws)
+    told += (seen_sentence(result), next_step(result))
     return [said for said in told if said]
 
 
@@ -238,6 +305,21 @@ def set_sentence(result: Answer) -> str:
     if result.widened:
         return f"Candidates, from a set widened because the one for {coverage} was empty: {', '.join(candidates)}."
     return f"Candidates, which hold the true cause in {coverage} of cases: {', '.join(candidates)}."
+
+
+def colour_sentence(result: Answer) -> str:
+    """Return what the colours of joints mean in the drawing of an answer."""
+    if has_decided(result):
+        return "The deeper the colour of a joint, the more probable its wear."
+    return "No joint is coloured: this is no verdict on joints."
+
+
+def rings_sentence(result: Answer) -> str:
+    """Return what rings in charts of levels mean; empty where nothing was decided."""
+    first, second = result.hypotheses[:1], result.evidence.rival
+    if not first or second is None or not has_decided(result):
+        return ""
+    return f"Rings: bands that decided for {first[0].label} and against {second}."
 
 
 def fit_sentence(result: Answer) -> str:

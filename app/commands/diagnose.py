@@ -239,7 +239,7 @@ def report(result: Diagnosis) -> str:
     """Return a diagnosis as plain text."""
     parts = [words.sentence(result), *words.remarks(result)]
     if joint_rows(result):
-        parts += [words.joints_sentence(result), indent(joints(result))]
+        parts.append(indent(joints(result)))
     if result.recordings:
         parts += ["What each recording says, and all others without it:", indent(recordings(result))]
     turning = "" if result.recordings else f"drive speed {result.drive_speed_rpm:.6g} rpm; "

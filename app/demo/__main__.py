@@ -39,7 +39,7 @@ def demo() -> None:
         click.echo(f"\n{name}.csv.gz")
         click.echo(f"  verdict: {words.sentence(result)}")
         click.echo(f"  truth:   {truth_sentence(truth)}")
-        for line in (*words.remarks(result), words.joints_sentence(result)):
+        for line in words.remarks(result):
             click.echo(f"  {line}")
         click.echo(indent(ranking(result, 3), "    "))
         for warning in result.warnings:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from string import ascii_lowercase
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +15,8 @@ from matplotlib.figure import Figure
 from jointplay.app import words
 from jointplay.app.figures.outputs import check_output
 from jointplay.app.figures.simulation_file import ALWAYS, AskedSpectra, SimulationFile
-from jointplay.app.rows import Comparison, comparisons, hypothesis_rows
-from jointplay.catalogue.diagnosing.answer import Diagnosis
+from jointplay.app.rows import Comparison, comparisons, deciding, has_decided, hypothesis_rows
+from jointplay.catalogue.diagnosing.answer import BandEvidence, Diagnosis
 from jointplay.solver.cases.history import MOTIONS
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ SHOWN_REVOLUTIONS = 3.0
 SHOWN_DECADES = 8.0
 SHOWN_HYPOTHESES = 5
 SYMBOLS = {"x": "x", "y": "y", "theta": "θ"}
-BLUE, ORANGE = "#1f5fa8", "#c2570c"
+BLUE, ORANGE, GREEN, RING = "#1f5fa8", "#b54708", "#0e9384", "#17212b"
 
 
 def check_ending(path: Path) -> None:
@@ -151,8 +152,13 @@ def draw_diagnosis(result: Diagnosis, name: str) -> Figure:
     grid = figure.subplots(1 + len(found), 1, squeeze=False)[:, 0]
     figure.suptitle(f"{name}: {words.sentence(result)}", wrap=True)
     draw_ranking(grid[0], result)
+    decided = deciding(result, found)
+    names = [f"matched: {entry.label}" for entry in result.hypotheses[:1]] or ["matched"]
     for axes, comparison in zip(grid[1:], found, strict=True):
-        draw_comparison(axes, comparison)
+        rings = [band for other, band in decided if other is comparison]
+        draw_comparison(axes, comparison, names[0], result.evidence.rival, rings)
+    if len(found) and (said := words.rings_sentence(result)):
+        grid[1].set_title(said, loc="right", fontsize="small", color=RING)
     grid[-1].set_xlabel("order of the drive")
     return figure
 
@@ -161,23 +167,34 @@ def draw_ranking(axes: Axes, result: Diagnosis) -> None:
     """Draw probabilities of the first hypotheses as bars, the most probable on top."""
     shown = hypothesis_rows(result, SHOWN_HYPOTHESES)[::-1]
     names = ["\n".join([row.label, *(play.say() for play in row.plays)]) for row in shown]
-    bars = axes.barh(range(len(shown)), [row.probability for row in shown], color=ORANGE)
+    # Bars that are filled would say that something was decided.
+    look: dict[str, Any] = (
+        {"color": ORANGE} if has_decided(result) else {"color": "none", "edgecolor": "0.6", "linestyle": ":"}
+    )
+    bars = axes.barh(range(len(shown)), [row.probability for row in shown], **look)
     axes.set_yticks(range(len(shown)), names, fontsize="small")
     axes.bar_label(bars, [row.percent for row in shown], padding=3)
     axes.set_xlim(0, 1.12)
-    axes.set_xlabel("probability")
+    axes.set_xlabel("probability" if has_decided(result) else "probability beside each other: none of them explains it")
 
 
-def draw_comparison(axes: Axes, comparison: Comparison) -> None:
-    """Draw one channel: measured, matched, and how far the matched may scatter."""
+def draw_comparison(
+    axes: Axes, comparison: Comparison, matched: str, rival: str | None, decided: Sequence[BandEvidence]
+) -> None:
+    """Draw one channel: measured, matched and how far it may scatter, the second; rings where bands decided."""
     orders = [band.order for band in comparison.bands]
     lower = [band.predicted_db - 2 * band.spread_db for band in comparison.bands]
     upper = [band.predicted_db + 2 * band.spread_db for band in comparison.bands]
     axes.fill_between(orders, lower, upper, color=ORANGE, alpha=0.2, label="scatter, two standard deviations")
-    axes.plot(orders, [band.predicted_db for band in comparison.bands], color=ORANGE, linestyle="--", label="matched")
+    axes.plot(orders, [band.predicted_db for band in comparison.bands], color=ORANGE, linestyle="--", label=matched)
+    if rival is not None:
+        second = [math.nan if band.rival_db is None else band.rival_db for band in comparison.bands]
+        axes.plot(orders, second, color=GREEN, linestyle=":", label=f"second: {rival}")
     axes.plot(
         orders, [band.measured_db for band in comparison.bands], color=BLUE, marker="o", markersize=3, label="measured"
     )
+    ringed = [band.order for band in decided], [band.measured_db for band in decided]
+    axes.plot(*ringed, color=RING, marker="o", markersize=11, fillstyle="none", linestyle="none")
     axes.set_xscale("log")
     axes.set_title(comparison.title, loc="left", fontsize="medium")
     axes.set_ylabel(comparison.label)

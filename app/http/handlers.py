@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
+from datetime import datetime
 from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import quote
@@ -11,6 +13,7 @@ from urllib.parse import quote
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from fastapi.templating import Jinja2Templates
+from markupsafe import Markup, escape
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -21,11 +24,37 @@ from starlette.types import Scope
 from jointplay.app.errors import AppError, BadRequestError
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
+from jointplay.app.words import spell_moment
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 
 log = logging.getLogger(__name__)
 templates = Jinja2Templates(directory=Path(__file__).parents[1] / "templates")
+
+
+def show_moment(moment: datetime | str, zone: bool = True) -> Markup:
+    """Return a moment of UTC, or what `spell_moment` made of it, as an element that is shown in the reader's zone.
+
+    Parameters
+    ----------
+    moment : datetime or str
+    zone : bool
+        Whether the zone is named with it; the head of a column can do that for all of its rows.
+    """
+    said = moment if isinstance(moment, str) else spell_moment(moment)
+    form = '<time datetime="{}Z"{}><span class="piece">{}</span> <span class="piece">{}</span></time>'
+    day, clock = said.removesuffix(" UTC").split(" ")
+    how = ("", f"{clock} UTC") if zone else (Markup(" data-bare"), clock)
+    return Markup(form).format(f"{day}T{clock}", how[0], day, how[1])
+
+
+def show_moments(text: str) -> Markup:
+    """Return a text with its moments of UTC as such elements."""
+    return Markup(SPELLED.sub(lambda found: show_moment(found[0]), str(escape(text))))
+
+
+SPELLED = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC")
+templates.env.filters |= {"moment": show_moment, "moments": show_moments}
 
 
 def path_of(scope: Scope) -> str:

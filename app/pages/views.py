@@ -7,9 +7,18 @@ from typing import Any
 
 from jointplay.app import words
 from jointplay.app.figures.pictures import machine_picture
-from jointplay.app.rows import Comparison, comparisons, deciding, hypothesis_rows, joint_rows, order, recording_rows
+from jointplay.app.rows import (
+    Comparison,
+    comparisons,
+    deciding,
+    has_decided,
+    hypothesis_rows,
+    joint_colours,
+    joint_rows,
+    order,
+    recording_rows,
+)
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.words import spell_moment
 from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence
 from jointplay.solver.machines.machine import parse_machine
 
@@ -28,7 +37,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
     """
     result = row.answer
     found = comparisons(result)
-    decided = deciding(found)
+    decided = deciding(result, found)
     return {
         "id": row.id,
         "verdict": result.verdict,
@@ -41,13 +50,16 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "recording": words.recorded(result, measurement.name),
         "recordings": recording_rows(result),
         "asset": row.request.get("asset"),
-        "created": f"{spell_moment(row.created_at)} UTC",
+        "created": row.created_at,
         "warnings": result.warnings,
         "ranking": hypothesis_rows(result, SHOWN_HYPOTHESES),
         "in_order": "“healthy”" if all(each.label != "as-new" for each in result.hypotheses) else "“healthy”, “as-new”",
         "set_sentence": words.set_sentence(result),
         "chart_hint": words.fit_sentence(result),
-        "drawing": machine_picture(parse_machine(row.machine), result.joint_probabilities),
+        "drawing": machine_picture(parse_machine(row.machine), joint_colours(result)),
+        "colours": words.colour_sentence(result),
+        "rings": words.rings_sentence(result),
+        "ranked": has_decided(result),
         "rival": result.evidence.rival,
         "best": result.hypotheses[0].label,
         "decided": [decision(comparison, band) for comparison, band in decided],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 
 from jointplay.app import words
 from jointplay.app.jobs.summaries import extent, kind_of, summarise_told
@@ -11,10 +12,12 @@ from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, p
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import SOURCES, spell_moment
 from jointplay.catalogue.diagnosing.answer import Answer, JointState
+from jointplay.solver.machines.machine import parse_machine
 
 SHOWN_HYPOTHESES = 5
 SHOWN_SUGGESTIONS = 3
 SHOWN_WARNINGS = 4
+SHOWN_SENSORS = 6
 SHOWN_WIDTH = 64  # characters of a name from outside: one page has to do
 
 NO_ZONE = (
@@ -38,6 +41,10 @@ JOINT_COLUMNS = (
 )
 
 
+FORM_COLUMNS = ("Joint", "Expected", "Play found across the pin, µm", "Repaired, replaced")
+FORM_ROWS = 3
+
+
 @dataclass(frozen=True)
 class Named:
     """One line of a table of facts."""
@@ -59,6 +66,8 @@ class Report:
         The verdict in one sentence.
     remarks : tuple of str
         What belongs to it: limits, other causes, sensors.
+    colours : str
+        What those of joints in the drawing mean.
     facts : tuple of Named
         Asset, machine and measurement.
     likelihood, severity : tuple of str
@@ -71,6 +80,10 @@ class Report:
         What would tell the first two apart.
     inspection : tuple of str
         What to look at.
+    form : tuple of tuple of str
+        Joints, and the diametral play that is expected, of the box in which a finding is noted by hand.
+    at : datetime
+        When the diagnosis was made.
     method : tuple of Named
         Versions and hashes.
     warnings, limits : tuple of str
@@ -80,6 +93,7 @@ class Report:
     verdict: str
     sentence: str
     remarks: tuple[str, ...]
+    colours: str
     facts: tuple[Named, ...]
     likelihood: tuple[str, ...]
     severity: tuple[str, ...]
@@ -87,12 +101,14 @@ class Report:
     hypotheses: tuple[tuple[str, str, str, str], ...]
     suggestions: tuple[str, ...]
     inspection: tuple[str, ...]
+    form: tuple[tuple[str, str], ...]
+    at: datetime
     method: tuple[Named, ...]
     warnings: tuple[str, ...]
     limits: tuple[str, ...]
 
 
-def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None = None) -> Report:
+def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None = None, notes: str = "") -> Report:
     """Return what the report of a diagnosis says.
 
     Parameters
@@ -102,6 +118,8 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         Its recording.
     asset : str, optional
         External id of the machine that was measured, where the diagnosis names it.
+    notes : str
+        Of that asset: where it stands.
     """
     result = row.answer
     return Report(
@@ -109,7 +127,8 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         verdict=result.verdict,
         sentence=words.sentence(result),
         remarks=tuple(cut(line, 240) for line in words.remarks(result)),
-        facts=facts(row, measurement, asset),
+        colours=words.colour_sentence(result),
+        facts=facts(row, measurement, asset, notes),
         likelihood=(
             words.set_sentence(result),
             f"{words.capital(words.fit_sentence(result))}. {words.mode_sentence(result)}",
@@ -123,27 +142,28 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         ),
         suggestions=suggestions(result),
         inspection=inspection(result),
+        form=form(result),
+        at=row.created_at,
         method=method(row),
         warnings=tuple(warnings(result.warnings)),
         limits=(LIMITS,),
     )
 
 
-def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> tuple[Named, ...]:
-    """Return who was measured, how and when."""
+def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None, notes: str = "") -> tuple[Named, ...]:
+    """Return who was measured, where, how and when."""
     summary = measurement.summary
     channels = ", ".join(channel["name"] for channel in summary["channels"])
     return (
         *((Named("Asset", cut(asset)),) if asset else ()),
         Named("Machine", cut(row.answer.machine)),
-        Named(
-            kind_of(summary).capitalize(),
-            f"{cut(measurement.name)}, received {spell_moment(measurement.created_at)} UTC",
-        ),
-        *measured(measurement),
+        *((Named("Notes", cut(" ".join(notes.split()), 160)),) if notes.strip() else ()),
+        Named(kind_of(summary).capitalize(), cut(measurement.name)),
+        Named("Measured", measured(measurement)),
         Named("Extent" if kind_of(summary) == "spectrum" else "Length", extent(summary)),
         *((Named("Said of it", cut(summarise_told(measurement.told.shown))),) if measurement.told.shown else ()),
         Named("Channels", cut(channels)),
+        *sensors(row),
         Named("Drive speed", f"{row.answer.drive_speed_rpm:.5g} rpm"),
         *(
             Named(f"Recording {number}", f"{cut(each.name)}, {each.speed}; alone {each.alone}; {each.said}")
@@ -153,12 +173,29 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None) -> 
     )
 
 
-def measured(measurement: MeasurementRow) -> tuple[Named, ...]:
-    """Return when a measurement was made, where somebody says so."""
-    source = measurement.measured_at_source
+def measured(measurement: MeasurementRow) -> str:
+    """Return when a measurement was made, as far as somebody says so, and when it came."""
+    source, came = measurement.measured_at_source, f"received {spell_moment(measurement.created_at)} UTC"
     if source == "received":
-        return ()
-    return (Named("Measured", f"{spell_moment(measurement.measured_at)} UTC, {SOURCES[source]}"),)
+        return f"nobody says when; {came}"
+    return f"{spell_moment(measurement.measured_at)} UTC, {SOURCES[source]}; {came}"
+
+
+def sensors(row: DiagnosisRow) -> tuple[Named, ...]:
+    """Return where the sensors of the machine stand, and along what they measure."""
+    found = parse_machine(row.machine).sensors
+    said = [
+        f"{each.name} ({each.at[0]:.4g}, {each.at[1]:.4g}) m along ({each.direction[0]:.3g}, {each.direction[1]:.3g})"
+        for each in found[:SHOWN_SENSORS]
+    ]
+    more = [f"{len(found) - SHOWN_SENSORS} more in the machine's file"] if len(found) > SHOWN_SENSORS else []
+    return (Named("Sensors at", "; ".join([*said, *more])),) if said else ()
+
+
+def form(result: Answer) -> tuple[tuple[str, str], ...]:
+    """Return the rows of the box in which a finding is noted by hand: what is to be measured first, and empty ones."""
+    rows = [(joint, double(each)) for joint, each in words.named_joints(result).items()]
+    return (*rows, *((("", ""),) * max(FORM_ROWS - len(rows), 1)))
 
 
 def joint_row(row: JointRow) -> tuple[str, ...]:

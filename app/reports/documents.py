@@ -14,8 +14,9 @@ from xml.sax.saxutils import escape
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from jointplay.app.reports.content import JOINT_COLUMNS, Named, Report
-from jointplay.app.reports.figures import ReportFigures
+from jointplay.app.reports.content import FORM_COLUMNS, JOINT_COLUMNS, Named, Report
+from jointplay.app.reports.figures import INK, ReportFigures
+from jointplay.app.reports.trend import SAID
 
 REGULAR, BOLD, OBLIQUE = "DejaVuSans", "DejaVuSans-Bold", "DejaVuSans-Oblique"
 MM = 72 / 25.4
@@ -23,8 +24,12 @@ WIDTH, HEIGHT = 210 * MM, 297 * MM
 MARGIN = 11 * MM
 GUTTER = 5 * MM
 FIGURE_HEIGHT = 46 * MM
+SCALES = (1.0, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5)
+"""How small everything may become, so that all of it is on one sheet."""
 ACCENT, SOFT, LINE, BACK = "#1f5fa8", "#566373", "#d4dae1", "#f3f5f8"
-SIDES = {"worn": "#c2570c", "in_order": "#1d7a46", "changed": "#6b4fa0", "unknown": "#7a5b00"}
+SIDES = {"worn": "#b54708", "in_order": "#0b6b8f", "changed": "#6b21a8", "unknown": "#626262"}
+FINDING = "What was found (to be reported to this diagnosis)"
+PAST = "Radial clearance of this asset up to here"
 RESPONSE = "What the frame answers to forces. Dashed: orders that the drive shakes it with."
 
 _lock = threading.Lock()  # the library keeps fonts and styles for the whole process
@@ -45,40 +50,46 @@ def pdf(report: Report, figures: ReportFigures) -> bytes:
         fonts()
         wide, high = WIDTH - 2 * MARGIN, HEIGHT - 2 * MARGIN
         target = io.BytesIO()
-        # Invariant: no time of writing inside, so that the same report is the same bytes.
+        # Invariant: no time of writing inside but that of the diagnosis, so that the same report is the same bytes.
         canvas = Canvas(target, pagesize=(WIDTH, HEIGHT), invariant=1)
+        canvas.setDateFormatter(lambda *_: f"D:{report.at:%Y%m%d%H%M%S}+00'00'")
         canvas.setTitle(report.title)
         canvas.setSubject(report.sentence)
         canvas.setCreator("jointplay")
-        frame = Frame(MARGIN, MARGIN, wide, high, 0, 0, 0, 0)
-        frame.addFromList([KeepInFrame(wide, high, content(report, figures, wide), mode="shrink")], canvas)
+        for scale in SCALES:
+            parts = content(report, figures, wide / scale)
+            room = high / scale - height_of(parts, wide / scale, high)
+            if room >= 0:
+                break
+        parts = content(report, figures, wide / scale, max(room, 0.0))
+        canvas.scale(scale, scale)
+        frame = Frame(MARGIN / scale, MARGIN / scale, wide / scale, high / scale, 0, 0, 0, 0)
+        frame.addFromList([KeepInFrame(wide / scale, high / scale, parts, mode="shrink")], canvas)
         canvas.showPage()
         canvas.save()
     return target.getvalue()
 
 
-def content(report: Report, figures: ReportFigures, wide: float) -> list[Any]:
-    """Return the parts of the page from top to bottom."""
+def height_of(parts: Sequence[Any], wide: float, high: float) -> float:
+    """Return how high parts are, one below the other."""
+    return float(sum(part.wrap(wide, high)[1] + part.getSpaceBefore() + part.getSpaceAfter() for part in parts))
+
+
+def content(report: Report, figures: ReportFigures, wide: float, room: float = 0.0) -> list[Any]:
+    """Return the parts of the page from top to bottom; the box for the finding takes the room that is left."""
     half = (wide - GUTTER) / 2
-    left = [
-        heading("Asset and measurement"),
-        facts(report.facts, half, 7.5),
-        heading("How likely"),
-        *texts(report.likelihood),
-        heading("How large"),
-        *texts(report.severity),
-    ]
+    left = [heading("Asset and measurement"), facts(report.facts, half, 7.5)]
     right = [
         heading("Mechanism"),
         drawing(figures.mechanism, half, 1.35 * FIGURE_HEIGHT),
-        text("The deeper the colour of a joint, the more probable its wear.", 6.8, SOFT),
+        text(report.colours, 6.8, SOFT),
         *([drawing(figures.response, half, FIGURE_HEIGHT), text(RESPONSE, 6.8, SOFT)] if figures.response else []),
     ]
-    told = [heading("What would tell the first two apart"), *texts(report.suggestions, bullet=True)]
+    said = [heading("How likely"), *texts(report.likelihood), heading("How large"), *texts(report.severity)]
     done = [heading("Recommended inspection"), *texts(report.inspection, bullet=True)]
-    done += [heading("Limits"), *(text(line, 6.8, SOFT) for line in report.limits)]
+    done += [heading("What would tell the first two apart"), *texts(report.suggestions, bullet=True)]
     if report.warnings:
-        told += [heading("Warnings"), *texts(report.warnings, bullet=True)]
+        done += [heading("Warnings"), *texts(report.warnings, bullet=True)]
     third = wide / max(len(figures.spectra), 3)
     spectra = [drawing(each, third - 2 * MM, FIGURE_HEIGHT) for each in figures.spectra]
     return [
@@ -92,10 +103,46 @@ def content(report: Report, figures: ReportFigures, wide: float) -> list[Any]:
         heading("Measured against matched levels"),
         *([table([spectra], [third] * len(spectra))] if spectra else []),
         text(figures.caption, 6.8, SOFT),
-        beside(done, told, half),
+        beside(said, done, half),
+        *trend_and_form(report, figures, wide, room),
+        heading("Limits"),
+        *(text(line, 6.8, SOFT) for line in report.limits),
         heading("Method"),
         facts(report.method, wide, 6.3),
     ]
+
+
+def trend_and_form(report: Report, figures: ReportFigures, wide: float, room: float) -> list[Any]:
+    """Return the past of the asset beside the box for the finding, or that box alone."""
+    half = (wide - GUTTER) / 2
+    if not figures.trend:
+        return [heading(FINDING), finding_box(report, wide, room)]
+    trend = [heading(PAST), drawing(figures.trend, half, FIGURE_HEIGHT + room), text(SAID, 6.8, SOFT)]
+    return [beside(trend, [heading(FINDING), finding_box(report, half, room)], half)]
+
+
+def finding_box(report: Report, wide: float, room: float) -> Any:
+    """Return the box in which a fitter notes what was found, with so much more room for remarks."""
+    names = [text(name, 7, SOFT) for name in FORM_COLUMNS]
+    rows = [[text(cell, 7.5) for cell in (*row, "", "")] for row in report.form]
+    cells = [
+        names,
+        *rows,
+        [text("Remarks", 7, SOFT), "", "", ""],
+        [text("Date", 7, SOFT), "", text("Name", 7, SOFT), text("Signature", 7, SOFT)],
+    ]
+    heights = [None, *([6 * MM] * len(rows)), 7 * MM + room, 6 * MM]
+    widths = [wide * part for part in (0.13, 0.27, 0.33, 0.27)]
+    return table(
+        cells,
+        widths,
+        ("BOX", (0, 0), (-1, -1), 0.8, INK),
+        ("INNERGRID", (0, 0), (-1, -3), 0.4, LINE),
+        ("LINEABOVE", (0, -2), (-1, -1), 0.4, LINE),
+        ("SPAN", (0, -2), (-1, -2)),
+        ("LEFTPADDING", (0, 0), (-1, -1), 3),
+        heights=heights,
+    )
 
 
 def text(line: str, size: float = 7.8, colour: str = "#16202b", bold: bool = False, bullet: bool = False) -> Any:
@@ -168,7 +215,12 @@ def beside(left: Sequence[Any], right: Sequence[Any], half: float) -> Any:
     return table([[list(left), "", list(right)]], [half, GUTTER, half])
 
 
-def table(cells: Sequence[Sequence[Any]], widths: Sequence[float], *commands: tuple[Any, ...]) -> Any:
+def table(
+    cells: Sequence[Sequence[Any]],
+    widths: Sequence[float],
+    *commands: tuple[Any, ...],
+    heights: Sequence[float | None] | None = None,
+) -> Any:
     """Return cells without padding at the sides."""
     from reportlab.platypus import Table
 
@@ -179,7 +231,8 @@ def table(cells: Sequence[Sequence[Any]], widths: Sequence[float], *commands: tu
         ("TOPPADDING", (0, 0), (-1, -1), 1),
         ("BOTTOMPADDING", (0, 0), (-1, -1), 0.5),
     ]
-    return Table(list(map(list, cells)), colWidths=list(widths), style=[*plain, *commands], hAlign="LEFT")
+    found = list(map(list, cells))
+    return Table(found, colWidths=list(widths), rowHeights=heights, style=[*plain, *commands], hAlign="LEFT")
 
 
 def drawing(svg: str, widest: float, highest: float) -> Any:
@@ -228,7 +281,15 @@ def html(report: Report, figures: ReportFigures) -> str:
     """
     template = environment().get_template("report.html")
     return template.render(
-        report=report, figures=figures, response=RESPONSE, style=style(), joint_columns=JOINT_COLUMNS
+        report=report,
+        figures=figures,
+        response=RESPONSE,
+        style=style(),
+        joint_columns=JOINT_COLUMNS,
+        form_columns=FORM_COLUMNS,
+        finding=FINDING,
+        past=PAST,
+        signs=SAID,
     )
 
 

@@ -10,53 +10,64 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
-from jointplay.app.rows import Comparison, comparisons
+from jointplay.app import words
+from jointplay.app.rows import Comparison, comparisons, deciding, joint_colours
 from jointplay.app.storage.rows import DiagnosisRow
-from jointplay.catalogue.diagnosing.answer import BandEvidence
+from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.machine import Machine, parse_machine
 
 WEAR = (232, 106, 20)
 INK, SOFT, GRID = "#16202b", "#566373", "#d4dae1"
-MEASURED, MATCHED, SCATTER = "#1f5fa8", "#c2570c", "#f6ddcd"
+MEASURED, MATCHED, SCATTER, RIVAL, DECIDED = "#1f5fa8", "#b54708", "#f4dccb", "#0e9384", "#17212b"
 FAINTEST = 0.005
 WIDTH, HEIGHT = 240.0, 170.0
 LEFT, RIGHT, TOP, BOTTOM = 27.0, 6.0, 20.0, 30.0
 TICKS_DB = (1, 2, 5, 10, 20, 50, 100)
 ORDERS = (1, 3, 10, 30, 100, 300, 1000, 3000)
-DECIDING = 3
 SHOWN_SPECTRA = 3
-
-CAPTION = (
-    "Blue: measured. Dashed: matched by the first hypothesis, its scatter (two standard deviations) shaded. Rings:"
-    " where they differ most by that scatter."
-)
 
 
 @dataclass(frozen=True)
 class ReportFigures:
     """The figures of a report, each one SVG element, and what is said below the spectra.
 
-    ``response`` is that of the machine's frame, empty where its file does not say it.
+    ``response`` is that of the machine's frame, empty where its file does not say it; ``trend`` the past of the asset,
+    empty where there is none.
     """
 
     mechanism: str
     response: str
     spectra: tuple[str, ...]
     caption: str
+    trend: str = ""
 
 
-def figures_of(row: DiagnosisRow, response: str = "") -> ReportFigures:
-    """Return the figures of a stored diagnosis, beside the response of its machine's frame."""
+def figures_of(row: DiagnosisRow, response: str = "", trend: str = "") -> ReportFigures:
+    """Return the figures of a stored diagnosis, beside the response of its machine's frame and its asset's past."""
     machine = parse_machine(row.machine)
     channels = comparisons(row.answer)
-    more = len(channels) - SHOWN_SPECTRA
+    decided = deciding(row.answer, channels)
     return ReportFigures(
-        mechanism(machine, row.answer.joint_probabilities),
+        mechanism(machine, joint_colours(row.answer)),
         response,
-        tuple(spectrum(each) for each in channels[:SHOWN_SPECTRA]),
-        f"{CAPTION} Not drawn: {more} more, which are in the answer itself." if more > 0 else CAPTION,
+        tuple(spectrum(each, [band for other, band in decided if other is each]) for each in channels[:SHOWN_SPECTRA]),
+        caption(row.answer, len(channels) - SHOWN_SPECTRA),
+        trend,
     )
+
+
+def caption(result: Answer, more: int) -> str:
+    """Return what lines and signs of the spectra mean, and how many channels are not drawn."""
+    rival = result.evidence.rival
+    matched = f" ({result.hypotheses[0].label})" if result.hypotheses else ""
+    parts = [
+        f"Blue: measured. Orange, dashed: matched{matched}, its scatter (two standard deviations) shaded.",
+        f"Green, dotted: second ({rival})." if rival else "",
+        words.rings_sentence(result),
+        f"Not drawn: {more} more, which are in the answer itself." if more > 0 else "",
+    ]
+    return " ".join(part for part in parts if part)
 
 
 def mechanism(machine: Machine, probabilities: Mapping[str, float]) -> str:
@@ -78,11 +89,8 @@ def blend(share: float) -> str:
     return "#{:02x}{:02x}{:02x}".format(*(round(255 + (part - 255) * min(share, 1.0)) for part in WEAR))
 
 
-def spectrum(comparison: Comparison) -> str:
-    """Return one channel: measured, matched and the scatter of the matched over orders, as an SVG.
-
-    The bands in which measured and matched differ most, in standard deviations, carry a ring.
-    """
+def spectrum(comparison: Comparison, decided: Sequence[BandEvidence] = ()) -> str:
+    """Return one channel over orders as SVG: measured, matched and its scatter, second; rings: bands that decided."""
     bands = comparison.bands
     across, along = scales(bands)
     orders = [across(band.order) for band in bands]
@@ -95,15 +103,17 @@ def spectrum(comparison: Comparison) -> str:
     ]
     matched = [(x, along(band.predicted_db)) for x, band in zip(orders, bands, strict=True)]
     measured = [(x, along(band.measured_db)) for x, band in zip(orders, bands, strict=True)]
-    furthest = sorted(range(len(bands)), key=lambda index: -abs(bands[index].z))[:DECIDING]
+    second = [(x, along(band.rival_db)) for x, band in zip(orders, bands, strict=True) if band.rival_db is not None]
+    rings = [at for at, band in zip(measured, bands, strict=True) if band in decided]
     title = f"{comparison.title}: level by order of the drive, measured and matched"
     parts = [
         *grid(bands),
         f'<polygon points="{points(scatter)}" fill="{SCATTER}" stroke="none"/>',
         curve(matched, MATCHED, ' stroke-dasharray="4 3"'),
+        curve(second, RIVAL, ' stroke-dasharray="1 2"') if second else "",
         curve(measured, MEASURED),
         *(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.5" fill="{MEASURED}"/>' for x, y in measured),
-        *(ring(*measured[index]) for index in furthest),
+        *(ring(*at) for at in rings),
         label(LEFT, 13, comparison.title, INK, "start", 11),
         label(WIDTH - RIGHT, 13, comparison.label, SOFT, "end"),
         label((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 4, "order of the drive", SOFT, "middle"),
@@ -185,8 +195,8 @@ def curve(pixels: Sequence[tuple[float, float]], colour: str, more: str = "") ->
 
 
 def ring(x: float, y: float) -> str:
-    """Return the mark of a band that stands out."""
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="none" stroke="{INK}" stroke-width="0.9"/>'
+    """Return the mark of a band that decided."""
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="none" stroke="{DECIDED}" stroke-width="1.1"/>'
 
 
 def label(x: float, y: float, text: str, colour: str, anchor: str, size: float = 9) -> str:

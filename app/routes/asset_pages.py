@@ -204,7 +204,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     return {
         "asset": asset_item(row),
         "baseline": ", ".join(each.name for each in baselines),
-        "recordings": [(each.id, f"{each.name}, {spell_moment(each.measured_at)}") for each in recordings],
+        "recordings": [(each.id, f"{each.name}, {spell_moment(each.measured_at)} UTC") for each in recordings],
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
         "catalogue": next(

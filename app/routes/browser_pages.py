@@ -13,18 +13,20 @@ from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, plain_number
-from jointplay.app.routes.pages import REFUSALS, context
-from jointplay.app.rows import NAMES, micrometres, order
+from jointplay.app.routes.pages import KNOWN_ASSETS, REFUSALS, context
+from jointplay.app.rows import NAMES, length, micrometres, order
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer
+from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.told import Told
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.units import LENGTH, to_si
 from jointplay.solver.spectra.spectrum import Quantity, Scaling, frame_units, value_units
 
 router = APIRouter(prefix="/catalogues")
 
-FIELDS = ("hypothesis", "clearance", "quantity", "scaling")
-USUAL = {"clearance": "200", "quantity": "acceleration", "scaling": "rms"}
+FIELDS = ("hypothesis", "clearance", "quantity", "scaling", "asset")
+USUAL = {"clearance": "200", "quantity": "acceleration", "scaling": "rms", "asset": ""}
 LARGEST = 0.1
 CHOICES = {"quantity": get_args(Quantity), "scaling": get_args(Scaling)}
 
@@ -48,8 +50,9 @@ async def catalogue(request: Request, name: str) -> Response:
         summary = {"title": problem.title, "detail": problem.detail}
         members = await context(request, summary=summary)
         return templates.TemplateResponse(request, "catalogues.html", members, problem.status)
-    chosen = {field: given[field] or USUAL.get(field) or usual(offer) for field in FIELDS}
+    chosen = {**USUAL, "hypothesis": usual(offer), **{field: said for field, said in given.items() if said}}
     members = {"catalogue": offer.description, "chosen": chosen, "entry": None, "summary": None, "choices": CHOICES}
+    members["baselines"] = await run_in_threadpool(with_baseline, service, offer)
     status, headers = 200, {}
     try:
         members |= {"entry": await show_nearest(service, offer, chosen), "messages": {}}
@@ -76,6 +79,29 @@ def usual(offer: Offer) -> str:
     return next((name for name in names if name in offer.machine.wearing_joints), names[0] if names else "")
 
 
+def with_baseline(service: Service, offer: Offer) -> list[str]:
+    """Return the assets that are a catalogue's machine and have a recording of it in order."""
+    assets = Assets(service.store.database).page(None, KNOWN_ASSETS)
+    return [each.external_id for each in assets if each.machine == offer.machine.name and each.in_order]
+
+
+def baseline_of(service: Service, offer: Offer, asset: str) -> tuple[str, str, Told] | None:
+    """Return the recording of an asset in order; None for no asset.
+
+    Raises
+    ------
+    BadFieldError, UnknownAssetError
+        For an asset that is none, another machine, or has no baseline.
+    """
+    row = service.asset_of(asset or None, offer.machine.name)
+    if row is None:
+        return None
+    found = service.baselines_of(row, None)
+    if not found:
+        raise BadFieldError(f"asset: {asset[:80]}: has no baseline", field="asset")
+    return found[0]
+
+
 async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:
     """Return what the page shows of the nearest entry.
 
@@ -94,15 +120,19 @@ async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -
             raise BadFieldError(f"{field}: {value[:80]}: must be one of {', '.join(known)}", field=field)
     quantity, scaling = cast(tuple[Quantity, Scaling], asked)
     place = str(offer.path), offer.stamp
-    found = await service.pool.run(browsing.nearest, *place, hypothesis, clearance, quantity, scaling)
+    baseline = await run_in_threadpool(baseline_of, service, offer, chosen["asset"])
+    found = await service.pool.run(browsing.nearest, *place, hypothesis, clearance, quantity, scaling, baseline)
     sizes = found["clearances_um"]
     what = ", ".join(f"{joint} at {micrometres(size)} µm" for joint, size in sizes.items()) or hypothesis
     return {
-        "title": f"{what}, against healthy",
+        "title": f"{what}, against a machine in order",
         "name": what,
         "key": found["key"],
         "speed": f"{found['speed_rpm']:.5g} rpm",
         "healthy_entries": found["healthy_entries"],
+        "family": [length(each["clearance_um"]) for each in found["family"]],
+        "baseline": chosen["asset"] if found["baseline"] else "",
+        "refused": found["refused"],
         "drawing": machine_picture(offer.machine, dict.fromkeys(sizes, 1.0)),
         "charts": [chart(found, channel, reference(channel, quantity, scaling)) for channel in NAMES],
     }
@@ -134,23 +164,35 @@ def reference(channel: str, quantity: Quantity, scaling: Scaling) -> str:
 def chart(found: dict[str, Any], channel: str, unit: str) -> dict[str, Any]:
     """Return one chart: its data for the script and its content in words for those who do not see it."""
     levels, healthy = found["levels"][channel], found["healthy"][channel]
-    differences = [level - sound for level, sound in zip(levels, healthy, strict=True)]
-    strongest = max(range(len(differences)), key=lambda index: abs(differences[index]))
+    # What one machine in order has as well is no sign of wear: a difference counts from the nine of ten on.
+    outside = [
+        max(level - high, 0.0) + min(level - low, 0.0)
+        for level, low, high in zip(levels, found["low"][channel], found["high"][channel], strict=True)
+    ]
+    strongest = max(range(len(outside)), key=lambda index: abs(outside[index]))
+    far = f"{outside[strongest]:+.1f} dB".replace("-", "−")
+    at = f"order {order(found['orders'][strongest])}"
+    baseline = found["baseline"].get(channel)
     return {
         "title": NAMES[channel],
         "summary": (
-            f"Level by order of {NAMES[channel]}, of this entry and of the healthy machine; they differ most at order"
-            f" {order(found['orders'][strongest])}, by {differences[strongest]:+.1f} dB."
+            f"Level by order of {NAMES[channel]}, of this entry and of machines in order; it is farthest from nine of"
+            f" ten of them at {at}, by {far}."
         ),
-        "most": f"{differences[strongest]:+.1f} dB at order {order(found['orders'][strongest])}",
+        "most": f"{far} at {at}" if outside[strongest] else "as nine of ten of them",
         "data": {
             "label": f"dB re 1 {unit}",
             "orders": found["orders"],
             "upper": found["high"][channel],
             "lower": found["low"][channel],
             "lines": [
-                {"name": "healthy", "look": "matched", "levels": healthy},
+                {"name": "in order", "look": "matched", "levels": healthy},
+                *(
+                    {"name": length(each["clearance_um"]), "look": "rival", "levels": each["levels"][channel]}
+                    for each in found["family"]
+                ),
                 {"name": "this entry", "look": "measured", "levels": levels},
+                *([{"name": "baseline", "look": "joint-2", "levels": baseline}] if baseline else []),
             ],
         },
     }

@@ -120,7 +120,7 @@ async def show_list(
         "builds": [build_view(row) for row in cut],
         "following": following,
         "first": cursor is None,
-        "machines": await run_in_threadpool(service.machines.names),
+        "machines": await run_in_threadpool(machine_titles, service),
         "plans": PLANS,
         "chosen": {"plan": "quick", **given},
         "may_build": may_build(request),
@@ -177,6 +177,12 @@ def outcome(service: Service, row: BuildRow) -> dict[str, Any]:
     except (UnknownCatalogueError, CatalogueError):  # none yet, or one that cannot be opened, which its pages tell
         return {"usable": False, "failures": [], "failure_count": 0}
     return {"usable": True, "failures": failures_view(items), "failure_count": count}
+
+
+def machine_titles(service: Service) -> dict[str, str]:
+    """Return what the machines are called, by the names under which the service has them."""
+    titles = {name: service.machines.find(name).name for name in service.machines.names()}
+    return {name: title if title == name else f"{title} ({name})" for name, title in titles.items()}
 
 
 def may_build(request: Request) -> bool:

@@ -6,20 +6,26 @@ import hashlib
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
+from sqlalchemy import select
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from jointplay.app.etags import matches, respond
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
+from jointplay.app.pages.history import chart, measured
 from jointplay.app.reports.content import Report, report_of
 from jointplay.app.reports.documents import html, pdf, policy
 from jointplay.app.reports.figures import ReportFigures, figures_of
+from jointplay.app.reports.trend import trend_svg
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.assets import Assets, diagnoses_of
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.solver.machines.machine import parse_machine
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
+
+MOST_PAST = 200  # diagnoses of an asset, the newest so many, that a report draws
 
 HTML_TYPE, PDF_TYPE = "text/html", "application/pdf"
 FORMATS = {"html": HTML_TYPE, "pdf": PDF_TYPE}
@@ -63,4 +69,26 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
 def find_report(service: Service, row: DiagnosisRow, response: str) -> tuple[Report, ReportFigures]:
     """Return what the report of a stored diagnosis says and shows, the response of the frame drawn already."""
     measurement = service.store.measurement(row.measurement)
-    return report_of(row, measurement, row.request.get("asset")), figures_of(row, response)
+    asset = row.request.get("asset")
+    if not asset:
+        return report_of(row, measurement), figures_of(row, response)
+    found = Assets(service.store.database)
+    return report_of(row, measurement, asset, found.asset(asset).notes), figures_of(
+        row, response, find_trend(service, found, row)
+    )
+
+
+def find_trend(service: Service, assets: Assets, row: DiagnosisRow) -> str:
+    """Return the past of the asset up to the recording of a diagnosis; empty where that is its first one."""
+    asset = row.request["asset"]
+    diagnoses = service.store.diagnoses(None, MOST_PAST, among=diagnoses_of(asset))
+    used = {key for each in (row, *diagnoses) for key in each.measurements}
+    among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
+    measurements = {each.id: each for each in service.store.measurements(None, len(used), among)}
+    end = measured(row, measurements)
+    past = [each for each in diagnoses if measured(each, measurements) <= end]
+    if len({each.measurements for each in past}) < 2:
+        return ""
+    findings = [each for each in assets.findings(None, MOST_PAST, only={"asset": asset}) if each.at <= end]
+    limits = {name: state.limit_um for name, state in row.answer.joints.items()}
+    return trend_svg(chart(past, measurements, findings)["data"], limits)

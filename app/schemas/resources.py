@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictStr
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictFloat, StrictStr
 
 from jointplay.app.words import MeasuredAt, Moment
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
@@ -277,6 +278,15 @@ State = Literal["queued", "running", "done", "failed", "cancelled", "worker_lost
 CATALOGUE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 
+def check_catalogue_name(given: object) -> object:
+    """Return the name of a catalogue; one that breaks the rule is refused in words, not by its pattern."""
+    if isinstance(given, str) and not re.fullmatch(CATALOGUE_NAME, given):
+        raise ValueError(
+            f'"{given[:80]}": must be 1 to 64 letters, digits, . _ and -, without blanks, the first a letter or digit'
+        )
+    return given
+
+
 class BuildRequest(Shape):
     """Which catalogue to build, or to go on with."""
 
@@ -295,6 +305,7 @@ class BuildRequest(Shape):
             pattern=CATALOGUE_NAME,
             description="Name of the catalogue's folder. One that is there is extended, if it is of the same machine.",
         ),
+        BeforeValidator(check_catalogue_name),
     ]
     workers: Annotated[
         int | None,

@@ -12,6 +12,7 @@
 
   const replace = (section, text) => {
     const fresh = new DOMParser().parseFromString(text, "text/html");
+    window.jointplay.localize(fresh);
     for (const part of fresh.querySelectorAll("[data-part]")) {
       const own = section.querySelector(`[data-part="${part.dataset.part}"]`);
       if (!own) continue;

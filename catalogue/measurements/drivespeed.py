@@ -244,7 +244,7 @@ def doubt_speed(estimate: SpeedEstimate, signal: npt.ArrayLike, sample_rate: flo
 
 
 def _times_slower(values: FloatArray, sample_rate: float, turn: float) -> int:
-    """How many times slower than found a drive turns, by lines between the orders that stand out like these; 1: none."""
+    """How many times slower than found a drive turns, by lines between the orders that stand out, too; 1: none."""
     kept, rate = thin(values[: int(BLOCK_REVOLUTIONS * sample_rate / turn)], sample_rate, turn)
     padded = scipy.fft.next_fast_len(8 * len(kept), real=True)
     level = np.log(np.abs(scipy.fft.rfft(kept * np.hanning(len(kept))[:, None], padded, axis=0)) ** 2 + 1e-30)

@@ -6,6 +6,7 @@ import html
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -34,14 +35,52 @@ def test_the_nearest_entry_is_shown_beside_healthy(client: httpx.Client, shelf: 
     best = rows[np.argmin(np.abs(np.log(matrix.clearance(rows)[:, column] / 200e-6)))]
     key = str(matrix.table(np.array([best])).key[0])
     assert key in response.text
-    assert f"B at {1e6 * matrix.clearance(np.array([best]))[0, column]:.0f} µm, against healthy" in response.text
+    assert (
+        f"B at {1e6 * matrix.clearance(np.array([best]))[0, column]:.0f} µm, against a machine in order"
+        in response.text
+    )
     shown = charts(response.text)
     assert len(shown) == 3
-    healthy, entry = shown[1]["lines"]
+    healthy, *_family, entry = shown[1]["lines"]
+    assert [line["name"] for line in (healthy, entry)] == ["in order", "this entry"]  # type: ignore[call-overload]
     expected = 10 * np.log10(matrix.packed(np.array([best]))[0, :, 1])
     np.testing.assert_allclose(entry["levels"], np.maximum(expected, -100), atol=1e-3)  # type: ignore[call-overload]
     sound = 10 * np.log10(matrix.packed(matrix.rows("healthy", "trusted"))[..., 1])
     np.testing.assert_allclose(healthy["levels"], np.maximum(np.median(sound, axis=0), -100), atol=1e-3)  # type: ignore[call-overload]
+
+
+def test_wear_is_shown_over_clearance_beside_machines_with_new_fits(client: httpx.Client, shelf: Path) -> None:
+    text = client.get("/catalogues/slider-crank", params={"hypothesis": "B", "clearance": "200"}).text
+    matrix = Catalogue.open(shelf / "slider-crank").matrix
+    fits = matrix.clearance(matrix.rows("healthy", "trusted"))
+    assert np.median(fits.max(axis=1)) > 1e-6, "machines in order have the play of a new fit, and are no ideal ones"
+    lines: list[dict[str, Any]] = charts(text)[1]["lines"]  # type: ignore[assignment]
+    family = [line for line in lines if line["look"] == "rival"]
+    sizes = [float(size) * {"µm": 1.0, "mm": 1e3}[unit] for size, unit in (line["name"].split() for line in family)]
+    assert len(sizes) == 4 and sizes == sorted(sizes) and sizes[-1] > 5 * sizes[0]
+    loud = [np.mean(line["levels"][20:]) for line in family]
+    assert loud[-1] > loud[0] + 3, "more wear is louder"
+    said = re.findall(r"<li>[^<]+: ([+−]\d+\.\d) dB at order", text)
+    assert said and all(abs(float(each.replace("−", "-"))) < 60 for each in said)
+
+
+def test_the_baseline_of_an_asset_is_shown(client: httpx.Client, in_order: bytes) -> None:
+    place = "/catalogues/slider-crank"
+    sent = client.post("/api/v1/measurements", files={"file": ("in-order.csv", in_order)}).json()
+    client.put("/api/v1/assets/browsed-1", json={"machine": "slider-crank", "baseline": sent["id"]})
+    client.put("/api/v1/assets/browsed-2", json={"machine": "slider-crank"})
+    text = client.get(place, params={"hypothesis": "B", "asset": "browsed-1"}).text
+    assert "baseline of browsed-1" in text and ">browsed-2</option>" not in text
+    chart: dict[str, Any] = charts(text)[1]
+    known = {line["name"]: np.array(line["levels"], dtype=float) for line in chart["lines"]}
+    off = known["baseline"] - known["in order"]
+    low, high = (np.array(chart[end]) - known["in order"] for end in ("lower", "upper"))
+    assert np.nanmean((off > low - 3) & (off < high + 3)) > 0.9, (
+        "it is in order: its sensors' noise alone may be louder"
+    )
+    refused = client.get(place, params={"hypothesis": "B", "asset": "browsed-2"})
+    assert (refused.status_code, "browsed-2: has no baseline" in refused.text) == (422, True)
+    assert client.get(place, params={"hypothesis": "B", "asset": "nonsense"}).status_code == 404
 
 
 @pytest.mark.parametrize("channel", [0, 2])
@@ -80,7 +119,7 @@ def test_a_number_alone_is_in_micrometres(client: httpx.Client) -> None:
 def test_the_healthy_machine_can_be_looked_at(client: httpx.Client) -> None:
     response = client.get("/catalogues/slider-crank", params={"hypothesis": "healthy"})
     assert response.status_code == 200
-    assert "healthy, against healthy" in response.text
+    assert "healthy, against a machine in order" in response.text
 
 
 @pytest.mark.parametrize(

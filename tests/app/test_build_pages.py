@@ -121,6 +121,7 @@ def test_a_build_is_cancelled_and_gone_on_with(site: Site) -> None:
         ({"plan": ""}, 422, "plan", "choose a plan"),
         ({"catalogue": ""}, 422, "catalogue", "give it a name"),
         ({"catalogue": "../up"}, 422, "catalogue", "catalogue: "),
+        ({"catalogue": "my press"}, 422, "catalogue", "must be 1 to 64 letters, digits, . _ and -, without blanks"),
         ({"machine": "four-bar", "catalogue": "taken"}, 409, "catalogue", "taken: is a catalogue of another machine"),
     ],
 )

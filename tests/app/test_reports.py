@@ -15,9 +15,11 @@ from answers import hypothesis, joint
 from pypdf import PdfReader
 
 from jointplay.app import words
+from jointplay.app.http.handlers import templates
+from jointplay.app.pages.views import view
 from jointplay.app.reports.content import NO_ZONE, Report, report_of
 from jointplay.app.reports.documents import html, pdf
-from jointplay.app.reports.figures import figures_of, spectrum
+from jointplay.app.reports.figures import DECIDED, figures_of, spectrum
 from jointplay.app.routes.diagnoses import DiagnosisOut
 from jointplay.app.rows import Comparison
 from jointplay.app.settings import ServiceSettings
@@ -125,6 +127,58 @@ def test_the_same_report_is_not_sent_twice(client: httpx.Client, diagnosis: Diag
     assert client.get(place).content == first.content
 
 
+def test_a_document_is_of_its_diagnosis_and_fills_its_sheet(
+    rows: tuple[DiagnosisRow, MeasurementRow],
+) -> None:
+    row, measurement = rows
+    report = report_of(row, measurement, "press-7", "Hall 3,\nline 2")
+    document = pdf(report, figures_of(row))
+    reader = PdfReader(io.BytesIO(document))
+    assert reader.metadata is not None and reader.metadata.creation_date == row.created_at.replace(microsecond=0)
+    assert document == pdf(report, figures_of(row)), "the same report is the same bytes"
+    said = text_of(document)
+    assert "Notes Hall 3, line 2" in said
+    assert "Sensors at s1-x (0.2, -0.1) m along (1, 0)" in said
+    assert "nobody says when; received" in said
+    assert "Play found across the pin, µm" in said and "Signature" in said
+    assert [joint for joint, _ in report.form] == ["B", "", ""]
+    seen = words.seen_sentence(row.answer)
+    assert seen.startswith("No wear above: ") and seen in said
+    assert words.next_step(row.answer) in said
+    lowest, highest = extent_of(reader)
+    assert lowest < 60 and highest > 760, "nothing of the sheet is left empty"
+
+
+def extent_of(reader: PdfReader) -> tuple[float, float]:
+    """The lowest and the highest text of the first page."""
+    heights: list[float] = []
+
+    def visit(text: str, cm: list[float], tm: list[float], font: object, size: float) -> None:
+        if text.strip():
+            heights.append(cm[3] * tm[5] + cm[5])
+
+    reader.pages[0].extract_text(visitor_text=visit)
+    return min(heights), max(heights)
+
+
+def test_the_past_of_an_asset_is_drawn_up_to_the_recording(client: httpx.Client, worn: bytes, in_order: bytes) -> None:
+    client.put(f"{API}/assets/trend-1", json={"machine": "slider-crank"})
+    keys = []
+    for month, content in ((1, in_order), (5, worn)):
+        fields = {"catalogue": "slider-crank", "effort": "fast", "asset": "trend-1"}
+        fields["measured_at"] = f"2024-0{month}-01T06:00:00Z"
+        answer = client.post(f"{API}/diagnoses", files={"file": (f"{month}.csv", content)}, data=fields)
+        assert answer.status_code == 201, answer.text
+        keys.append(answer.json()["id"])
+    first, second = (client.get(f"{API}/diagnoses/{key}/report?format=html").text for key in keys)
+    assert "Radial clearance over time" not in first
+    assert "Radial clearance over time" in second
+    drawn = second[second.index("Radial clearance over time") :]
+    drawn = drawn[: drawn.index("</svg>")]
+    assert [text in drawn for text in ("● B", "✓", "limit", "2024-01-01", "2024-05-01")] == [True] * 5
+    assert "up to here" in text_of(client.get(f"{API}/diagnoses/{keys[1]}/report?format=pdf").content)
+
+
 def test_severity_and_likelihood_stand_apart(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
     report = report_of(*rows)
     assert "µm" not in " ".join(report.likelihood)
@@ -167,6 +221,30 @@ def test_no_joint_is_to_be_opened_without_a_fault(rows: tuple[DiagnosisRow, Meas
     assert "µm" not in " ".join(report.severity)
 
 
+@pytest.mark.parametrize(
+    ("verdict", "decided"), [("worn", True), ("in_order", True), ("changed", False), ("unknown", False)]
+)
+def test_no_joint_is_coloured_barred_or_ringed_without_a_verdict_on_joints(
+    rows: tuple[DiagnosisRow, MeasurementRow], verdict: str, decided: bool
+) -> None:
+    row = changed(rows[0], verdict=verdict)
+    page = templates.env.get_template("_result.html").render(result=view(row, rows[1]))
+    figures = figures_of(row)
+    ring = f'fill="none" stroke="{DECIDED}"'
+    seen = [
+        'fill="rgb(232 106 20' in page,
+        "<meter" in page,
+        'class="key decided"' in page,
+        "Bands that decided" in page,
+        bool(re.search(r'class="joint joint-B"><title>[^<]*</title><circle [^>]*fill="#', figures.mechanism)),
+        any(ring in spectrum for spectrum in figures.spectra),
+        "Rings: " in figures.caption,
+    ]
+    assert seen == [decided] * len(seen)
+    for line in words.remarks(row.answer):
+        assert line in unescape(page) and line in report_of(row, rows[1]).remarks
+
+
 def test_much_text_stays_on_one_page(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
     row, measurement = rows
     numbers = {"separation_now": 1.0, "separation": 3.0, "error_now": 0.2, "error": 0.03}
@@ -188,9 +266,9 @@ def band(order: int, measured: float, spread: float, z: float) -> BandEvidence:
     return BandEvidence(order=order, channel="x", **edges, **levels)
 
 
-def test_a_spectrum_rings_the_bands_that_stand_out() -> None:
+def test_a_spectrum_rings_the_bands_that_decided() -> None:
     bands = tuple(band(order, -20.0 + order, 2.0, float(order)) for order in range(1, 11))
-    drawn = ElementTree.fromstring(spectrum(Comparison("s1 <x>", bands)))
+    drawn = ElementTree.fromstring(spectrum(Comparison("s1 <x>", bands), bands[-3:]))
     circles = [each for each in drawn.iter() if each.tag.endswith("circle")]
     rings = [each for each in circles if each.get("fill") == "none"]
     dots = [each for each in circles if each.get("fill") != "none"]

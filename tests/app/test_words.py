@@ -8,6 +8,7 @@ import pytest
 from answers import changed, diagnosis, hypothesis, joint
 
 from jointplay.app import rows, words
+from jointplay.app.figures.plots import draw_diagnosis
 from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, JointState
 
 
@@ -21,6 +22,10 @@ def cause(name: str, size: float, unit: str, probability: float) -> dict[str, An
 
 SOUND = {"A": joint("in_order", 9.0, 0.01), "B": joint("in_order", 12.0, 0.02, detectable_from_um=28.0)}
 WORN = {"O": joint("worn", 463.0, 1.0, interval_um=[405, 528], p_over_limit=0.97), **SOUND}
+SUGGESTION = {
+    "kind": "sensor", "what": "s3-y", "hypotheses": ["A", "B"], "separation_now": 1.0, "separation": 3.0,
+    "error_now": 0.2, "error": 0.03,
+}  # fmt: skip
 SWAPPED = {"sensors": ["s1-x", "s2-y"], "kind": "swapped", "said": "s1-x and s2-y seem to be swapped"}
 
 
@@ -28,10 +33,11 @@ def test_one_worn_joint() -> None:
     found = result("worn", hypothesis("O", 0.93, O=460), hypothesis("healthy", 0.07), joints=WORN)
     assert words.sentence(found) == "Joint O is worn: radial clearance 463 µm (90 %: 405 to 528), probability > 99 %."
     assert words.short(found) == "O worn"
-    assert words.remarks(found) == ["O is beyond its limit of 200 µm, probability 97 %."]
-    assert words.joints_sentence(found) == (
-        "O: worn, 463 µm (405 to 528). A, B: in order; wear from 35 µm on would have shown."
-    )
+    assert words.remarks(found) == [
+        "O is beyond its limit of 200 µm, probability 97 %.",
+        "No wear above: A 35, B 28 µm (95 %).",
+        "Next: lock the drive out and measure the play of joint O across the pin.",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +65,8 @@ def test_two_worn_joints() -> None:
     )
     assert words.probability(found) == "96 %"
     assert words.remarks(found) == [
-        "A is beyond its limit of 200 µm, probability 90 %. C is within its limit of 200 µm, probability 98 %."
+        "A is beyond its limit of 200 µm, probability 90 %. C is within its limit of 200 µm, probability 98 %.",
+        "Next: lock the drive out and measure the play of joints A and C across the pin.",
     ]
 
 
@@ -135,8 +142,16 @@ def test_a_machine_in_order() -> None:
     joints["E"]["detectable_from_um"] = None
     open_joint = changed(found, joints=joints)
     assert words.sentence(open_joint).endswith("probability 90 %; joint B cannot be told.")
-    assert words.joints_sentence(open_joint) == (
-        "A: in order; wear from 35 µm on would have shown. E: in order. B: cannot be told (20 to 60 µm)."
+    assert words.seen_sentence(open_joint) == (
+        "No wear above: A 35 µm (95 %). Wear of E would not have shown, however large the catalogue has it."
+        " B: cannot be told (20 to 60 µm)."
+    )
+    assert words.next_step(open_joint) == "Next: measure again, longer or with more sensors, to tell joint B."
+    wide = {**SOUND, "O": joint("in_order", 9.0, 0.0, detectable_from_um=1600.0)}
+    assert words.seen_sentence(changed(found, joints=wide)) == "No wear above: A 35, B 28, O 1.6 mm (95 %)."
+    assert words.remarks(sure) == ["No wear above: A 35, B 28 µm (95 %).", "Next: measure again at the usual interval."]
+    assert words.next_step(changed(found, suggestions=[SUGGESTION])) == (
+        "Next: measure with sensor s3-y as well, to tell A and B apart."
     )
 
 
@@ -145,17 +160,17 @@ def test_a_machine_that_has_changed() -> None:
     found = result("changed", hypothesis("healthy", 0.9), joints=SOUND, causes=[mount])
     assert words.sentence(found) == "Changed, but not by play: mount 1 at 0.4 times its stiffness, 82 %."
     assert (words.short(found), words.probability(found)) == ("changed: mount 1", "82 %")
-    assert words.joints_sentence(found).startswith("A, B: in order")
-    assert words.remarks(found) == []
+    said = ["No wear above: A 35, B 28 µm (95 %).", "Next: look at this: mount 1; put it right, or the machine's file,"]
+    assert words.remarks(found) == [said[0], f"{said[1]} and measure again."]
     load = cause("load", -150.0, "N", 0.12)
-    assert words.remarks(changed(found, causes=[mount, load])) == ["It may also be: load, −150 N, 12 %."]
+    assert words.remarks(changed(found, causes=[mount, load]))[:-2] == ["It may also be: load, −150 N, 12 %."]
     doubted = changed(found, joints={**SOUND, "O": joint("worn", 300.0, 0.96)})
-    assert words.remarks(doubted) == [
+    assert words.remarks(doubted)[:-2] == [
         "Whether there is wear in joint O as well is told with reserve: measure again when the change is put right."
     ]
     level = {"channel": "x", "low_order": 1.5, "high_order": 2.5, "difference_db": -1.84, "usual_db": 0.071}
     since = changed(found, past={"p_value": 0.0005, "changed": [level]})
-    assert words.remarks(since) == [
+    assert words.remarks(since)[:-2] == [
         "Beside the baseline, order 2 in x is off by −1.8 dB (usually 0.071 dB), p = 0.0005."
     ]
     band = {**level, "low_order": 20.5, "high_order": 25.5, "difference_db": 3.0}
@@ -163,7 +178,7 @@ def test_a_machine_that_has_changed() -> None:
         "orders 21 to 25 in x is off by +3.0 dB"
         in words.remarks(changed(found, past={"p_value": 0.0005, "changed": [band]}))[0]
     )
-    assert words.remarks(changed(found, past={"p_value": 0.5, "changed": []})) == []
+    assert words.remarks(changed(found, past={"p_value": 0.5, "changed": []})) == words.remarks(found)
     nameless = changed(found, causes=[])
     assert words.sentence(nameless) == "Changed, but not by play; none of the known causes explains it."
     assert (words.short(nameless), words.probability(nameless)) == ("changed", "–")
@@ -184,7 +199,7 @@ def test_causes(name: str, size: float, unit: str, text: str) -> None:
 
 def test_causes_and_sensors_beside_wear() -> None:
     found = result("worn", joints=WORN, causes=[cause("all mounts", 0.5, "x stiffness", 0.3)], sensors=[SWAPPED])
-    assert words.remarks(found)[1:] == [
+    assert words.remarks(found)[1:3] == [
         "Other than play, there may be a change: all mounts at 0.5 times their stiffness, 30 %.",
         "s1-x and s2-y seem to be swapped.",
     ]
@@ -223,15 +238,51 @@ def test_a_widened_set_promises_nothing() -> None:
 def test_nothing_known() -> None:
     found = result("unknown", hypothesis("F", 1.0, F=20))
     assert words.sentence(found) == (
-        "No verdict: the recording fits none of the hypotheses of this catalogue, p = 0.004; the closest is F."
+        "No verdict: the recording fits none of the hypotheses of this catalogue, p = 0.004."
     )
     assert (words.short(found), words.probability(found)) == ("no verdict", "–")
     flawed = changed(found, sensors=[SWAPPED], joints=WORN)
-    assert (rows.joint_rows(flawed), words.joints_sentence(flawed)) == ([], "")
+    assert rows.joint_rows(flawed) == []
     assert words.sentence(flawed) == "No verdict: s1-x and s2-y seem to be swapped."
-    assert words.remarks(flawed) == []
+    nothing = "Nothing is said of any joint: wear of any size may be behind such a recording."
+    assert words.remarks(flawed) == [nothing, "Next: check s1-x and s2-y (cable, direction, scale), and measure again."]
+    lost = changed(found, warnings=["clipped", "drive speed 606.3 rpm is far from the nominal 120 rpm"])
+    assert words.remarks(lost) == [
+        nothing,
+        "Next: check the drive speed, and that this is the machine of the catalogue:"
+        " drive speed 606.3 rpm is far from the nominal 120 rpm.",
+    ]
+    assert words.next_step(found) == (
+        "Next: check that catalogue, machine, sensors (places, directions, units) and speed belong together;"
+        " compare with a recording of the machine in order as a baseline."
+    )
     assert "none of them explains the recording" in words.set_sentence(found)
     assert "what has changed is none of them" in words.set_sentence(changed(found, verdict="changed"))
+
+
+BAND = {
+    "order": 3.0, "low_hz": 25.0, "high_hz": 35.0, "channel": "x", "measured_db": -20.0, "predicted_db": -21.0,
+    "spread_db": 1.0, "z": 1.0, "rival_db": -30.0, "favours_best": 4.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("verdict", "decided"), [("worn", True), ("in_order", True), ("changed", False), ("unknown", False)]
+)
+def test_only_a_verdict_on_joints_colours_rings_and_fills(verdict: str, decided: bool) -> None:
+    evidence = {"orders": [BAND], "bands": [], "rival": "B"}
+    found = result(verdict, hypothesis("A", 0.8, A=200), hypothesis("B", 0.2, B=90), evidence=evidence, joints=WORN)
+    found = changed(found, joint_probabilities={"A": 0.8, "B": 0.2})
+    assert dict(rows.joint_colours(found)) == ({"A": 0.8, "B": 0.2} if decided else {})
+    assert words.colour_sentence(found).startswith("The deeper" if decided else "No joint is coloured")
+    ringed = rows.deciding(found, rows.comparisons(found))
+    assert [band.order for _, band in ringed] == ([3.0] if decided else [])
+    assert words.rings_sentence(found) == ("Rings: bands that decided for A and against B." if decided else "")
+    drawn = draw_diagnosis(found, "a.csv")
+    rings = [line for line in drawn.axes[1].lines if line.get_fillstyle() == "none" and len(line.get_xdata())]
+    assert len(rings) == decided
+    filled = [bar.get_facecolor()[3] > 0 for bar in drawn.axes[0].patches]
+    assert filled == [decided, decided]
 
 
 @pytest.mark.parametrize(
