@@ -34,7 +34,9 @@ CHOICES = {"quantity": get_args(Quantity), "scaling": get_args(Scaling)}
 @router.get("")
 async def catalogues(request: Request) -> Response:
     """List the catalogues."""
-    return templates.TemplateResponse(request, "catalogues.html", await context(request, title="Catalogues: jointplay"))
+    drawn = await run_in_threadpool(drawings, of_request(request))
+    members = await context(request, title="Catalogues: jointplay", drawings=drawn)
+    return templates.TemplateResponse(request, "catalogues.html", members)
 
 
 @router.get("/{name}")
@@ -71,6 +73,12 @@ async def catalogue(request: Request, name: str) -> Response:
     members["response"] = await service.draw_response(offer.machine, phase=True)
     whole = await context(request, **members, title=f"{offer.description.name}: jointplay")
     return templates.TemplateResponse(request, "catalogue.html", whole, status, headers)
+
+
+def drawings(service: Service) -> dict[str, str]:
+    """Return the drawings of machines by catalogue; each machine once, because names within a drawing are its own."""
+    offers = {offer.machine.content_key: offer for offer in reversed(service.shelf.offers())}
+    return {offer.description.name: machine_picture(offer.machine, {}) for offer in offers.values()}
 
 
 def usual(offer: Offer) -> str:

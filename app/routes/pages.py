@@ -18,6 +18,7 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.etags import respond
+from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.http.uploads import receive_form
 from jointplay.app.jobs.workers import TaskFailedError
@@ -164,6 +165,8 @@ async def understood(request: Request, given: Mapping[str, str]) -> dict[str, An
     )
     messages = {found["field"]: found["message"]} if found["field"] else {}
     shown = confirmation(measurement, offer, found, given)
+    # The result comes below it, with a drawing of the same machine: names within them are told apart.
+    shown["drawing"] = machine_picture(offer.machine, {}).replace("drawing-", "places-")
     return await context(request, confirm=shown, chosen=dict(given), messages=messages, title="Confirm: jointplay")
 
 
