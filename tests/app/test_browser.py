@@ -234,7 +234,9 @@ def test_a_catalogue_is_browsed(visit: Visit) -> None:
     assert page.evaluate("document.activeElement.id") == "clearance"
     page.get_by_label("Radial clearance").fill("0.2 mm")
     page.get_by_role("button", name="Show").click()
-    expect(page.get_by_role("heading", name=re.compile("^B at .* against healthy"))).to_be_visible(timeout=SECONDS)
+    expect(page.get_by_role("heading", name=re.compile("^B at .* against a machine in order"))).to_be_visible(
+        timeout=SECONDS
+    )
     expect(page.locator(".chart canvas")).to_have_count(3)
     expect(page).to_have_url(re.compile("hypothesis=B&clearance=0.2"))
     assert is_within_screen(page)
@@ -314,7 +316,7 @@ def test_without_scripts_from_upload_to_verdict(browser: Browser, server: str, r
         page.get_by_role("link", name="slider-crank").click()
         page.get_by_label("Worn").select_option("B")
         page.get_by_role("button", name="Show").click()
-        expect(page.get_by_role("heading", name=re.compile("^B at .* against healthy"))).to_be_visible()
+        expect(page.get_by_role("heading", name=re.compile("^B at .* against a machine in order"))).to_be_visible()
 
 
 def test_the_page_to_sign_in_is_in_order(browser: Browser, tmp_path: Path) -> None:

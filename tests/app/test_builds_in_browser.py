@@ -77,7 +77,7 @@ def test_from_the_form_to_the_catalogue(
     expect(cancel).to_have_count(0)
     assert is_within_screen(page) and serious(page) == []
     page.get_by_role("link", name="Look at the catalogue").click()
-    expect(page.get_by_role("heading", name=f"{LONG}: worn against healthy")).to_be_visible()
+    expect(page.get_by_role("heading", name=f"{LONG}: worn against in order")).to_be_visible()
     assert is_within_screen(page)
     page.go_back()
     expect(state).to_have_text("Done")
