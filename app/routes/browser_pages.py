@@ -20,6 +20,7 @@ from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.told import Told
 from jointplay.solver.errors import UnitError
+from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.units import LENGTH, to_si
 from jointplay.solver.spectra.spectrum import Quantity, Scaling, frame_units, value_units
 
@@ -78,7 +79,7 @@ async def catalogue(request: Request, name: str) -> Response:
 def drawings(service: Service) -> dict[str, str]:
     """Return the drawings of machines by catalogue; each machine once, because names within a drawing are its own."""
     offers = {offer.machine.content_key: offer for offer in reversed(service.shelf.offers())}
-    return {offer.description.name: machine_picture(offer.machine, {}) for offer in offers.values()}
+    return {offer.description.name: machine_svg(offer.machine) for offer in offers.values()}
 
 
 def usual(offer: Offer) -> str:

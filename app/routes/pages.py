@@ -18,7 +18,6 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.etags import respond
-from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.http.uploads import receive_form
 from jointplay.app.jobs.workers import TaskFailedError
@@ -33,6 +32,7 @@ from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.app.storage.told import FILE_FIELDS, PROFILE, read_told
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
+from jointplay.solver.machines.drawing import machine_svg
 
 router = APIRouter()
 
@@ -166,7 +166,11 @@ async def understood(request: Request, given: Mapping[str, str]) -> dict[str, An
     messages = {found["field"]: found["message"]} if found["field"] else {}
     shown = confirmation(measurement, offer, found, given)
     # The result comes below it, with a drawing of the same machine: names within them are told apart.
-    shown["drawing"] = machine_picture(offer.machine, {}).replace("drawing-", "places-")
+    shown["drawing"] = (
+        machine_svg(offer.machine)
+        .replace("drawing-", "places-")
+        .replace("-title places-", '-title" aria-describedby="places-')  # names of sensors label the selects
+    )
     return await context(request, confirm=shown, chosen=dict(given), messages=messages, title="Confirm: jointplay")
 
 
