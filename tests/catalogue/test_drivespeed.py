@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
 from recordings import RECORDINGS, TRUTH
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.drivespeed import SpeedEstimate, estimate_speed, likeliest_speed, track_speed
+from jointplay.catalogue.measurements.drivespeed import (
+    SpeedEstimate,
+    doubt_speed,
+    estimate_speed,
+    likeliest_speed,
+    track_speed,
+)
 from jointplay.catalogue.measurements.measurement import read_measurement
 
 NOMINAL_RPM = {"quick-return": 120.0, "slider-crank": 600.0, "four-bar": 300.0}
@@ -108,6 +115,7 @@ def test_recordings_of_the_collection(name: str) -> None:
         # the same wander are off by the same amount. It can differ by a good part of the largest wander, not by more.
         assert abs(error) < max(1e-3, 0.5 * truth["wander_max"])
     assert found.uncertainty < 3e-4 * found.speed and not found.given and found.contrast_db > 25
+    assert doubt_speed(found, recording.signal, recording.sample_rate, nominal) == []
     assert found.wander < 2 * truth["wander_max"] + 5e-4
     one_axis = estimate_speed(recording.signal[:, 1:2], recording.sample_rate, nominal)
     assert one_axis.speed == pytest.approx(found.speed, rel=5e-4)
@@ -170,3 +178,28 @@ def test_mains_hum_is_not_taken_for_a_drive() -> None:
     hum = np.sin(2 * np.pi * 50 * t)[:, None] + 0.01 * np.random.default_rng(0).normal(size=(20_000, 1))
     with pytest.raises(MeasurementError, match="stand out"):
         estimate_speed(hum, 2000.0, 20 * math.pi)
+
+
+@pytest.mark.parametrize("name", sorted(name for name in TRUTH if not name.startswith("four-bar")))
+def test_a_machine_that_turns_slower_than_looked_for_is_warned_of(name: str) -> None:
+    """The quick-return turns at 120 rpm, the slider-crank at 600, about which both are looked for."""
+    recording = read_measurement(RECORDINGS / f"{name}.csv.gz")
+    nominal = 20.0 * math.pi
+    estimate = track_speed(recording.signal, recording.sample_rate, nominal, name).estimate
+    assert estimate.contrast_db > 12.0, "its comb alone is believed"
+    doubts = doubt_speed(estimate, recording.signal, recording.sample_rate, nominal)
+    if TRUTH[name]["machine"] == "slider-crank":
+        assert doubts == []
+        return
+    slower = [float(found[1]) for line in doubts if (found := re.search(r"multiples of ([\d.]+) rpm stand out", line))]
+    assert slower == [pytest.approx(TRUTH[name]["speed_rpm"], rel=0.02)] or any("dB only" in line for line in doubts)
+
+
+def test_a_speed_that_stands_out_little_or_is_far_off_is_warned_of() -> None:
+    noise = np.random.default_rng(3).normal(size=(20_000, 2))
+    found = SpeedEstimate(20.0 * math.pi, 0.01, False, 0.0, 14.2)
+    assert doubt_speed(found, noise, 2000.0, 20.0 * math.pi) == [
+        "drive speed 600 rpm was found by orders that stand out by 14 dB only, usually 30 to 50"
+    ]
+    given = SpeedEstimate(21.2 * math.pi, 0.0, True)
+    assert doubt_speed(given, noise, 2000.0, -20.0 * math.pi) == ["drive speed 636 rpm is far from the nominal 600 rpm"]
