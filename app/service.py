@@ -34,7 +34,7 @@ from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.following.state import WearState
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.units import ANGULAR_SPEED, to_si
+from jointplay.solver.machines.units import speed_to_si
 
 
 @dataclass(frozen=True)
@@ -294,12 +294,12 @@ def of_request(request: Request) -> Service:
     return service
 
 
-def speed_of(given: float | str | None) -> float | None:
+def speed_of(given: str | None) -> float | None:
     """Return a drive speed in rad/s from what a request says; a web form's empty text is "not given"."""
     if given is None or given == "":
         return None
     try:
-        value = to_si(given, ANGULAR_SPEED)
+        value = speed_to_si(given)
     except UnitError as error:
         raise BadFieldError(f"speed: {given}: {error}", field="speed") from None
     if value <= 0:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import (
     Names,
     QuantityOption,
@@ -181,6 +182,7 @@ def command(
     from jointplay.app.figures.evaluation import report
 
     click.echo(report(found))
+    click.echo(f"\ndrive: {drive_of(opened.machine, opened.recipe.nominal_drive_speed)}")
     if plot is not None:
         click.echo(f"drawn: {plot}")
 
@@ -201,3 +203,4 @@ def _evaluate_lives(catalogue: Path, count: int, seed: int, as_json: bool) -> No
         return
     click.echo(f"{found.machine}; {count} machines of {VISITS} visits, seed {seed}\n")
     click.echo(table(("figure", "seen", "95 %"), [figure.shown() for figure in found.figures]))
+    click.echo(f"\ndrive: {drive_of(opened.machine, opened.recipe.nominal_drive_speed)}")

@@ -87,7 +87,14 @@ def command(
         visits.append(Visit(recording.measured_at, recording.sha256, answer))
     bounds = bounds_of(opened.machine, visits[0].answer.joints)
     state = follow(visits, inspections, bounds=bounds)
-    click.echo(state.model_dump_json(indent=2) if as_json else report(state))
+    if as_json:
+        click.echo(state.model_dump_json(indent=2))
+        return
+    click.echo(report(state))
+    turned = (
+        f"{each.name} {visit.answer.drive_speed_rpm:.6g} rpm" for each, visit in zip(recordings, visits, strict=True)
+    )
+    click.echo(f"drive speeds: {', '.join(turned)}")
 
 
 def read_inspections(found: Sequence[tuple[str, str]], repaired: Sequence[tuple[str, str]]) -> Iterator[Inspection]:

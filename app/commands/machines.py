@@ -60,12 +60,20 @@ def brief(name: str, machine: Machine) -> dict[str, object]:
     }
 
 
-def drive_of(machine: Machine) -> str:
-    """Return the drive in a few words."""
+def drive_of(machine: Machine, speed: float | None = None) -> str:
+    """Return the drive in a few words, with its speed: in rpm where it turns.
+
+    Parameters
+    ----------
+    machine : Machine
+    speed : float, optional
+        Of one that turns, in place of that of its file [rad/s].
+    """
     drive = machine.drive
     if drive is None:
         return "none"
-    speed = getattr(drive, "speed", None)
+    turns = drive.kind in ("rotation", "torque")
+    speed = float(speed) if speed and turns else getattr(drive, "speed", None)
     if drive.kind == "position":
         x, y = drive.direction
         way = {(1.0, 0.0): "x", (0.0, 1.0): "y"}.get((x, y), f"({x:g}, {y:g})")
@@ -75,4 +83,5 @@ def drive_of(machine: Machine) -> str:
         return f"{drive.joint} at {speed * 30 / pi:.6g} rpm"
     if drive.kind == "translation" and isinstance(speed, float):
         return f"{drive.joint} at {speed:.6g} m/s"
-    return f"{drive.joint} by {drive.kind}"
+    turning = f" at {speed * 30 / pi:.6g} rpm" if turns and isinstance(speed, float) else ""
+    return f"{drive.joint} by {drive.kind}{turning}"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class QuantityOption(click.ParamType[float]):
-    """A number with a unit, such as "600 rpm", as SI; a bare number is SI already.
+    """A number with a unit, such as "600 rpm", as SI; a bare number is SI already, but for a speed, which needs one.
 
     Parameters
     ----------
@@ -42,8 +42,9 @@ class QuantityOption(click.ParamType[float]):
         from jointplay.solver.machines import units
 
         dimension: Dimension = getattr(units, self._dimension)
+        read = units.speed_to_si if dimension in (units.ANGULAR_SPEED, units.SPEED) else units.to_si
         try:
-            number = units.to_si(value, dimension)
+            number = read(value, dimension)
         except UnitError as error:
             raise click.BadParameter(f"{value}: {error}", ctx, param) from None
         if self._positive and number <= 0:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
 from jointplay.app.commands.progress import ProgressLine
 
@@ -41,6 +42,7 @@ def command(catalogue: Path, sample: int, seed: int, workers: int | None, as_jso
         print_json(document(report, catalogue))
     else:
         tell(report, catalogue)
+        click.echo(f"drive: {drive_of(opened.machine, opened.recipe.nominal_drive_speed)}")
     if report.changed:
         first = report.changed[0]
         raise DamagedCatalogueError(

@@ -172,7 +172,7 @@ def command(
         from jointplay.app.figures.plots import plot_simulation
 
         plot_simulation(recording, plot, spectra)
-    report(history, recording, output, plot, as_json)
+    report(found, case, history, recording, output, plot, as_json)
 
 
 def refuse_for_ensembles(output: Path, *, links: bool, duration: bool) -> None:
@@ -219,11 +219,25 @@ def run_ensemble(
     if as_json:
         print_json(document(found, recording, output, plot))
         return
+    click.echo(say_case(machine, case, found.drive_speed))
     click.echo(report(found))
     click.echo(f"written: {output}" + (f", {plot}" if plot is not None else ""))
 
 
-def report(history: History, recording: SimulationFile, output: Path, plot: Path | None, as_json: bool) -> None:
+def say_case(machine: Machine, case: Case, speed: float) -> str:
+    """Return what was run, and how fast: "slider-crank, A=0.2mm: O at 600 rpm"."""
+    from jointplay.app.commands.machines import drive_of
+
+    asked = case.parameters.get("drive.speed")
+    if asked is not None and machine.drive is not None:
+        machine = machine.model_copy(update={"drive": machine.drive.model_copy(update={"speed": asked})})
+    return f"{machine.name}, {case.fault.label}: {drive_of(machine, speed)}"
+
+
+def report(
+    machine: Machine, case: Case, history: History, recording: SimulationFile, output: Path, plot: Path | None,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Say what was computed and where it is."""
     from jointplay.solver.spectra.spectrum import frame_units
 
@@ -239,6 +253,7 @@ def report(history: History, recording: SimulationFile, output: Path, plot: Path
             "sample_rate_hz": history.sample_rate,
             "transient_s": history.transient,
             "drive_speed_rad_per_s": history.drive_speed,
+            "drive_speed_rpm": history.drive_speed * 30.0 / math.pi,
             "limit_cycle": None if history.turning is None else history.turning.is_steady,
             "step_s": history.step,
             "computing_s": history.seconds,
@@ -248,6 +263,7 @@ def report(history: History, recording: SimulationFile, output: Path, plot: Path
         }
         print_json(document)
         return
+    click.echo(say_case(machine, case, history.drive_speed))
     click.echo(f"{len(history.t)} samples at {history.sample_rate:g} Hz, step {history.step:.3g} s")
     if rms is None:
         click.echo(f"all of it belongs to the transient of {history.transient:.3g} s: no levels, no spectra")

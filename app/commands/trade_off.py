@@ -90,6 +90,7 @@ def document(
         "machine": machine.name,
         "fault": found.case.fault.label,
         "drive_frequency_hz": found.frequency,
+        "drive_speed_rpm": found.frequency * 60.0,
         "motion": found.motion,
         "measure": "one-order bands" if found.chaotic else "harmonics",
         "compared": found.compared,
@@ -172,8 +173,9 @@ def report_choices(found: ModelChoices) -> str:
 def report(machine: Machine, found: TradeOff, advice: Recommendation, error: float) -> str:
     """Return everything as plain text."""
     what = f"{found.compared} {'one-order bands' if found.chaotic else 'harmonics'}"
+    per = "rpm" if machine.drive is not None and machine.drive.kind in ("rotation", "torque") else "a minute"
     head = [
-        f"{machine.name}, {found.case.fault.label}, {found.frequency * 60:.4g} a minute: acceleration of "
+        f"{machine.name}, {found.case.fault.label}, {found.frequency * 60:.6g} {per}: acceleration of "
         f"{machine.frame} along {found.motion}, mean |dB| over {what}",
         f"{found.duration:.3g} s simulated, of which {found.transient:.3g} s transient; eight runs a rounding apart",
         f"reference: rtol {found.reference_rtol:g}, from which rtol {found.check_rtol:g} is "

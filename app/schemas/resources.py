@@ -12,6 +12,23 @@ from jointplay.app.words import MeasuredAt, Moment
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import LARGEST, Prior
+from jointplay.solver.errors import UnitError
+from jointplay.solver.machines.units import speed_to_si
+
+
+def refuse_bare_speed(given: object) -> object:
+    """Return what is given as a speed, but for a number: it could be in rpm as well as in rad/s.
+
+    Raises
+    ------
+    ValueError
+    """
+    if isinstance(given, int | float):
+        try:
+            speed_to_si(given)
+        except UnitError as error:
+            raise ValueError(f"{given}: {error}") from None
+    return given
 
 
 class Shape(BaseModel):
@@ -213,8 +230,9 @@ class DiagnosisRequest(Shape):
     until: Annotated[Moment | None, Field(default=None, description="With `since`: those measured before this moment.")]
     catalogue: Annotated[str, Field(min_length=1, max_length=255, description="Id or name of a catalogue.")]
     speed: Annotated[
-        StrictFloat | StrictStr | None,
-        Field(default=None, description='Drive speed: "600 rpm", or a number in rad/s. Estimated when not given.'),
+        StrictStr | None,
+        BeforeValidator(refuse_bare_speed),
+        Field(default=None, description='Drive speed with a unit: "600 rpm", "62.8 rad/s". Estimated when not given.'),
     ]
     effort: Annotated[Effort, Field(default="standard", description="How much to compute.")]
     mode: Annotated[

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
@@ -114,6 +116,8 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
     ]
     if plan.wide.draws:
         lines.append(f"uncertain in the wide draws, too: {_list_cases(plan, machine, wide=True)}")
+    nominal = recipe.nominal_drive_speed * 30.0 / math.pi
+    lines.append(f"drive: {', '.join(f'{nominal * factor:.6g}' for factor in plan.speeds)} rpm")
     if plan.speeds != (1.0,):
         lines.append(f"speeds: {', '.join(f'x {speed:g}' for speed in plan.speeds)}")
     guard = f"; one draw in {plan.guard} again at standard" if plan.guard and plan.accuracy != "standard" else ""

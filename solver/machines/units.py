@@ -179,6 +179,29 @@ def to_si(value: object, dimension: Dimension) -> float:
     return number + 0.0
 
 
+def speed_to_si(value: object, dimension: Dimension = ANGULAR_SPEED) -> float:
+    """Turn a speed that somebody types into SI; one without a unit is refused, as rpm and rad/s are both usual.
+
+    Parameters
+    ----------
+    value : str
+        "600 rpm", "62.8 rad/s"; where a sliding drive is meant, "0.1 m/s".
+    dimension : Dimension
+        :data:`ANGULAR_SPEED` or :data:`SPEED`.
+
+    Raises
+    ------
+    UnitError
+        As :func:`to_si`, and for a bare number.
+    """
+    number = to_si(value, dimension)
+    if isinstance(value, str) and (written := _NUMBER.fullmatch(value)) and written[2]:
+        return number
+    turning = dimension is ANGULAR_SPEED
+    other = f"{number * math.pi / 30.0:.3g}rad/s" if turning else f"{1000.0 * number:.6g}mm/s"
+    raise UnitError(f"give a unit: {number:.6g}{'rpm' if turning else 'm/s'} or {other}?")
+
+
 def _from_number(value: float) -> float:
     try:
         return float(value)

@@ -65,6 +65,9 @@ def test_every_command_explains_itself(name: str) -> None:
         (["simulate", "quick-return", "-o", "x.txt"], "must end in .h5, .csv or .npz"),
         (["simulate", "quick-return", "-o", "nowhere/x.h5"], "the folder nowhere does not exist"),
         (["simulate", "quick-return", "-o", "x.h5", "--speed", "3 kg"], "must be a speed of rotation"),
+        (["simulate", "quick-return", "-o", "x.h5", "--speed", "600"], "600: give a unit: 600rpm or 62.8rad/s?"),
+        (["trade-off", "quick-return", "--speed", "600"], "600: give a unit: 600rpm or 62.8rad/s?"),
+        (["diagnose", "x.csv", "--catalogue", "c", "--speed", "600"], "600: give a unit: 600rpm or 62.8rad/s?"),
         (["simulate", "quick-return", "-o", "x.h5", "--duration", "-1"], "must be greater than 0"),
         (["simulate", "quick-return", "-o", "x.h5", "--accuracy", "best"], "best"),
         (["build", "quick-return", "--catalogue", "c", "--plan", "nonsense"], "nonsense"),
@@ -96,6 +99,7 @@ def test_simulate_writes_the_same_in_every_format(tmp_path: Path) -> None:
     for ending in ("h5", "npz", "csv"):
         result = invoke("simulate", *common, "-o", tmp_path / f"out.{ending}", "--plot", tmp_path / "plot.png")
         assert result.exit_code == 0, result.stderr
+        assert result.stdout.startswith("slider-crank, B=0.2mm: O at 600 rpm\n")
     arrays, attributes = read_arrays(tmp_path / "out.h5")
     expected = {"t", "frame_displacement", "frame_velocity", "frame_acceleration", "f", "psd_frame"}
     expected |= {"orders", "order_level_frame"}

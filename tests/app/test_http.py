@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -122,7 +123,7 @@ def test_a_diagnosis(client: httpx.Client, diagnosis: httpx.Response, measuremen
 
 
 def test_the_same_question_has_the_same_answer(client: httpx.Client, diagnosis: httpx.Response) -> None:
-    asked = {"measurement": diagnosis.json()["measurement"], "effort": "fast", "speed": 606.8 * 3.141592653589793 / 30}
+    asked = {"measurement": diagnosis.json()["measurement"], "effort": "fast", "speed": f"{606.8 * math.pi / 30} rad/s"}
     again = client.post(f"{API}/diagnoses", json={**asked, "catalogue": diagnosis.json()["catalogue"]})
     for one, other in zip(again.json()["hypotheses"], diagnosis.json()["hypotheses"], strict=True):
         assert one["label"] == other["label"]
@@ -161,6 +162,16 @@ def test_diagnoses_are_listed_newest_first(client: httpx.Client, diagnosis: http
         ({"measurement": "ID", "catalogue": "slider-crank", "mode": "blind"}, 422, "mode"),
         ({"measurement": "ID", "catalogue": "slider-crank", "speed": "3 kg"}, 422, "speed: 3 kg: "),
         ({"measurement": "ID", "catalogue": "slider-crank", "speed": -1}, 422, "speed: -1"),
+        (
+            {"measurement": "ID", "catalogue": "slider-crank", "speed": 600},
+            422,
+            "speed: 600: give a unit: 600rpm or 62.8rad/s?",
+        ),
+        (
+            {"measurement": "ID", "catalogue": "slider-crank", "speed": "600"},
+            422,
+            "speed: 600: give a unit: 600rpm or 62.8rad/s?",
+        ),
         ({"measurement": "ID", "catalogue": "slider-crank", "speed": True}, 422, "speed"),
         ({"measurement": "ID", "catalogue": "slider-crank", "mapping": {"x": "y"}}, 422, "s1-x"),
         ({"measurement": "ID", "catalogue": "slider-crank", "prior": {"joints": {"Q": 2}}}, 422, "prior.joints.Q"),

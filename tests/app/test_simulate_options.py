@@ -49,7 +49,7 @@ def refusal(result: Result) -> str:
 
 def test_a_slide_takes_a_speed_of_sliding(ram: Path, tmp_path: Path) -> None:
     output = tmp_path / "o.npz"
-    for speed, value in (("100 mm/s", 0.1), ("0.1", 0.1), ("-0.1 m/s", -0.1)):
+    for speed, value in (("100 mm/s", 0.1), ("0.1m/s", 0.1), ("-0.1 m/s", -0.1)):
         result = invoke(ram, output, *SHORT, "--json", "--links", "--speed", speed)
         assert result.exit_code == 0, result.stderr
         with np.load(output) as packed:
@@ -58,6 +58,7 @@ def test_a_slide_takes_a_speed_of_sliding(ram: Path, tmp_path: Path) -> None:
     assert '--speed: 60rpm: "rpm" is a speed of rotation, must be a speed' in refusal(
         invoke(ram, output, "--speed", "60rpm")
     )
+    assert "--speed: 0.1: give a unit: 0.1m/s or 100mm/s?" in refusal(invoke(ram, output, "--speed", "0.1"))
 
 
 @pytest.mark.parametrize(

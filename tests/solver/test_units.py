@@ -113,6 +113,23 @@ def test_a_vanishing_number_does_not_fill_the_memory() -> None:
     assert to_si("1e-999999999 mm", units.LENGTH) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("value", "dimension", "message"),
+    [
+        ("600", units.ANGULAR_SPEED, "give a unit: 600rpm or 62.8rad/s?"),
+        (600, units.ANGULAR_SPEED, "give a unit: 600rpm or 62.8rad/s?"),
+        (" 6e2 ", units.ANGULAR_SPEED, "give a unit: 600rpm or 62.8rad/s?"),
+        ("0.2", units.SPEED, "give a unit: 0.2m/s or 200mm/s?"),
+        ("3 kg", units.ANGULAR_SPEED, '"kg" is a mass, must be a speed of rotation, for example "600 rpm"'),
+    ],
+)
+def test_a_speed_says_what_it_is(value: object, dimension: units.Dimension, message: str) -> None:
+    assert units.speed_to_si("62.8 rad/s") == 62.8 and units.speed_to_si("60 rad s-1") == 60.0
+    with pytest.raises(UnitError) as caught:
+        units.speed_to_si(value, dimension)
+    assert str(caught.value) == message
+
+
 def test_minus_zero_is_zero() -> None:
     assert math.copysign(1.0, to_si(-0.0, units.LENGTH)) == 1.0
     assert math.copysign(1.0, to_si("-0 mm", units.LENGTH)) == 1.0
