@@ -91,14 +91,14 @@ def run(call: Callable[[], Any]) -> int:
 
 def explain(error: Exception) -> int:
     """Print an exception as one line and return its exit status; one that nobody foresaw is named as such."""
-    from jointplay.app.problems import exit_status, kind_of
+    from jointplay.app.problems import exit_status, kind_of, say
 
     if kind_of(error) is None:
         if os.environ.get("JOINTPLAY_DEBUG"):
             raise error
         complain(f"unexpected {type(error).__name__}: {error} (JOINTPLAY_DEBUG=1 shows where)")
         return 1
-    complain(str(error))
+    complain(say(error))
     return exit_status(error)
 
 

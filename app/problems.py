@@ -17,6 +17,7 @@ from typing import Any
 
 from jointplay.app import errors
 from jointplay.app.errors import AppError, DatabaseGoneError, StorageFullError
+from jointplay.app.fields import say_cure
 from jointplay.catalogue import errors as catalogue_errors
 from jointplay.solver import errors as solver_errors
 
@@ -171,8 +172,14 @@ def problem_of(error: Exception) -> Problem:
     headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}
     headers |= getattr(error, "headers", {})
     named = error.path if isinstance(error, solver_errors.MachineError) else getattr(error, "field", "")
-    entries = ({"field": named, "message": one_line(str(error))},) if named else ()
-    return Problem(kind.status, type_of(kind.slug), kind.title, one_line(str(error)), entries, headers)
+    said = one_line(say(error))
+    entries = ({"field": named, "message": said},) if named else ()
+    return Problem(kind.status, type_of(kind.slug), kind.title, said, entries, headers)
+
+
+def say(error: Exception) -> str:
+    """Return what an exception says; of a recording, with the option and the entry of a form that puts it right."""
+    return str(error) + (say_cure(error.field) if isinstance(error, catalogue_errors.MeasurementError) else "")
 
 
 def of_status(status: int, detail: str = "", headers: Mapping[str, str] | None = None) -> Problem:

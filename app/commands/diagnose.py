@@ -20,8 +20,9 @@ from jointplay.app.commands.parameters import (
     refuse_given,
 )
 from jointplay.app.errors import BadFieldError
+from jointplay.app.fields import FILE_FIELDS, PROFILE
 from jointplay.app.rows import hypothesis_rows, joint_rows, percent, recording_rows
-from jointplay.app.storage.told import FILE_FIELDS, PROFILE, with_said
+from jointplay.app.storage.told import with_said
 from jointplay.app.tables import indent, table
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.matching.prior import LARGEST, Prior
@@ -128,7 +129,7 @@ def command(
     as_json: bool,
     **told: Any,
 ) -> None:
-    """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame.
+    """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame ("-": the input).
 
     Several measurements of one machine in one state, at several speeds, loads or sensors, have one answer.
     """
@@ -194,11 +195,22 @@ def read_measurements(
             raise click.BadParameter(rule, param_hint=f"'{option}'")
     told_each = [{**said, "measured_at": each} for each in moments] or [said] * len(measurements)
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
-    recordings = [
-        read_recording(measurement, **told_too, profile=with_options(profile_of(measurement, profile), own))
-        for measurement, own in zip(measurements, told_each, strict=True)
-    ]
+    recordings = []
+    for measurement, own in zip(measurements, told_each, strict=True):
+        read_by = with_options(profile_of(measurement, profile), own)
+        source, name = source_of(measurement)
+        recordings.append(read_recording(source, name=name, **told_too, profile=read_by))
     return recordings, said
+
+
+def source_of(file: Path) -> tuple[Path | bytes, str | None]:
+    """Return a file; of the standard input, "-", what it holds, and a name that says what kind it is."""
+    if str(file) not in ("-", "/dev/stdin"):
+        return file, None
+    from jointplay.catalogue.measurements.readers import Limits, ending_for
+
+    data = click.get_binary_stream("stdin").read(Limits().file_bytes + 1)
+    return data, f"stdin{ending_for(data)}"
 
 
 def weight_of(joint: str, said: str) -> float:

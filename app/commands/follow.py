@@ -11,8 +11,8 @@ import click
 
 from jointplay.app.commands.diagnose import read_measurements
 from jointplay.app.commands.parameters import Pairs, each_once, existing_catalogue, file_options, json_option
+from jointplay.app.fields import PROFILE
 from jointplay.app.pages.wear_state import show_state
-from jointplay.app.storage.told import PROFILE
 from jointplay.app.tables import indent, table
 from jointplay.app.words import in_utc, parse_moment
 

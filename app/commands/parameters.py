@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from jointplay.app.storage.told import FILE_FIELDS
+from jointplay.app.fields import ALL_OTHERS, FILE_FIELDS
 
 if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine
@@ -106,16 +106,20 @@ class Pairs(click.ParamType[tuple[str, str]]):
     ----------
     form : str
         What both sides are called in messages.
+    alone : str
+        The left side of a text without an equals sign; such a text is refused where it is empty.
     """
 
-    def __init__(self, form: str) -> None:
+    def __init__(self, form: str, alone: str = "") -> None:
         self.name = form
+        self._alone = alone
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
         """Return both sides."""
         if isinstance(value, tuple):
             return value
-        left, _, right = str(value).rpartition("=")
+        left, sign, right = str(value).rpartition("=")
+        left = left if sign else self._alone
         if not left.strip() or not right.strip():
             raise click.BadParameter(f"{value}: must be {self.name}", ctx, param)
         return left.strip(), right.strip()
@@ -199,12 +203,12 @@ def file_options(command: Callable[..., None]) -> Callable[..., None]:
     for each in reversed(FILE_FIELDS):
         kind: click.ParamType[Any] = click.STRING
         if each.by_column:
-            kind = Pairs(f"COLUMN={each.by_column}")
+            kind = Pairs(f"COLUMN={each.by_column}", ALL_OTHERS)
         elif each.choices:
             kind = click.Choice(list(each.choices))
         elif each.name == "sample_rate":
             kind = QuantityOption("FREQUENCY")
-        more = ' "*" for all columns; may be repeated.' if each.by_column else ""
+        more = " Without COLUMN= of all columns; may be repeated." if each.by_column else ""
         more = " One for each measurement in turn." if each.by_file else more
         several = bool(each.by_column) or each.by_file
         command = click.option(f"--{each.option}", each.name, type=kind, multiple=several, help=f"{each.says}{more}")(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from jointplay.app.storage.told import FILE_FIELDS, PROFILE, FileField
+from jointplay.app.fields import FILE_FIELDS, PROFILE, FileField
 
 
 def describe_field(each: FileField) -> dict[str, Any]:
     """Return the description of a field."""
-    forms = " One text for all columns, or a JSON object by column." if each.by_column else ""
+    forms = ' One text for all columns, "a=g, b=mm/s", or a JSON object.' if each.by_column else ""
     values = {"enum": list(each.choices)} if each.choices else {}
     return {"type": "string", **values, "description": f"{each.says}{forms}"}
 
@@ -17,7 +17,7 @@ def describe_field(each: FileField) -> dict[str, Any]:
 FILE = {
     "type": "string",
     "format": "binary",
-    "description": "A recording or a spectrum: CSV, UFF 58, WAV, MAT, TDMS, HDF5, NPZ or JSON, by content and name.",
+    "description": "A recording or a spectrum, by content and name: CSV, UFF 58, WAV, MAT, TDMS, HDF5, NPZ, JSON, XLSX, Parquet.",
 }
 ASSET = {"type": "string", "description": "External id of the machine that was measured; it has to be known."}
 SAID: dict[str, Any] = {

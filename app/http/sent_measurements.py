@@ -13,11 +13,12 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, UnsupportedMediaError
+from jointplay.app.fields import TOLD
 from jointplay.app.http.uploads import MULTIPART, base_name, media_type, receive_form
 from jointplay.app.http.validation import validate
 from jointplay.app.schemas.resources import Shape
 from jointplay.app.storage.store import Store, Upload
-from jointplay.app.storage.told import TOLD, Told, read_told
+from jointplay.app.storage.told import Told, read_told
 from jointplay.app.words import MeasuredAt
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 

@@ -8,12 +8,12 @@ from typing import Any
 from fastapi import Request
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.fields import TOLD
 from jointplay.app.http.uploads import media_type
 from jointplay.app.http.validation import validate
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.service import speed_of
-from jointplay.app.storage.told import TOLD
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.signals.sensors import match_by_name

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from jointplay.app.jobs.tasks import open_catalogue, read
+from jointplay.app.problems import say
 from jointplay.app.storage.told import Told
 
 POSITIONS = 72
@@ -53,7 +54,7 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
             near=found.drive_speeds,
         )
     except MeasurementError as error:
-        return {**answer, "warnings": list(measurement.warnings), "field": field, "message": str(error)}
+        return {**answer, "warnings": list(measurement.warnings), "field": field, "message": say(error)}
     estimate = prepared.speed
     compared = [f"compared by itself: {piece.name}" for piece in cut.pieces] if len(cut.pieces) > 1 else []
     return {

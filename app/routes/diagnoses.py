@@ -15,6 +15,7 @@ from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
 from jointplay.app.etags import respond
+from jointplay.app.fields import TOLD
 from jointplay.app.http import paging
 from jointplay.app.http.examples import MEASUREMENT
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
@@ -29,7 +30,7 @@ from jointplay.app.storage.assets import diagnoses_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.app.storage.store import measurement_key
-from jointplay.app.storage.told import TOLD, Told, read_told
+from jointplay.app.storage.told import Told, read_told
 from jointplay.catalogue.diagnosing.answer import Answer
 
 

@@ -18,6 +18,7 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.etags import respond
+from jointplay.app.fields import FILE_FIELDS, PROFILE
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.http.uploads import receive_form
 from jointplay.app.jobs.workers import TaskFailedError
@@ -29,7 +30,7 @@ from jointplay.app.problems import Problem
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.rows import DiagnosisRow
-from jointplay.app.storage.told import FILE_FIELDS, PROFILE, read_told
+from jointplay.app.storage.told import read_told
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.drawing import machine_svg

@@ -10,84 +10,12 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any, Self
 
 from jointplay.app.errors import BadFieldError
+from jointplay.app.fields import ALL_OTHERS, FILE_FIELDS
 
 if TYPE_CHECKING:
     from jointplay.catalogue.measurements.import_profile import ImportProfile
 
 
-@dataclass(frozen=True)
-class FileField:
-    """One thing that can be said of a file: a field over HTTP and on the page, an option of commands.
-
-    Parameters
-    ----------
-    name, option : str
-        Of the field, and of the option.
-    place : str
-        In an :class:`~jointplay.catalogue.measurements.import_profile.ImportProfile`; empty for what :class:`Told`
-        holds beside it.
-    label, says : str
-        On the page; and what it is, there, in documents and in the help of commands.
-    choices : tuple of str
-        Values there are; empty where any text will do.
-    by_column : str
-        What each column is given; empty where it is said of the whole file.
-    by_file : bool
-        Whether each of several files has its own; what is so is a moment.
-    """
-
-    name: str
-    option: str
-    place: str
-    label: str
-    says: str
-    choices: tuple[str, ...] = ()
-    by_column: str = ""
-    by_file: bool = False
-
-    @property
-    def of_spectrum(self) -> bool:
-        """Whether it is said of spectra alone."""
-        return self.place.startswith("spectrum.")
-
-
-# fmt: off
-FILE_FIELDS = (
-    FileField("sample_rate", "sample-rate", "", "Sample rate",
-              'Of a recording without times: "10 kHz", or a number in Hz.'),
-    FileField("units", "unit", "", "Unit",
-              'Of columns that name none: "g", "mm/s", "um". It says whether they are acceleration, velocity or'
-              " displacement.", by_column="UNIT"),
-    FileField("full_scale", "full-scale", "full_scale", "Full scale",
-              'What the full scale of a WAV file stands for: "5 g", or "1 V" with a sensitivity.'),
-    FileField("sensitivity", "sensitivity", "sensitivity", "Sensitivity",
-              'What a sensor gives whose column is in volts: "100 mV/g".', by_column="VOLTAGE/UNIT"),
-    FileField("tacho", "tacho", "tacho.column", "Tacho column",
-              "Column with pulses of the drive's shaft: they give the speed."),
-    FileField("pulses_per_revolution", "pulses", "tacho.pulses_per_revolution", "Pulses per revolution",
-              "Of the tacho; 1 unless given."),
-    FileField("scaling", "scaling", "spectrum.scaling", "Scaling",
-              "What the numbers of a spectrum are.", ("psd", "power", "amplitude")),
-    FileField("detector", "detector", "spectrum.detector", "Detector",
-              "Whether amplitudes of a spectrum are rms or peak.", ("rms", "peak", "peak-to-peak")),
-    FileField("window", "window", "spectrum.window", "Window", "Of a spectrum of amplitudes or powers.",
-              ("rectangular", "hann", "hamming", "blackman", "flattop")),
-    FileField("decibel", "decibel", "spectrum.decibel", "In dB", "Whether a spectrum is in dB.", ("false", "true")),
-    FileField("reference", "reference", "spectrum.reference", "Reference of dB",
-              "Of levels in dB, in the unit of the column."),
-    FileField("measured_at", "measured-at", "measured_at", "Measured at",
-              'When it was measured, in place of what the file says: "2024-11-21T10:03:00+01:00".', by_file=True),
-    FileField("time_zone", "time-zone", "time_zone", "Time zone",
-              'Of times that name none: "Europe/Berlin", "+01:00"; UTC unless given.'),
-)
-# fmt: on
-"""All that can be said of a file, besides a whole profile."""
-
-PROFILE = "YAML or JSON that says all this, and names, delimiter and decimal comma, for files of one origin."
-TOLD = frozenset({"profile", *(each.name for each in FILE_FIELDS)})
-"""Fields of a form that say something of its file."""
-
-ALL_OTHERS = "*"
 MOST_UNITS = 256
 LONGEST = 200
 
@@ -185,7 +113,7 @@ def rate_of(given: str | None) -> float | None:
 
 
 def pairs_of(name: str, text: str) -> dict[str, str]:
-    """Return texts by column, from a JSON object, or from one text that all columns have in common.
+    """Return texts by column: from a JSON object, from "t=s, *=g", or from one text that all columns have in common.
 
     Raises
     ------
@@ -196,13 +124,12 @@ def pairs_of(name: str, text: str) -> dict[str, str]:
     if NO_TEXT.search(text):
         raise BadFieldError(f"{name}: holds a character that is no text", field=name)
     if not text.lstrip().startswith("{"):
-        if len(text) > LONGEST:
-            raise BadFieldError(f"{name}: {text[:80]}: must be a text of 1 to {LONGEST} characters", field=name)
-        return {ALL_OTHERS: text.strip()}
-    try:
-        held = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise BadFieldError(f"{name}: is not JSON: {error}", field=name) from None
+        held = plain_pairs(name, text)
+    else:
+        try:
+            held = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise BadFieldError(f"{name}: is not JSON: {error}", field=name) from None
     for column, value in held.items():
         if NO_TEXT.search(f"{column}{value}"):
             raise BadFieldError(f"{name}: holds a character that is no text", field=name)
@@ -214,6 +141,27 @@ def pairs_of(name: str, text: str) -> dict[str, str]:
     if len(held) > MOST_UNITS:
         raise BadFieldError(f"{name}: {len(held)} columns: at most {MOST_UNITS} can be named", field=name)
     return dict(held)
+
+
+def plain_pairs(name: str, text: str) -> dict[str, str]:
+    """Return texts by column as people write them: "t=s, *=g", or "g" for all columns.
+
+    Raises
+    ------
+    BadFieldError
+        A part without an equals sign beside others, or a column twice.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) == 1 and "=" not in text:
+        return {ALL_OTHERS: text.strip()}
+    held: dict[str, str] = {}
+    for part in parts:
+        column, _, said = (each.strip() for each in part.rpartition("="))
+        if not column or column in held:
+            rule = "is given twice" if column else 'must be COLUMN=TEXT, as in "t=s, *=g"'
+            raise BadFieldError(f"{name}: {part[:80]}: {rule}", field=name)
+        held[column] = said
+    return held
 
 
 def with_said(profile: ImportProfile, said: Mapping[str, Any]) -> ImportProfile:

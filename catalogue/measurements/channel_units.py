@@ -31,6 +31,11 @@ _ALIASES = {
     "sek": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "usec": "us", "hz": "Hz",
     "S/s": "Hz", "kS/s": "kHz", "sps": "Hz",
 }  # fmt: skip
+#: What a column of times is called, small and with underscores.
+TIME_NAMES = frozenset({
+    "time", "t", "zeit", "temps", "tempo", "tiempo", "tijd", "tid", "czas", "timestamp", "time_stamp", "datetime",
+    "zeitstempel", "epoch", "epoch_time", "unix", "unix_time", "unixtime", "elapsed", "elapsed_time", "x_value",
+})  # fmt: skip
 _VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
 
 
@@ -66,6 +71,16 @@ def _find_known(plain: str) -> tuple[units.Dimension, float] | None:
     plain = _ALIASES.get(plain, plain)
     found = units.factor_of(plain, tuple(_DIMENSIONS)) if _FORM.fullmatch(plain) else None
     return found if found is not None and found[1] <= _LARGEST[found[0]] else None
+
+
+def time_unit_in(name: str) -> str | None:
+    """Unit in the name of a column of times, "ms" of "timestamp_ms"; empty without one, None for other columns."""
+    plain = re.sub(r"[\s_-]+", "_", name.strip().lower())
+    if plain in TIME_NAMES:
+        return ""
+    base, _, unit = plain.rpartition("_")
+    found = parse_unit(unit)
+    return unit if base in TIME_NAMES and found is not None and found.quantity == "time" else None
 
 
 def parse_sensitivity(text: str) -> tuple[float, str] | None:

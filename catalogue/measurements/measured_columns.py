@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.channel_units import ChannelUnit, is_voltage, parse_unit
+from jointplay.catalogue.measurements.channel_units import ChannelUnit, is_voltage, parse_unit, time_unit_in
 from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording
 
-TIME_NAMES = frozenset({"time", "t", "zeit", "temps", "tempo", "tiempo", "tijd", "tid", "czas"})
+#: Seconds since 1970 of 2001 to 2096: a time column that begins there is not one of seconds since a start.
+EPOCH_FROM, EPOCH_TO = 1e9, 4e9
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+#: Sample rates [Hz], and the shortest recording [s] but for times in seconds, by which units of times are told.
+USUAL_RATES, SHORTEST = (20.0, 250e3), 0.1
 #: Stands for all columns that name no unit, and are neither time nor frequency.
 ALL_OTHERS = "*"
 FREQUENCY_NAMES = frozenset({"frequency", "freq", "f", "frequenz", "fréquence", "frecuencia", "frequenza"})
@@ -44,7 +50,7 @@ def understood_columns(raw: RawRecording, given: Mapping[str, str]) -> list[Chan
     if is_spectrum(raw, given):
         rule = "the file holds a spectrum, not a recording over time"
         raise MeasurementError(raw.source, None, raw.columns[0].label, rule=rule)
-    understood = [_unit_of(column, given, raw.source) for column in raw.columns]
+    understood = [_unit_of(column, given, raw, index) for index, column in enumerate(raw.columns)]
     if not any(unit is not None and unit.quantity != "time" for unit in understood):
         column = raw.columns[-1]
         rule = "no column is a displacement, velocity or acceleration"
@@ -71,20 +77,41 @@ def check_given(raw: RawRecording, given: Mapping[str, str]) -> None:
 
 def find_unit(column: RawColumn, given: Mapping[str, str]) -> str | None:
     """Unit of a column as somebody gives it, as the file has it, or as it is given for all others."""
-    axis = column.name.lower() in TIME_NAMES | FREQUENCY_NAMES
+    axis = time_unit_in(column.name) is not None or column.name.lower() in FREQUENCY_NAMES
     return given.get(column.name) or column.unit or (None if axis else given.get(ALL_OTHERS))
 
 
-def _unit_of(column: RawColumn, given: Mapping[str, str], source: str) -> ChannelUnit | None:
-    text = find_unit(column, given)
+def _unit_of(column: RawColumn, given: Mapping[str, str], raw: RawRecording, index: int) -> ChannelUnit | None:
+    text, source, own = find_unit(column, given), raw.source, time_unit_in(column.name)
+    if text is None and own is not None:
+        text = own or _time_unit(raw, index)
     if text is None:
-        rule = "has no unit: write it in the header, as in 's1-x [m/s2]', or give it"
+        rule = f"has no unit: write it in the header, as in '{column.name} [m/s2]', or give it: {column.name}=g"
         raise MeasurementError(source, None, column.name, rule=rule, field="units")
     unit = parse_unit(text)
-    if text != column.unit and unit is None:
+    if own is None and text != column.unit and unit is None:
         rule = "is not a unit of displacement, velocity, acceleration or time"
         raise MeasurementError(source, None, column.name, text, rule, field="units")
-    named_time = column.name.lower() in TIME_NAMES
-    if named_time and (unit is None or unit.quantity != "time"):
+    if own is not None and (unit is None or unit.quantity != "time"):
         raise MeasurementError(source, None, column.name, text, "is not a unit of time", field="units")
     return None if unit is not None and unit.quantity == "frequency" else unit
+
+
+def _time_unit(raw: RawRecording, index: int) -> str:
+    """Unit of times that name none: of times since 1970, else seconds where these alone give a usual recording."""
+    times = raw.values[:, index]
+    step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
+    usual = []
+    for unit, factor in TIME_UNITS.items():
+        rate, seconds = 1.0 / max(step * factor, 1e-30), length * factor
+        if USUAL_RATES[0] <= rate <= USUAL_RATES[1]:
+            if EPOCH_FROM <= times[0] * factor <= EPOCH_TO:
+                return unit
+            if unit == "s" or seconds >= SHORTEST:
+                usual.append(unit)
+    if usual == ["s"]:
+        return "s"
+    name = raw.columns[index].name
+    rule = f"has no unit, and {' as well as '.join(usual)} would do" if usual else "has no unit, and none is plain"
+    rule += f": write it in the header, as in '{name} [s]', or give it: {name}={(usual or ['s'])[-1]}"
+    raise MeasurementError(raw.source, None, name, rule=rule, field="units")

@@ -210,18 +210,18 @@ def _form_of(column: RawColumn, text: str | None, form: SpectrumForm, source: st
         raise MeasurementError(source, None, column.name, text, rule, field="scaling")
     scaling = form.scaling or said or ("amplitude" if form.detector else None)
     if scaling is None:
-        rule = "does not say what it is: give spectrum.scaling (psd, power or amplitude) in a profile"
+        rule = "does not say what it is: give its scaling: psd, power or amplitude"
         raise MeasurementError(source, None, column.name, text, rule, field="scaling")
     if scaling == "psd":
         form = dataclasses.replace(form, detector=form.detector or "rms")
     if form.detector is None:
-        rule = "does not say whether it is rms or peak: give spectrum.detector in a profile"
+        rule = "does not say whether it is rms or peak: give its detector"
         raise MeasurementError(source, None, column.name, text, rule, field="detector")
     if scaling != "psd" and form.line_widths is None:
-        rule = "the window is needed to compare amplitudes: give spectrum.window in a profile"
+        rule = "the window is needed to compare amplitudes: give its window"
         raise MeasurementError(source, None, column.name, text, rule, field="window")
     if form.decibel and form.reference is None:
-        rule = "levels without a reference: give spectrum.reference in a profile"
+        rule = "levels without a reference: give their reference"
         raise MeasurementError(source, None, column.name, text, rule, field="reference")
     if form.decibel and not 0 < (form.reference or 0) < LARGEST:
         rule = f"its reference must lie between 0 and {LARGEST:g}"

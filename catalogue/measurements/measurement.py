@@ -8,7 +8,7 @@ import io
 import math
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
@@ -19,10 +19,11 @@ import numpy.typing as npt
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import ChannelUnit
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
-from jointplay.catalogue.measurements.measured_columns import understood_columns
+from jointplay.catalogue.measurements.measured_columns import EPOCH_FROM, EPOCH_TO, understood_columns
 from jointplay.catalogue.measurements.moments import place_moment, spell
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, known_ending, read_raw
-from jointplay.catalogue.measurements.waveform import ChannelFlaw, TimeBase, even_time_base, inspect_waveform
+from jointplay.catalogue.measurements.time_base import TimeBase, TimeColumn, even_time_base
+from jointplay.catalogue.measurements.waveform import ChannelFlaw, inspect_waveform
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.spectra.spectrum import Quantity
 
@@ -64,9 +65,6 @@ def decompress(data: bytes, title: str, limits: Limits) -> bytes:
         raise MeasurementError(title, rule=f"holds more than {limits.decoded_bytes / 1e6:g} MB, the most that is read")
     return decoded
 
-
-#: Seconds since 1970 of 2001 to 2096: a time column that begins there is not one of seconds since a start.
-EPOCH_FROM, EPOCH_TO = 1e9, 4e9
 
 SI_UNITS: dict[Quantity, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 
@@ -193,7 +191,8 @@ def read_measurement(
     Parameters
     ----------
     source : path or bytes
-        CSV, TSV or TXT, UFF 58 or 58b, WAV, MAT, TDMS, HDF5, NPZ or JSON, plain or gzipped.
+        CSV, TSV or TXT, UFF 58 or 58b, WAV, MAT, TDMS, HDF5, NPZ, JSON, XLSX or Parquet,
+        plain or gzipped.
     name : str, optional
         What to call it; its suffix says what kind of file it is. Needed with bytes.
     sample_rate : float, optional
@@ -308,8 +307,10 @@ def measurement_of(
             flaws += found.flaws
             channels.append(Channel(column.name, unit.text, quantity))
             signals.append(signal)
-    table = np.column_stack(signals)
+    table = base.even(np.column_stack(signals))
     table.flags.writeable = False
+    flaws = [replace(each, first=base.sample(each.first), last=base.sample(each.last)) for each in flaws]
+    flaws += [ChannelFlaw(each.name, "dropout", *gap) for gap in base.gaps for each in channels]
     return Recording(
         name=raw.source,
         sample_rate=base.sample_rate,
@@ -319,7 +320,7 @@ def measurement_of(
         import_report=tuple(facts),
         sha256=sha256 or hashlib.sha256(np.ascontiguousarray(raw.values).tobytes()).hexdigest(),
         flaws=tuple(flaws),
-        turns=raw.turns,
+        turns=None if raw.turns is None else base.place(raw.turns),
         measured_at=measured_at,
     )
 
@@ -353,7 +354,15 @@ def _time_base(raw: RawRecording, units: list[ChannelUnit | None], given: float 
     if times:
         column, unit = raw.columns[times[0]], units[times[0]]
         assert unit is not None
-        base = even_time_base(raw.values[:, times[0]], unit.factor, raw.source, column.name, raw.line_of)
+
+        def refusal(channel: str | None, row: int | None, rule: str) -> MeasurementError:
+            line, value = (None, None) if row is None else (raw.line_of(row), float(raw.values[row, times[0]]))
+            return MeasurementError(raw.source, line, channel or column.name, value, rule, field="sample_rate")
+
+        motions = [index for index, each in enumerate(units) if each is not None and each.quantity != "time"]
+        names = tuple(raw.columns[index].name for index in motions)
+        clock = TimeColumn.of(raw.values[:, times[0]], unit.factor)
+        base = even_time_base(clock, raw.values[:, motions], names, refusal, given)
         for whose, rate in stated.items():
             if rate is not None and abs(rate / base.sample_rate - 1.0) > 0.01:
                 rule = f"the time column has {base.sample_rate:.6g} Hz, but the sample rate {whose} is {rate:g} Hz"

@@ -96,9 +96,11 @@ def map_sensors(
         )
     for column, sensor in wanted.items():
         if column not in names:
-            raise MeasurementError(measurement.name, None, column, rule=f"is mapped but not in the recording; {lists}")
+            raise MeasurementError(
+                measurement.name, None, column, rule=f"is mapped but not in the recording; {lists}", field="mapping"
+            )
         if sensor and sensor not in sensors:
-            raise MeasurementError(measurement.name, None, column, sensor, f"is not a sensor; {lists}")
+            raise MeasurementError(measurement.name, None, column, sensor, f"is not a sensor; {lists}", field="mapping")
     found: dict[str, int] = {}
     plain = {_plain(name): name for name in sensors}
     for index, name in enumerate(names):
@@ -111,12 +113,12 @@ def map_sensors(
             continue
         if matched in found:
             rule = f"is the second column for sensor {matched}; {lists}"
-            raise MeasurementError(measurement.name, None, name, rule=rule)
+            raise MeasurementError(measurement.name, None, name, rule=rule, field="mapping")
         found[matched] = index
     # In the machine's order, whatever that of the columns: recordings by the same sensors are compared.
     found = {name: found[name] for name in sensors if name in found}
     if not found:
-        raise MeasurementError(measurement.name, rule=f"no column is a sensor; {lists}; map them: COLUMN=SENSOR")
+        raise MeasurementError(measurement.name, rule=f"no column is a sensor; {lists}; map them", field="mapping")
     unused = [name for index, name in enumerate(names) if index not in found.values()]
     warnings = [f"columns not used, as they are no sensor of {machine.name}: {', '.join(unused)}"] if unused else []
     transform, compared, channels = choose_channels(machine, tuple(found))

@@ -13,7 +13,7 @@ import pytest
 from small_service import spoiled
 
 from jointplay.app import main
-from jointplay.app.storage.told import TOLD
+from jointplay.app.fields import TOLD
 
 VENDOR = main.STATIC / "vendor"
 

@@ -14,7 +14,8 @@ import soundfile
 
 from jointplay.app.commands.diagnose import command
 from jointplay.app.errors import BadFieldError
-from jointplay.app.storage.told import FILE_FIELDS, TOLD, FileField, Told, read_told
+from jointplay.app.fields import FILE_FIELDS, TOLD, FileField
+from jointplay.app.storage.told import Told, read_told
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 
@@ -151,7 +152,11 @@ def test_a_spectrum_is_stored_and_diagnosed(client: httpx.Client, spectrum: byte
 
 def test_a_spectrum_says_what_it_is_or_is_told(client: httpx.Client, spectrum: bytes) -> None:
     vague = spectrum.replace(b"(m/s2)^2/Hz", b"m/s2")
-    refused(send(client, vague, "s.csv"), "scaling", "spectrum.scaling")
+    refused(
+        send(client, vague, "s.csv"),
+        "scaling",
+        "give its scaling: psd, power or amplitude (option --scaling, field scaling, in the form 'Scaling')",
+    )
     refused(send(client, vague, "s.csv", scaling="amplitude"), "detector", "rms or peak")
     told = {"scaling": "amplitude", "detector": "peak"}
     refused(send(client, vague, "s.csv", **told), "window", "window")

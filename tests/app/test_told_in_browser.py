@@ -49,7 +49,7 @@ def test_a_spectrum_is_confirmed_as_one(visit: Visit, tmp_path: Path) -> None:
     file.write_text("\n".join(["frequency [Hz],s1-x [m/s2]", *lines]))
     page.get_by_label("Recording", exact=True).set_input_files(file)
     page.get_by_role("button", name="Read the recording").click()
-    expect(page.locator("#error-scaling")).to_contain_text("spectrum.scaling", timeout=SECONDS)
+    expect(page.locator("#error-scaling")).to_contain_text("give its scaling", timeout=SECONDS)
     page.get_by_label("Scaling").select_option("amplitude")
     page.get_by_label("Detector").select_option("rms")
     page.get_by_label("Window").select_option("hann")

@@ -71,9 +71,9 @@ def test_all_forms_of_a_spectrum_are_one() -> None:
 @pytest.mark.parametrize(
     ("data", "rule"),
     [
-        (table("a [m/s2]", LEVEL), "give spectrum.scaling"),
-        (table("a [m/s2 rms]", LEVEL), "give spectrum.window"),
-        (table("a [(m/s2)^2]", LEVEL, "# Hann"), "give spectrum.detector"),
+        (table("a [m/s2]", LEVEL), "give its scaling"),
+        (table("a [m/s2 rms]", LEVEL), "give its window"),
+        (table("a [(m/s2)^2]", LEVEL, "# Hann"), "give its detector"),
         (table("a [dB rms]", LEVEL, "# Hann"), "levels without a reference"),
         (table("a [m/s2 rms]", -LEVEL, "# Hann"), "must not be negative"),
         (table("a [V rms]", LEVEL, "# Hann"), "no column is a displacement"),

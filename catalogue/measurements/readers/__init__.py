@@ -6,10 +6,10 @@ from typing import Any
 
 from jointplay.catalogue.measurements.readers.cell import CELL
 from jointplay.catalogue.measurements.readers.csv import read_csv
-from jointplay.catalogue.measurements.readers.kinds import kind_of, known_ending
+from jointplay.catalogue.measurements.readers.kinds import ending_for, kind_of, known_ending
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording, Reader, SpectrumForm, check
 
-__all__ = ["Limits", "RawColumn", "RawRecording", "Reader", "SpectrumForm", "known_ending", "read_raw"]
+__all__ = ["Limits", "RawColumn", "RawRecording", "Reader", "SpectrumForm", "ending_for", "known_ending", "read_raw"]
 
 
 def read_raw(data: bytes, source: str, limits: Limits, **table: Any) -> RawRecording:

@@ -80,7 +80,8 @@ class Cell:
         except ValueError:
             raise MeasurementError(source, rule=f"{kind.name} file: its reader gave no answer") from None
         if "error" in answer:
-            raise MeasurementError(source, *answer["error"])
+            *said, field = answer["error"]
+            raise MeasurementError(source, *said, field=field)
         return decode(answer, rest, source)
 
     def _running(self) -> subprocess.Popen[bytes]:

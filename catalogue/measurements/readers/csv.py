@@ -10,6 +10,7 @@ import io
 import itertools
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,10 +26,15 @@ from jointplay.catalogue.measurements.readers.dialect import (
     header_line,
     is_comment,
 )
-from jointplay.catalogue.measurements.readers.moments import find_in_lines
+from jointplay.catalogue.measurements.readers.moments import RawMoment, find_in_lines
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.catalogue.measurements.readers.stamps import replace_stamps
 from jointplay.solver.arrays import FloatArray
 
+#: What `jointplay simulate` calls a sensor.
+SENSOR = "sensor_"
+#: Columns of a header that rows leave out.
+COMMENTS = frozenset({"comment", "comments", "kommentar", "remark", "remarks", "bemerkung", "note", "notes"})
 #: Lines looked at for the header and the dialect.
 HEAD_LINES = 400
 
@@ -79,6 +85,10 @@ def read_csv(
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     head = list(itertools.islice(io.StringIO(text), HEAD_LINES))
+    stamps = replace_stamps(text, head)
+    if stamps is not None:
+        text = stamps.text
+        head = list(itertools.islice(io.StringIO(text), HEAD_LINES))
     layout = find_layout(head, dialects_of(delimiter, decimal), skipped)
     if layout is None:
         raise _no_table(head, source)
@@ -96,16 +106,29 @@ def read_csv(
     else:
         columns, header = _columns(looked_at, layout, source)
     facts = [f"text in {encoding}, {layout.dialect.words}"]
+    surplus = [] if not header else _surplus(looked_at[max(header)], layout)
+    facts += [f"columns without a cell: {', '.join(surplus)}"] if surplus else []
     rate, rate_facts, used = _read_rate(looked_at[: layout.first], layout.dialect, source)
     facts += rate_facts
     above = [(number, line) for number, line in enumerate(looked_at[: layout.first]) if number not in header]
     moment, dated = find_in_lines(above)
+    if stamps is not None:
+        place = len(layout.dialect.split(f"{stamps.before}0")) - 1
+        columns = (*columns[:place], replace(columns[place], unit="s"), *columns[place + 1 :])
+        moment = moment or RawMoment(stamps.first, columns[place].position)
+        facts.append(f"{columns[place].position} {columns[place].label!r}: dates and times; seconds since the first")
     facts += [
         f"line {number + 1}: {' '.join(line.split())[:80]!r}: not used"
         for number, line in above
         if line.strip() and number not in used | dated
     ]
     values = _numbers(text, head, layout, columns, source)
+    names_there = {column.name for column in columns}
+    if "frame_acceleration_x" in names_there and any(name.startswith(SENSOR) for name in names_there):
+        facts.append("what was simulated: its sensors are taken")
+        ours = [i for i, each in enumerate(columns) if each.name == "t" or each.name.startswith(SENSOR)]
+        columns = tuple(replace(columns[index], name=columns[index].name.removeprefix(SENSOR)) for index in ours)
+        values = values[:, ours]
 
     def line_of(sample: int) -> int | None:
         return _line_of(text, layout, sample)
@@ -144,16 +167,21 @@ def _no_table(head: Sequence[str], source: str) -> MeasurementError:
 def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tuple[RawColumn, ...], set[int]]:
     """Columns from the header, and which lines it is."""
     index = header_line(head, layout)
+    above = _line_above(head, layout.first)
+    if index is None and above is not None and _surplus(head[above], layout):
+        index = above
     if index is None:
-        above = _line_above(head, layout.first)
         if above is not None and not is_comment(head[above]):
             count = len(header_fields(head[above], layout))
             raise MeasurementError(
-                source, above + 1, rule=f"the line above the numbers has {count} fields, the numbers {layout.columns}"
+                source,
+                above + 1,
+                rule=f"the line above the numbers has {count} fields, the numbers {layout.columns}",
+                field="profile",
             )
         rule = "the numbers have no header line with names and units above them"
-        raise MeasurementError(source, layout.first + 1, rule=rule)
-    labels = header_fields(head[index], layout)
+        raise MeasurementError(source, layout.first + 1, rule=rule, field="profile")
+    labels = header_fields(head[index], layout)[: layout.columns]
     dialect = layout.dialect
     numeric = [label for label in labels if dialect.is_cell(label)]
     if 2 * len(numeric) >= len(labels) and layout.columns > 1:
@@ -186,6 +214,12 @@ def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tup
         if len(same) > 1:
             raise MeasurementError(source, index + 1, column, rule=f"name stands over {len(same)} columns")
     return columns, used
+
+
+def _surplus(header: str, layout: TableLayout) -> list[str]:
+    """Labels at the end of a header that no row has a cell for: a comment, or what is left empty in every row."""
+    labels = header_fields(header, layout)[layout.columns :]
+    return labels if all(label.lower() in COMMENTS for label in labels) or layout.surplus >= len(labels) else []
 
 
 def _line_above(head: Sequence[str], index: int) -> int | None:
@@ -227,6 +261,8 @@ def _numbers(
 ) -> FloatArray:
     body = text[sum(len(line) for line in head[: layout.first]) :]
     delimiter = None if layout.dialect.delimiter == " " else layout.dialect.delimiter
+    if layout.surplus and delimiter is not None:
+        body = re.sub(rf"{re.escape(delimiter)}+ *$", "", body, flags=re.MULTILINE)
     plain = body.replace(",", ".") if layout.dialect.decimal == "," else body
     quick = None if delimiter is None or len(delimiter) > 1 else plain_table(plain, delimiter, layout.columns)
     if quick is not None:

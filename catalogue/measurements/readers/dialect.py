@@ -31,7 +31,7 @@ class Dialect:
         return f"columns divided by {_NAMES[self.delimiter]}, decimal {decimal}"
 
     def split(self, line: str) -> list[str]:
-        """Fields of a line, stripped, quotes taken off; an empty field at the end (a trailing delimiter) is dropped."""
+        """Fields of a line, stripped, quotes taken off; empty fields at the end (trailing delimiters) are dropped."""
         if self.delimiter == " ":
             return line.split()
         text = line.strip("\r\n")
@@ -41,7 +41,7 @@ class Dialect:
             with contextlib.suppress(csv.Error):
                 raw = next(csv.reader([text], delimiter=self.delimiter), [""])
         fields = [field.strip() for field in raw]
-        if len(fields) > 1 and not fields[-1]:
+        while len(fields) > 1 and not fields[-1]:
             fields.pop()
         return fields
 
@@ -79,11 +79,14 @@ class TableLayout:
         Index of the first line of numbers.
     columns : int
         Fields a line.
+    surplus : int
+        Empty fields at the end of the first line.
     """
 
     dialect: Dialect
     first: int
     columns: int
+    surplus: int = 0
 
 
 def dialects_of(delimiter: str | None, decimal: str | None) -> tuple[Dialect, ...]:
@@ -167,7 +170,9 @@ def _table_of(lines: Sequence[tuple[int, str]], dialect: Dialect) -> TableLayout
             else:
                 first, columns, found = index, len(fields), 1
             if found == _CONVINCING:
-                return TableLayout(dialect, first, columns)
+                plain = dict(lines)[first].rstrip("\r\n ")
+                ends = len(plain) - len(plain.rstrip(dialect.delimiter)) if dialect.delimiter != " " else 0
+                return TableLayout(dialect, first, columns, ends)
         else:
             found = 0
     return None

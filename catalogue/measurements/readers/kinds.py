@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import gzip
+import io
 import re
+import zlib
 from dataclasses import dataclass
 from pathlib import PurePath
 
@@ -58,6 +62,27 @@ FOREIGN = {
             ("jointplay.catalogue.storage.hdf5",),
         ),
         FileKind("NPZ", (".npz",), "jointplay.catalogue.measurements.readers.arrays", "read_npz", ("numpy",)),
+        FileKind(
+            "XLSX",
+            (".xlsx", ".xlsm"),
+            "jointplay.catalogue.measurements.readers.tables",
+            "read_xlsx",
+            ("jointplay.catalogue.measurements.readers.csv", "python_calamine"),
+        ),
+        FileKind(
+            "Parquet",
+            (".parquet", ".pq"),
+            "jointplay.catalogue.measurements.readers.tables",
+            "read_parquet",
+            ("jointplay.catalogue.measurements.readers.csv", "pyarrow.parquet"),
+        ),
+        FileKind(
+            "Arrow",
+            (".feather", ".arrow"),
+            "jointplay.catalogue.measurements.readers.tables",
+            "read_arrow",
+            ("jointplay.catalogue.measurements.readers.csv", "pyarrow"),
+        ),
         FileKind("JSON", (".json",), "jointplay.catalogue.measurements.readers.json_file", "read_json"),
     )
 }
@@ -71,6 +96,16 @@ INSTALLED = {
     if f".{name.lower()}" not in _OWN_ENDINGS and name.upper() not in FOREIGN
 }
 KINDS = {**FOREIGN, **INSTALLED}
+
+
+def ending_for(data: bytes) -> str:
+    """Ending of a name for content that has none, as that of a pipe."""
+    packed = data.startswith(b"\x1f\x8b")
+    if packed:
+        with contextlib.suppress(OSError, EOFError, zlib.error):
+            data = gzip.GzipFile(fileobj=io.BytesIO(data)).read(1024)
+    told = "JSON" if data.lstrip()[:1] == b"{" else _by_content(data)
+    return (TEXT_ENDINGS[0] if told is None else FOREIGN[told].endings[0]) + (".gz" if packed else "")
 
 
 def ending_of(name: str) -> str:
@@ -133,5 +168,10 @@ def _by_content(data: bytes) -> str | None:
     if data.startswith(_HDF5) or data[512:520] == _HDF5:
         return "HDF5"
     if data.startswith(b"PK\x03\x04"):
-        return "NPZ"
+        length = int.from_bytes(data[26:28], "little")
+        return "NPZ" if data[30 : 30 + length].endswith(b".npy") else "XLSX"
+    if data.startswith(b"PAR1"):
+        return "Parquet"
+    if data.startswith(b"ARROW1"):
+        return "Arrow"
     return "UFF" if re.match(rb"\s*-1[ \t]*\r?\n\s*\d", data[:400]) else None

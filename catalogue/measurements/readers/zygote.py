@@ -33,7 +33,8 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
         data = requests.read(asked["bytes"])
         kind, limits = KINDS[asked["kind"]], Limits(**asked["limits"])
         for name in kind.libraries:
-            import_module(name)
+            with contextlib.suppress(ImportError):  # of an extra: its reader says so
+                import_module(name)
         with tempfile.TemporaryFile() as file:
             child = os.fork()
             if child == 0:
@@ -63,12 +64,12 @@ def answer_and_leave(asked: dict[str, Any], data: bytes, limits: Limits, file: A
             raw = reader(data, asked["source"], limits)
         write(file, encode(raw))
     except MeasurementError as error:
-        write(file, {"error": [error.line, error.column, _plain(error.value), error.rule]})
+        write(file, {"error": [error.line, error.column, _plain(error.value), error.rule, error.field]})
     except BaseException as error:  # whatever a library raises at a damaged file is a statement about the file
         rule = f"is damaged: {type(error).__name__}: {str(error)[:120]}"
         if _for_want_of_memory(error):
             rule = f"needs more than {limits.reader_memory / 1e6:g} MB to be read"
-        write(file, {"error": [None, None, None, rule]})
+        write(file, {"error": [None, None, None, rule, ""]})
     finally:
         with contextlib.suppress(BaseException):
             file.flush()
