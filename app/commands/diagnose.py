@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -209,7 +210,7 @@ def source_of(file: Path) -> tuple[Path | bytes, str | None]:
         return file, None
     from jointplay.catalogue.measurements.readers import Limits, ending_for
 
-    data = click.get_binary_stream("stdin").read(Limits().file_bytes + 1)
+    data = sys.stdin.buffer.read(Limits().file_bytes + 1)
     return data, f"stdin{ending_for(data)}"
 
 

@@ -17,7 +17,7 @@ def describe_field(each: FileField) -> dict[str, Any]:
 FILE = {
     "type": "string",
     "format": "binary",
-    "description": "A recording or a spectrum, by content and name: CSV, UFF 58, WAV, MAT, TDMS, HDF5, NPZ, JSON, XLSX, Parquet.",
+    "description": "A recording or a spectrum: CSV, UFF 58, WAV, MAT, TDMS, HDF5, NPZ, JSON, XLSX, Parquet.",
 }
 ASSET = {"type": "string", "description": "External id of the machine that was measured; it has to be known."}
 SAID: dict[str, Any] = {

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 from command_line import assert_refused, invoke
 from small_service import spoiled
 
+from jointplay.app.cli import main
 from jointplay.catalogue.evaluation import lives
 
 
@@ -56,6 +60,44 @@ def test_diagnose_takes_columns_units_and_rate(shelf: Path, recording: Path, tmp
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     assert result.stdout.startswith("Joint B is worn")
+
+
+def test_diagnose_reads_what_simulate_writes_and_a_pipe(shelf: Path, tmp_path: Path) -> None:
+    output = tmp_path / "simulated.csv"
+    made = invoke(
+        "simulate", "slider-crank", "--fault", "B=0.2mm", "--duration", "3 s", "--accuracy", "draft", "-o", output
+    )
+    assert made.exit_code == 0, made.stderr
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", "--json")
+    from_file = invoke("diagnose", output, *asked)
+    assert from_file.exit_code == 0, from_file.stderr
+    answer = json.loads(from_file.stdout)
+    assert answer["hypotheses"][0]["joints"].keys() == {"B"}
+    assert not any("not used" in warning for warning in answer["warnings"])
+    for content in (output.read_bytes(), gzip.compress(output.read_bytes())):
+        piped = CliRunner().invoke(main, [str(each) for each in ("diagnose", "-", *asked)], input=content)
+        assert piped.exit_code == 0, piped.stderr
+        assert json.loads(piped.stdout)["hypotheses"] == answer["hypotheses"]
+
+
+def test_a_recording_with_noisy_times_and_missing_rows_has_the_same_answer(
+    shelf: Path, recording: Path, tmp_path: Path
+) -> None:
+    head, *rows = recording.read_text().splitlines()
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", "--json")
+    wanted = json.loads(invoke("diagnose", recording, *asked).stdout)["joints"]["B"]
+    draw = np.random.default_rng(1)
+    noisy, missing = tmp_path / "noisy.csv", tmp_path / "missing.csv"
+    times = [f"{float(row.partition(',')[0]) + draw.normal(0.0, 20e-6):.9f}" for row in rows]
+    noisy.write_text("\n".join([head, *(f"{t},{row.partition(',')[2]}" for t, row in zip(times, rows, strict=True))]))
+    kept = sorted(draw.choice(len(rows), len(rows) - 300, replace=False))
+    missing.write_text("\n".join([head, *(rows[index] for index in kept)]))
+    for file, said in ((noisy, "samples are taken as even"), (missing, "rows are missing")):
+        result = invoke("diagnose", file, *asked)
+        assert result.exit_code == 0, result.stderr
+        answer = json.loads(result.stdout)
+        assert answer["joints"]["B"]["clearance_um"] == pytest.approx(wanted["clearance_um"], rel=0.05)
+        assert any(said in warning for warning in answer["warnings"])
 
 
 def test_diagnose_takes_volts_and_pulses(shelf: Path, recording: Path, tmp_path: Path) -> None:

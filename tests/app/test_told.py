@@ -71,6 +71,9 @@ def test_units_and_rate_of_a_bare_table(client: httpx.Client, bare: bytes, recor
     assert (found["kind"], found["spectrum"], found["sample_rate_hz"]) == ("recording", None, 10_000)
     assert found["samples"] == len(recording.signal)
     by_column = send(client, bare, units='{"a": "g", "b": "mm/s"}', sample_rate="10000").json()
+    assert send(client, bare, units="a=g, b=mm/s", sample_rate="10000").json() == by_column
+    refused(send(client, bare, units="a=g, mm/s"), "units", 'mm/s: must be COLUMN=TEXT, as in "t=s, *=g"')
+    refused(send(client, bare, units="a=g, a=mm/s"), "units", "a=mm/s: is given twice")
     assert [channel["quantity"] for channel in by_column["channels"]] == ["acceleration", "velocity"]
     assert by_column["sha256"] == found["sha256"]
     assert by_column["id"] != found["id"]

@@ -42,6 +42,25 @@ def test_what_is_missing_is_asked_for_one_after_the_other(visit: Visit, worn: by
     expect(page.get_by_label("s1-x")).to_have_value("s1-x")
 
 
+def test_units_are_written_as_people_write_them(visit: Visit, worn: bytes, tmp_path: Path) -> None:
+    page = visit.page
+    file = tmp_path / "in-g.csv"
+    _, *rows = worn.splitlines()
+    file.write_bytes(b"\n".join([b"Nr,s1-x,s1-y,s2-x,s2-y", *rows]))
+    unit = page.get_by_label("Unit", exact=True)
+    page.get_by_label("Recording", exact=True).set_input_files(file)
+    page.get_by_role("button", name="Read the recording").click()
+    expect(page.locator("#error-units")).to_contain_text("in the form 'Unit'", timeout=SECONDS)
+    expect(unit).to_be_focused()
+    unit.fill("Nr=s, m/s2")
+    page.keyboard.press("Enter")
+    expect(page.locator("#error-units")).to_contain_text('as in "t=s, *=g"', timeout=SECONDS)
+    unit.fill("Nr=s, *=m/s2")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("heading", name="Is this right?")).to_be_visible(timeout=SECONDS)
+    expect(page.get_by_label("s1-x")).to_have_value("s1-x")
+
+
 def test_a_spectrum_is_confirmed_as_one(visit: Visit, tmp_path: Path) -> None:
     page = visit.page
     file = tmp_path / "spectrum.csv"
