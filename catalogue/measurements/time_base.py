@@ -141,10 +141,12 @@ def even_time_base(
     most = float(np.abs(off).max())
     back = np.flatnonzero(steps <= 0)
     rate = _whole(1.0 / step, (14.0 * float(off.std()) / math.sqrt(len(time)) + 2.0 * quantum / step) / rows[-1])
+    missing = int(rows[-1]) + 1 - len(rows)
     if given is not None:
         agree = [abs(given / each - 1.0) <= JITTER for each in (rate, (len(time) - 1) / time[-1])]
         rate = given if any(agree) else rate
         told = f"times are not used, as the sample rate is given: they are up to {most:.2g} of an interval off"
+        told += f", and {missing} rows seem to be missing" if missing else ""
         return TimeBase(rate, (f"{len(time)} samples at {rate:.8g} Hz (given)",), (told,))
     if most > max(1.0, slack / step):
         if back.size:
@@ -166,7 +168,6 @@ def even_time_base(
         places = time * rate
         shown = f"{steps.min():.4g} to {np.percentile(steps, 99.9):.4g} s"
         warnings.append(f"times are uneven (intervals of {shown}): resampled to {rate:g} Hz")
-    missing = int(rows[-1]) + 1 - len(rows)
     dropouts = gaps_of(places)
     if missing:
         wide = f"; {len(dropouts)} of more than {FILLED} are dropouts" if dropouts else ""

@@ -278,6 +278,8 @@ def test_what_uneven_rows_would_alias_is_refused() -> None:
     assert "times are uneven: even samples would have" in told
     assert "(option --sample-rate, field sample_rate, in the form 'Sample rate')" in told
     assert read_measurement(timed(uneven - uneven[0], white), name="r.csv", sample_rate=RATE).sample_rate == RATE
+    told = read_measurement(timed(np.arange(4000)[kept] / RATE, white[kept]), name="r.csv", sample_rate=RATE).warnings
+    assert any("rows seem to be missing" in each for each in told)
     back = np.r_[np.arange(2000), np.arange(2000)] / RATE
     assert "line 2002: column 'time': 0.0: time does not rise" in refusal(timed(back, white))
 

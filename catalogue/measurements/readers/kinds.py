@@ -168,8 +168,7 @@ def _by_content(data: bytes) -> str | None:
     if data.startswith(_HDF5) or data[512:520] == _HDF5:
         return "HDF5"
     if data.startswith(b"PK\x03\x04"):
-        length = int.from_bytes(data[26:28], "little")
-        return "NPZ" if data[30 : 30 + length].endswith(b".npy") else "XLSX"
+        return "XLSX" if data[30:].startswith((b"[Content_Types].xml", b"_rels/", b"docProps/", b"xl/")) else "NPZ"
     if data.startswith(b"PAR1"):
         return "Parquet"
     if data.startswith(b"ARROW1"):
