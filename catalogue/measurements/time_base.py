@@ -148,6 +148,8 @@ def even_time_base(
         told = f"times are not used, as the sample rate is given: they are up to {most:.2g} of an interval off"
         told += f", and {missing} rows seem to be missing" if missing else ""
         return TimeBase(rate, (f"{len(time)} samples at {rate:.8g} Hz (given)",), (told,))
+    if missing > len(time):
+        raise refusal(None, int(np.argmax(steps)) + 1, f"{missing} rows are missing, more than are there")
     if most > max(1.0, slack / step):
         if back.size:
             raise refusal(None, int(back[0]) + 1, "time does not rise: give the sample rate, if the samples are even")
@@ -234,6 +236,8 @@ def spoiled_by(places: FloatArray, signal: FloatArray) -> FloatArray:
     kept: BoolArray = np.abs(whole - len(even) // 2) > _MARGIN / 2
     for first, last in [(0, _MARGIN // 2), *gaps_of(places), (len(even) - _MARGIN // 2, len(even))]:
         kept[max(0, first - 2) : last + 2] = False
+    if not kept.any():
+        return np.ones(signal.shape[1])
     wrong = np.sqrt(np.mean((again - moved)[kept] ** 2, axis=0))
     return np.asarray(wrong / np.maximum(even.std(axis=0), 1e-300), dtype=np.float64)
 
@@ -260,6 +264,8 @@ def _are_true(places: FloatArray, rows: FloatArray, signal: FloatArray) -> bool:
     """Whether samples are better predicted from their neighbours at the times they have than at those of a clock."""
     at = np.arange(2, len(rows) - 2)
     at = at[rows[at + 2] - rows[at - 2] < 4.5 + FILLED]
+    if not len(at):
+        return False
     misfits = []
     for places_ in (places, rows):
         predicted = np.zeros((len(at), signal.shape[1]))

@@ -281,6 +281,10 @@ def test_what_uneven_rows_would_alias_is_refused() -> None:
     told = read_measurement(timed(np.arange(4000)[kept] / RATE, white[kept]), name="r.csv", sample_rate=RATE).warnings
     assert any("rows seem to be missing" in each for each in told)
     back = np.r_[np.arange(2000), np.arange(2000)] / RATE
+    ends = np.r_[np.arange(3999), 1e12] / RATE
+    assert "line 4001: column 'time': 100000000.0: 999999996001 rows are missing, more than are there" in refusal(
+        timed(ends, white, form=".17g")
+    )
     assert "line 2002: column 'time': 0.0: time does not rise" in refusal(timed(back, white))
 
 
