@@ -69,7 +69,7 @@ def read_told(fields: Mapping[str, str]) -> Told:
     Parameters
     ----------
     fields : Mapping
-        Texts by name; those that are none of :data:`TOLD` are not looked at.
+        Texts by name; those that are none of :data:`jointplay.app.fields.TOLD` are not looked at.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def with_said(profile: ImportProfile, said: Mapping[str, Any]) -> ImportProfile:
     ----------
     profile : ImportProfile
     said : Mapping
-        Values by the names of :data:`FILE_FIELDS`.
+        Values by the names of :data:`jointplay.app.fields.FILE_FIELDS`.
 
     Raises
     ------

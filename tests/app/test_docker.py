@@ -61,8 +61,8 @@ def test_the_images_are_built_from_what_there_is() -> None:
     copied = " ".join(rest for word, rest in stages()["build"][1] if word == "COPY").split()
     files = packages["tool"]["hatch"]["build"]["targets"]["wheel"]["only-include"]
     assert {name.partition("/")[0] for name in files} <= set(copied)
-    (extra,) = re.findall(r"'\.\[(\w+)\]'", " ".join(rest for _word, rest in stages()["build"][1]))
-    assert extra in packages["project"]["optional-dependencies"]
+    (extras,) = re.findall(r"'\.\[([\w,]+)\]'", " ".join(rest for _word, rest in stages()["build"][1]))
+    assert set(extras.split(",")) <= set(packages["project"]["optional-dependencies"])
 
 
 @pytest.mark.parametrize("target", ["api", "worker"])
