@@ -6,12 +6,14 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import assert_refused, invoke
 from small_service import spoiled
 
-from jointplay.catalogue.evaluation import lives
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.evaluation import lives, study
 
 
 @pytest.fixture
@@ -124,6 +126,24 @@ def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> N
     assert "matched   nearest   standard  auto" in printed
     assert "truth (rows) against the first hypothesis (columns)" in printed
     assert plot.stat().st_size > 1000
+
+
+def test_evaluate_says_why_recordings_are_refused(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lengths = iter([2.41, 2.38, None, None, None, 1.02, None, None] * 2)
+
+    def refusing(*given: Any, **more: Any) -> Any:
+        short = next(lengths)
+        if short is not None:
+            raise MeasurementError(f"recording: {short} s are too few revolutions")
+        return prepare(*given, **more)
+
+    prepare = study.prepare
+    monkeypatch.setattr(study, "prepare", refusing)
+    asked = ("evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "matched", "--count", "8", "--seed", "3")
+    (row,) = json.loads(invoke(*asked, "--json").stdout)["rows"]
+    assert (row["refused"], row["figures"]["count"]) == (3, 5)
+    assert row["reasons"] == {"recording: 2.41 s are too few revolutions": 3}
+    assert "  refused 3 times: recording: 2.41 s are too few revolutions" in invoke(*asked).stdout
 
 
 def test_evaluate_prints_figures_of_lives(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
