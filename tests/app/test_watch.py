@@ -184,7 +184,7 @@ def test_the_same_content_under_two_names_is_sent_once(
 def test_an_answer_that_was_lost_is_asked_for_again_by_the_same_name_and_key(
     folder: Path, told: Callable[..., Told]
 ) -> None:
-    got = told(KeyboardInterrupt())  # type: ignore[arg-type]
+    got = told(KeyboardInterrupt())
     (folder / "a.csv").write_bytes(b"1\n")
     with pytest.raises(KeyboardInterrupt):
         watched(folder)
