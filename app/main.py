@@ -32,6 +32,7 @@ from jointplay.app.routes import (
     diagnoses,
     entries,
     findings,
+    forecasts,
     health,
     machines,
     measurements,
@@ -108,7 +109,19 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     templates = ["/openapi.json"]
     for modules, prefix, shown in (
         (
-            (machines, catalogues, entries, builds, measurements, diagnoses, reports, assets, findings, webhooks),
+            (
+                machines,
+                catalogues,
+                entries,
+                builds,
+                forecasts,
+                measurements,
+                diagnoses,
+                reports,
+                assets,
+                findings,
+                webhooks,
+            ),
             API,
             True,
         ),

@@ -23,7 +23,7 @@ from jointplay.app.http.validation import validate
 from jointplay.app.jobs.build_orders import order
 from jointplay.app.routes.diagnoses import JSON_TYPE, parse
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.resources import BuildOut, BuildPage, BuildRequest, ForecastOut
+from jointplay.app.schemas.resources import BuildOut, BuildPage, BuildRequest
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.build_queue import ENDED, build_out
 from jointplay.app.storage.idempotency import IdempotencyKey, once
@@ -79,18 +79,6 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
 
     content = wanted.model_dump(mode="json")
     return await once(request, idempotency_key, service.store.database, content, answered)
-
-
-@router.post(
-    "/forecast",
-    response_model=ForecastOut,
-    responses=problems(400, 409, 413, 415, 422, 500, 503, 504),
-    openapi_extra={"requestBody": body()},
-)
-async def forecast(request: Request) -> Response:
-    """Say what a build would take, in time and space; some of its cases are tried, which takes up to half a minute."""
-    found = await of_request(request).forecast(await read_wanted(request))
-    return Response(ForecastOut(**found).model_dump_json(), media_type=JSON_TYPE)
 
 
 @router.get("", responses=problems(400, 422))

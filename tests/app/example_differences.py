@@ -29,7 +29,7 @@ def differences(one: Any, other: Any, place: str) -> Iterator[str]:
             one, other = dict.fromkeys(one), dict.fromkeys(other)
         for name in one.keys() | other.keys():
             if name in one and name in other:
-                if name in MEASURED and "/forecast" in place:
+                if name in MEASURED and "/forecasts" in place:
                     continue
                 yield from differences(one[name], other[name], f"{place}/{name}")
             else:

@@ -47,12 +47,12 @@ def test_what_is_foreseen_in_words() -> None:
 
 
 def test_a_forecast_over_http_and_on_the_page(client: httpx.Client) -> None:
-    answer = client.post("/api/v1/builds/forecast", json=QUICK)
+    answer = client.post("/api/v1/forecasts", json=QUICK)
     assert answer.status_code == 200, answer.text
     found = answer.json()
     assert (found["cases"], found["present"]) == (832, 0)
-    assert client.post("/api/v1/builds/forecast", json=QUICK).json() == found, "kept for a while"
-    refused = client.post("/api/v1/builds/forecast", json={**QUICK, "machine": "none"})
+    assert client.post("/api/v1/forecasts", json=QUICK).json() == found, "kept for a while"
+    refused = client.post("/api/v1/forecasts", json={**QUICK, "machine": "none"})
     assert (refused.status_code, refused.json()["errors"][0]["field"]) == (422, "machine")
     text = f"{found['cases']} cases: about "
     form = {**QUICK}
