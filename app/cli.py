@@ -24,6 +24,7 @@ COMMANDS = {
     "export": "write a catalogue into one file for other programs: HDF5, NPZ or CSV",
     "diagnose": "rank the fault hypotheses of a catalogue for a measurement",
     "follow": "say how worn a machine is by all its recordings, how fast it wears, and until when",
+    "watch": "send every recording that comes into a folder to a service, once",
     "evaluate": "measure the diagnoses of a catalogue on recordings it has not seen",
     "keys": "make, list and take back keys to the HTTP interface",
     "backup": "copy everything a service keeps, while it works",

@@ -208,5 +208,9 @@ class IncompleteBuildError(AppError):
     """A build that had to leave cases out."""
 
 
+class RefusedFilesError(AppError):
+    """Some of many files could not be used; the others were."""
+
+
 class DamagedCatalogueError(AppError):
     """A catalogue check that found damage it could not repair."""

@@ -122,6 +122,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.UnassembledError: ProblemKind(422, "unassembled", "The machine cannot be assembled"),
     errors.SimulationFailedError: ProblemKind(500, "simulation-failed", "The simulation did not succeed"),
     errors.IncompleteBuildError: ProblemKind(500, "incomplete-build", "The catalogue is not complete"),
+    errors.RefusedFilesError: ProblemKind(422, "refused-files", "Some files cannot be used", exit_status=1),
     errors.DamagedCatalogueError: ProblemKind(500, "damaged-catalogue", "The catalogue is damaged"),
     solver_errors.SolverError: ProblemKind(500, "solver", "The solver failed"),
     solver_errors.MachineError: ProblemKind(422, "machine", "The machine or fault breaks a rule"),

@@ -10,7 +10,7 @@ API = "/api/v1"
 OPEN = ("/healthz", "/readyz", "/sign-in", "/sign-out", "/openapi.json")
 OPEN_FOLDER = "/static/"
 ADMINISTERED = ("/webhooks", "/keys")
-BUILDING = ("/builds", "/machines")
+BUILDING = ("/forecasts", "/builds", "/machines")
 
 
 class Scope(StrEnum):

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
+from cachetools import TTLCache
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, TimeLimitError, UnknownMeasurementError, WorkerDiedError
 from jointplay.app.figures.pictures import response_picture
-from jointplay.app.jobs import following, tasks
+from jointplay.app.jobs import following, forecasts, tasks
+from jointplay.app.jobs.build_orders import machine_of, plan_of
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.samples import StoredRecording
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
-from jointplay.app.schemas.resources import DiagnosisRequest
+from jointplay.app.schemas.resources import BuildRequest, DiagnosisRequest
 from jointplay.app.settings import ServiceSettings
-from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
+from jointplay.app.shelves.catalogues import CatalogueShelf, Offer, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
 from jointplay.app.storage.assets import AssetRow, Assets, measurements_of
@@ -36,6 +40,9 @@ from jointplay.catalogue.following.state import WearState
 from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.units import speed_to_si
+
+FORECASTS, FORECAST_S = 64, 600.0
+"""Forecasts of builds that are kept, and for how long [s]: the computer may be busier later."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,9 @@ class Service:
     runner: BuildRunner
     metrics: Metrics
     entries: EntryShelf = field(default_factory=EntryShelf)
+    forecasts: TTLCache[tuple[Any, ...], dict[str, Any]] = field(
+        default_factory=lambda: TTLCache(FORECASTS, FORECAST_S)
+    )
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server is to stop: answers that go on and on then end."""
 
@@ -167,6 +177,26 @@ class Service:
         self.metrics.count_diagnosis(outcome.value)
         diagnosis = self.new_diagnosis(request, asked, outcome.value)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
+
+    async def forecast(self, wanted: BuildRequest) -> dict[str, Any]:
+        """Return what a build would take, by some cases that are tried in a worker; nothing is asked for.
+
+        Raises
+        ------
+        BadFieldError
+            There is no such machine or plan, or the plan does not fit the machine.
+        TaskFailedError
+            The catalogue is there, but of another machine, or made otherwise.
+        """
+        machine = await run_in_threadpool(machine_of, self.machines, wanted.machine)
+        plan = await run_in_threadpool(plan_of, wanted.plan, machine)
+        folder = self.settings.catalogues / wanted.catalogue
+        key = (machine.content_key, plan.hash, wanted.catalogue, stamp_of(folder), wanted.workers)
+        if key not in self.forecasts:
+            content = json.loads(machine.canonical_json())
+            found = await self.pool.run(forecasts.measure, content, plan.content, wanted.workers, folder)
+            self.forecasts[key] = found
+        return self.forecasts[key]
 
     async def draw_response(self, machine: Machine, phase: bool) -> str:
         """Return how the frame of a machine answers to forces, as SVG; empty where its file does not say."""

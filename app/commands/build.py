@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ import click
 
 from jointplay.app.commands.parameters import json_option, print_json
 from jointplay.app.commands.progress import ProgressLine
+from jointplay.app.jobs.forecasts import forecast_text
+from jointplay.app.jobs.quality_cards import card_text, made_card
 
 if TYPE_CHECKING:
     from jointplay.catalogue.building.build import BuildReport
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
 @click.option(
     "--index", metavar="URL", help="Database for the index, postgresql://user@host/database; remembered in the folder."
 )
+@click.option("--dry-run", is_flag=True, help="Build nothing: try some cases, and say what time and space all take.")
 @json_option
 def command(
     machine: str,
@@ -42,12 +46,31 @@ def command(
     workers: int | None,
     scheduler: str | None,
     index: str | None,
+    dry_run: bool,
     as_json: bool,
 ) -> None:
     """Build the catalogue of MACHINE (a shipped machine's name, or a file).
 
     What is there already is kept; the same command again goes on where an interrupted one stopped.
     """
+    try:
+        _build(machine, catalogue, plan, workers, scheduler, index, dry_run, as_json)
+    except KeyboardInterrupt:
+        if not dry_run:
+            click.echo("what is computed is kept; the same command goes on where this one stopped", err=True)
+        raise
+
+
+def _build(
+    machine: str,
+    catalogue: Path,
+    plan: str,
+    workers: int | None,
+    scheduler: str | None,
+    index: str | None,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
     from jointplay.catalogue.building.build import build
     from jointplay.catalogue.building.executors import count_processors
     from jointplay.catalogue.building.network_building import train_networks
@@ -58,6 +81,8 @@ def command(
 
     if scheduler is not None and workers is not None:
         raise click.UsageError("--workers is for processes here; a cluster has its own")
+    if scheduler is not None and dry_run:
+        raise click.UsageError("--dry-run is for processes here; how fast a cluster is, only it can tell")
     if scheduler is not None:
         from jointplay.catalogue.building.cluster import DaskCluster, check_address
 
@@ -70,6 +95,16 @@ def command(
     check_plan(wanted, found, plan)
     for shown in plan_lines(wanted, found):
         click.echo(shown, err=True)
+    count = workers or count_processors()
+    if dry_run:
+        from jointplay.catalogue.building.forecast import forecast
+
+        foreseen = forecast(found, wanted, count, catalogue)
+        if as_json:
+            print_json({"plan": {"name": wanted.name, "hash": wanted.hash}} | asdict(foreseen))
+        else:
+            click.echo(f"{catalogue}: {forecast_text(foreseen)}")
+        return
     with ExitStack() as stack:
         line = stack.enter_context(ProgressLine("building", "cases"))
         executor = None
@@ -80,7 +115,7 @@ def command(
             found,
             wanted,
             catalogue,
-            workers=workers or count_processors(),
+            workers=count,
             executor=executor,
             index=index,
             progress=lambda state: line.show(state.done, state.total, rate=state.rate, left=state.eta),
@@ -97,7 +132,10 @@ def command(
         )
     # Last, so that what was built is told whatever becomes of it.
     with ProgressLine("learning", "networks") as line:
-        train_networks(catalogue, workers=workers or count_processors(), progress=line.show)
+        train_networks(catalogue, workers=count, progress=line.show)
+    card, why = made_card(catalogue)
+    if not as_json:
+        click.echo(card_text(card) if card is not None else f"no quality card: {why}")
 
 
 def document(report: BuildReport, catalogue: Path) -> dict[str, object]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from jointplay.app import words
+from jointplay.app.commands.answers_table import Answered, answer_each, check_table, summary
 from jointplay.app.commands.parameters import (
     Pairs,
     QuantityOption,
@@ -20,7 +22,7 @@ from jointplay.app.commands.parameters import (
     print_json,
     refuse_given,
 )
-from jointplay.app.errors import BadFieldError
+from jointplay.app.errors import BadFieldError, RefusedFilesError
 from jointplay.app.fields import FILE_FIELDS, PROFILE
 from jointplay.app.rows import hypothesis_rows, joint_rows, percent, recording_rows
 from jointplay.app.storage.told import with_said
@@ -112,6 +114,12 @@ if TYPE_CHECKING:
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Draw measured and matched."
 )
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="TABLE.csv|.json",
+    help="Answer each measurement by itself: a row each in this table, with the reason of those that are refused.",
+)
 @json_option
 def command(
     measurements: Sequence[Path],
@@ -127,13 +135,18 @@ def command(
     mapping: Sequence[tuple[str, str]],
     profile: Path | None,
     plot: Path | None,
+    out: Path | None,
     as_json: bool,
     **told: Any,
 ) -> None:
     """Rank the fault hypotheses of a catalogue for MEASUREMENT, accelerations of the machine's frame ("-": the input).
 
-    Several measurements of one machine in one state, at several speeds, loads or sensors, have one answer.
+    Several measurements of one machine in one state, at several speeds, loads or sensors, have one answer; with --out
+    each has its own.
     """
+    if out is not None:
+        refuse_given(("plot",), "is of one answer, and --out has one for each measurement")
+        check_table(out)
     if plot is not None:
         from jointplay.app.figures.plots import check_ending
 
@@ -144,7 +157,9 @@ def command(
     from jointplay.catalogue.measurements.measurement import read_measurement
     from jointplay.catalogue.storage.store import Catalogue
 
-    recordings, said = read_measurements(measurements, told, profile, speeds)
+    check_counts(measurements, told, speeds)
+    read = [] if out is not None else measurements  # each when its turn comes
+    recordings, said = read_measurements(read, {**told, "measured_at": ()} if out else told, profile)
     sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
     shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
@@ -152,10 +167,9 @@ def command(
         read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
         for baseline in baselines
     ]
-    diagnosis = diagnose_together(
-        recordings,
-        opened,
-        speeds=speeds or None,
+    ask = partial(
+        diagnose_together,
+        catalogue=opened,
         effort=effort,
         mode=mode,
         mapping=sensors or None,
@@ -165,6 +179,25 @@ def command(
         ),
         baseline=in_order,
     )
+    if out is not None:
+
+        def ask_one(number: int) -> Answered:
+            one = slice(number, number + 1)
+            (recording,), _ = read_measurements(
+                measurements[one], {**told, "measured_at": told["measured_at"][one]}, profile
+            )
+            return recording, ask([recording], speeds=speeds[one] or None)
+
+        rows = answer_each(measurements, ask_one, out, opened.matrix.joints)
+        if as_json:
+            print_json(rows)
+        else:
+            click.echo(f"{summary(rows)}\nwritten: {out}")
+        refused = sum(row["refusal"] is not None for row in rows)
+        if refused:
+            raise RefusedFilesError(f"{refused} of {len(rows)} measurements were refused; {out} says why")
+        return
+    diagnosis = ask(recordings, speeds=speeds or None)
     if plot is not None:
         from jointplay.app.figures.plots import plot_diagnosis
 
@@ -182,18 +215,23 @@ def command(
             click.echo(f"drawn: {plot}")
 
 
+def check_counts(measurements: Sequence[Path], told: Mapping[str, Any], speeds: Sequence[float] = ()) -> None:
+    """Refuse what is said of each measurement in turn where it is not said of each."""
+    for option, given in (("--speed", speeds), ("--measured-at", told["measured_at"])):
+        if len(given) not in (0, len(measurements)):
+            rule = f"{len(given)} for {len(measurements)} measurements: must be one for each, or none"
+            raise click.BadParameter(rule, param_hint=f"'{option}'")
+
+
 def read_measurements(
-    measurements: Sequence[Path], told: Mapping[str, Any], profile: Path | None, speeds: Sequence[float] = ()
+    measurements: Sequence[Path], told: Mapping[str, Any], profile: Path | None
 ) -> tuple[list[Recording | MeasuredSpectrum], dict[str, Any]]:
     """Read files as the options of `file_options` say; return what these say of all of them, too."""
     from jointplay.catalogue.measurements.measured_spectrum import read_recording
 
+    check_counts(measurements, told)
     said = read_file_options(told)
     moments = said.pop("measured_at", ())
-    for option, given in (("--speed", speeds), ("--measured-at", moments)):
-        if len(given) not in (0, len(measurements)):
-            rule = f"{len(given)} for {len(measurements)} measurements: must be one for each, or none"
-            raise click.BadParameter(rule, param_hint=f"'{option}'")
     told_each = [{**said, "measured_at": each} for each in moments] or [said] * len(measurements)
     told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
     recordings = []

@@ -18,6 +18,7 @@ from jointplay.app.commands.parameters import (
 )
 from jointplay.app.commands.progress import ProgressLine
 from jointplay.catalogue.building.executors import count_processors
+from jointplay.catalogue.errors import DiagnosisError
 
 if TYPE_CHECKING:
     from jointplay.catalogue.evaluation.study import Study
@@ -109,6 +110,11 @@ LIVES = "lives"
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png|.svg|.pdf", help="Draw reliability, or the sweep."
 )
+@click.option(
+    "--card",
+    is_flag=True,
+    help="Simulate nothing: the quality card, which a build makes by draws that the catalogue has not learned from.",
+)
 @json_option
 def command(
     catalogue: Path,
@@ -124,9 +130,15 @@ def command(
     accuracies: list[Any],
     workers: int,
     plot: Path | None,
+    card: bool,
     as_json: bool,
 ) -> None:
     """Measure diagnoses on freshly simulated recordings that the catalogue has not seen."""
+    if card:
+        told = ("protocols", "noise", "count", "seed", "methods", "efforts", "modes", "sweep", "plot")
+        refuse_given(told, "means nothing with --card")
+        _show_card(catalogue, as_json)
+        return
     if LIVES in protocols:
         if len(protocols) > 1 or sweep:
             raise click.UsageError(f"--protocol: {LIVES}: stands by itself")
@@ -185,6 +197,18 @@ def command(
     click.echo(f"\ndrive: {drive_of(opened.machine, opened.recipe.nominal_drive_speed)}")
     if plot is not None:
         click.echo(f"drawn: {plot}")
+
+
+def _show_card(catalogue: Path, as_json: bool) -> None:
+    from jointplay.app.jobs.quality_cards import card_text, made_card
+
+    card, why = made_card(existing_catalogue(catalogue))
+    if card is None:
+        raise DiagnosisError(f"{catalogue}: no quality card: {why}")
+    if as_json:
+        print_json(card.model_dump(mode="json"))
+    else:
+        click.echo(card_text(card))
 
 
 def _evaluate_lives(catalogue: Path, count: int, seed: int, as_json: bool) -> None:

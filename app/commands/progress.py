@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Never
 
 import click
 
+from jointplay.app.jobs.heartbeat import Heartbeat
+
 if TYPE_CHECKING:
     from tqdm import tqdm
 
@@ -33,15 +35,26 @@ class ProgressLine:
         self._terminal = sys.stderr.isatty()
         self._told = time.monotonic()
         self._done = -1
+        self._last = ""
+        self._heartbeat = Heartbeat(self._still)
 
     def __enter__(self) -> ProgressLine:
+        self._heartbeat.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._heartbeat.__exit__(kind, error, trace)
         if self._bar is not None:
             self._bar.close()
+
+    def _still(self, seconds: float) -> None:
+        """Tell that the work goes on, though nothing new is done."""
+        if self._bar is not None:
+            self._bar.refresh()
+        elif self._terminal or self._last:
+            click.echo(f"{self._last or self._label}: at work for {clock(seconds)}", err=True)
 
     def show(self, done: int, total: int, *, rate: float | None = None, left: float | None = None) -> None:
         """Show that `done` of `total` are done.
@@ -61,7 +74,9 @@ class ProgressLine:
         ):
             pace = f", {rate:.1f} a second" if rate else ""
             pace += f", {clock(left)} left" if left else ""
-            click.echo(f"{self._label}: {done} of {total} {self._unit}{pace}", err=True)
+            self._last = f"{self._label}: {done} of {total} {self._unit}"
+            click.echo(f"{self._last}{pace}", err=True)
+            self._heartbeat.heard()
             self._told = time.monotonic()
             self._done = done
 

@@ -174,6 +174,7 @@ def details(row: Row) -> list[str]:
         row.refused
     )
     lines = [f"{' '.join(_setup(row))}: {'; '.join([f'{found.count} recordings', *lost])}"]
+    lines += [f"  refused {count} times: {reason}" for reason, count in row.reasons.items()]
     if found.hidden:
         lines.append(
             f"  worn joints that never open: {found.hidden} recordings, the same as of machines in order to a tenth of "

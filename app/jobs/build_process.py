@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import logging
 import signal
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
+from threading import Lock
 from typing import Any, Literal
 
+from jointplay.app.jobs.forecasts import duration_text
+from jointplay.app.jobs.heartbeat import Heartbeat
+from jointplay.app.jobs.quality_cards import made_card
 from jointplay.app.jobs.workers import prepare
 from jointplay.app.logs import DEFAULT_LOG, LogSettings, of_request
 from jointplay.app.problems import problem_of
@@ -50,7 +54,9 @@ def work(order: Order, sender: Connection) -> None:
     with of_request(order.request):
         try:
             log.info("the build of %s begins", order.folder.name)
-            sender.send(run_build(order, sender))
+            with Telling(sender) as tell:
+                ended = run_build(order, tell)
+            sender.send(ended)
             log.info("the build of %s has ended", order.folder.name)
         except Exception as error:
             problem = problem_of(error)
@@ -59,7 +65,36 @@ def work(order: Order, sender: Connection) -> None:
             sender.send(BuildProgress("failed", {"message": problem.detail}))
 
 
-def run_build(order: Order, sender: Connection) -> BuildProgress:
+class Telling:
+    """Tells the server how far a build is, and that it goes on where there is nothing else to tell."""
+
+    def __init__(self, sender: Connection) -> None:
+        self._sender, self._lock = sender, Lock()
+        self._message = ""
+        self._heartbeat = Heartbeat(self._still)
+
+    def __enter__(self) -> Callable[[dict[str, Any]], None]:
+        self._heartbeat.__enter__()
+        return self._tell
+
+    def __exit__(self, *error: Any) -> None:
+        self._heartbeat.__exit__(*error)
+
+    def _tell(self, values: dict[str, Any]) -> None:
+        self._heartbeat.heard()
+        self._message = values.get("message", self._message)
+        self._send(values)
+
+    def _still(self, seconds: float) -> None:
+        with suppress(OSError):  # the server has gone, and this process goes with it
+            self._send({"message": "; ".join(filter(None, [self._message, f"at work for {duration_text(seconds)}"]))})
+
+    def _send(self, values: dict[str, Any]) -> None:
+        with self._lock:
+            self._sender.send(BuildProgress("progress", values))
+
+
+def run_build(order: Order, tell: Callable[[dict[str, Any]], None]) -> BuildProgress:
     """Build, train, and return how it ended."""
     from jointplay.catalogue.building.build import Progress, build
     from jointplay.catalogue.building.executors import count_processors
@@ -78,15 +113,13 @@ def run_build(order: Order, sender: Connection) -> BuildProgress:
             "seconds_left": state.eta,
             "message": "",
         }
-        sender.send(BuildProgress("progress", values))
+        tell(values)
 
     def networks(done: int, total: int) -> None:
-        sender.send(
-            BuildProgress("progress", {"seconds_left": None, "message": f"{done} of {total} networks are trained"})
-        )
+        tell({"seconds_left": None, "message": f"{done} of {total} networks are trained"})
 
     def said(text: str) -> None:
-        sender.send(BuildProgress("progress", {"message": text}))
+        tell({"message": text})
 
     machine, plan = parse_machine(order.machine), parse_plan(order.plan)
     with ExitStack() as stack:
@@ -102,5 +135,7 @@ def run_build(order: Order, sender: Connection) -> BuildProgress:
         message = f"{len(report.lost)} cases could not be computed: {report.lost_reason}; a further build tries them"
         return BuildProgress("failed", {**found, "message": message})
     train_networks(order.folder, workers=workers, progress=networks)
+    said("the quality card is made")
+    made_card(order.folder)
     failed = ", ".join(f"{count} {status}" for status, count in sorted(report.failed.items()))
     return BuildProgress("done", {**found, "message": f"cases without a spectrum: {failed}" if failed else ""})

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
+from jointplay.app.jobs.forecasts import duration_text
 from jointplay.app.rows import micrometres
 from jointplay.app.schemas.entries import EntryItem
 from jointplay.app.storage.build_queue import ENDED, BuildRow
@@ -26,7 +27,7 @@ EXPLAINED = {
     "failed": "What was computed is kept.",
 }
 PLANS = {
-    "quick": "single worn joints; a minute or two",
+    "quick": "single worn joints; for trying things out",
     "standard": "pairs of worn joints, too, and machines that differ from their model; some ten times the cases",
     "thorough": "as standard, with twice the cases",
 }
@@ -90,19 +91,6 @@ def took_text(row: BuildRow) -> str:
     if row.ended_at is None or row.started_at is None:
         return ""
     return duration_text((row.ended_at - row.started_at).total_seconds())
-
-
-def duration_text(seconds: float) -> str:
-    """Return a duration with the digits that mean something."""
-    if seconds < 1:
-        return "1 s"
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    if minutes < 120:
-        return f"{minutes} min"
-    hours = round(seconds / 3600)
-    return f"{hours} h" if hours < 48 else f"{round(seconds / 86400)} days"
 
 
 def moment_text(moment: datetime | None) -> str:

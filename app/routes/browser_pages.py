@@ -11,6 +11,7 @@ from starlette.responses import Response
 from jointplay.app.errors import BadFieldError
 from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
+from jointplay.app.jobs.quality_cards import joint_cells, quality_line
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, plain_number
 from jointplay.app.routes.pages import KNOWN_ASSETS, REFUSALS, context
@@ -71,6 +72,10 @@ async def catalogue(request: Request, name: str) -> Response:
         return templates.TemplateResponse(
             request, "entry_fragment.html", {**members, "fields": FIELDS}, status, headers
         )
+    card = offer.description.quality
+    members["quality"] = [
+        {"summary": quality_line(part).replace("m/s2", "m/s²"), "joints": joint_cells(part)} for part in card.noises
+    ] if card else []  # fmt: skip
     members["response"] = await service.draw_response(offer.machine, phase=True)
     whole = await context(request, **members, title=f"{offer.description.name}: jointplay")
     return templates.TemplateResponse(request, "catalogue.html", whole, status, headers)

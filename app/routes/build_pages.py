@@ -14,6 +14,7 @@ from jointplay.app.errors import BadFieldError, UnknownCatalogueError
 from jointplay.app.http import paging
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.jobs.build_orders import order, order_again
+from jointplay.app.jobs.forecasts import forecast_text
 from jointplay.app.pages.build_view import PLANS, build_view, failures_view
 from jointplay.app.pages.page_forms import messages_of, plain_form
 from jointplay.app.problems import Problem
@@ -28,6 +29,7 @@ router = APIRouter(prefix="/builds")
 
 FIELDS = ("machine", "plan", "catalogue")
 SHOWN_FAILURES = 50
+UNNAMED = "not-named-yet"
 
 
 @router.get("")
@@ -53,6 +55,26 @@ async def ask(request: Request) -> Response:
         return await show_list(request, None, given, problem_from(error))
     service.runner.wake()
     return RedirectResponse(f"/builds/{row.id}", status_code=303)
+
+
+@router.post("/forecast")
+async def forecast(request: Request) -> Response:
+    """Say what the build that is chosen would take; with a script only that."""
+    service = of_request(request)
+    given: dict[str, str] = {}
+    try:
+        given.update(await plain_form(request))
+        # The name is not yet given, perhaps: what matters is whether there is something of this name.
+        text = forecast_text(await service.forecast(read_order({"catalogue": UNNAMED, **given})))
+    except REFUSALS as error:
+        problem = problem_from(error)
+        if not is_fragment(request):
+            return await show_list(request, None, given, problem)
+        note(request, problem)
+        text = problem.detail
+    if is_fragment(request):
+        return templates.TemplateResponse(request, "_forecast.html", {"forecast": text})
+    return await show_list(request, None, given, forecast=text)
 
 
 @router.get("/{key}")
@@ -109,7 +131,7 @@ def read_order(given: dict[str, str]) -> BuildRequest:
 
 
 async def show_list(
-    request: Request, cursor: str | None, given: dict[str, str], problem: Problem | None = None
+    request: Request, cursor: str | None, given: dict[str, str], problem: Problem | None = None, forecast: str = ""
 ) -> Response:
     """Return the page with the form and the list, and with what was wrong."""
     service = of_request(request)
@@ -124,6 +146,7 @@ async def show_list(
         "plans": PLANS,
         "chosen": {"plan": "quick", **given},
         "may_build": may_build(request),
+        "forecast": forecast,
         "title": "Builds: jointplay",
     }
     if problem is None:

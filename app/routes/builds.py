@@ -52,6 +52,14 @@ def body() -> dict[str, Any]:
     return {"required": True, "content": {JSON_TYPE: {"schema": schema}}}
 
 
+async def read_wanted(request: Request) -> BuildRequest:
+    """Return what a body asks for."""
+    kind = media_type(request)
+    if kind != JSON_TYPE:
+        raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE}")
+    return validate(BuildRequest, parse(await request.body()))
+
+
 @router.post(
     "",
     status_code=202,
@@ -61,11 +69,7 @@ def body() -> dict[str, Any]:
 )
 async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Response:
     """Build a catalogue, or go on with one; it is stored before this is answered, and outlives the server."""
-    service = of_request(request)
-    kind = media_type(request)
-    if kind != JSON_TYPE:
-        raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE}")
-    wanted = validate(BuildRequest, parse(await request.body()))
+    service, wanted = of_request(request), await read_wanted(request)
 
     async def answered() -> Response:
         row = await run_in_threadpool(order, service.builds, service.machines, service.settings.catalogues, wanted)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictFloat, StrictStr
 
 from jointplay.app.words import MeasuredAt, Moment
+from jointplay.catalogue.diagnosing.quality_card import QualityCard
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import LARGEST, Prior
@@ -106,6 +107,10 @@ class CatalogueDetail(CatalogueItem):
 
     plan: dict[str, Any]
     statuses: dict[str, int] = Field(description="Number of cases by the status of their simulation.")
+    quality: QualityCard | None = Field(
+        description="What draws that it has not learned from show of its answers, made at the end of a build; null"
+        " where there is none of its present state."
+    )
 
 
 class CataloguePage(Page):
@@ -329,6 +334,17 @@ class BuildRequest(Shape):
         int | None,
         Field(default=None, ge=1, le=1024, strict=True, description="Processes that compute; one a processor."),
     ]
+
+
+class ForecastOut(Shape):
+    """What a build would take, by some of its cases that were tried now."""
+
+    cases: int = Field(description="Of the plan.")
+    present: int = Field(description="Of these, in the catalogue already.")
+    tried: int = Field(description="Computed for this forecast; none are kept.")
+    seconds: float = Field(description="Time of the build, as busy as the computer is now.")
+    size_bytes: int = Field(description="Of the files of the cases that are missing.")
+    workers: int = Field(description="Processes that it is for.")
 
 
 class BuildOut(Shape):

@@ -119,7 +119,7 @@ def stamp_of(path: Path) -> str:
     """Return a text that changes when the catalogue does: at the end of a build, and all the time during the first."""
     directory = CatalogueDirectory(path)
     grows = directory.matrices if directory.matrices.exists() else directory.shards
-    files = [file for file in (directory.manifest, grows) if file.exists()]
+    files = [file for file in (directory.manifest, grows, directory.quality) if file.exists()]
     return ";".join(f"{file.name}:{file.stat().st_mtime_ns}" for file in files)
 
 
@@ -139,6 +139,8 @@ def describe(path: Path, stamp: str) -> Offer:
 
 def describe_open(catalogue: Catalogue, name: str) -> CatalogueDetail:
     """Return the description of an open catalogue under a name."""
+    from jointplay.catalogue.diagnosing.quality_card import kept_card
+
     machine = catalogue.machine
     speed = getattr(machine.drive, "speed", None)
     return CatalogueDetail(
@@ -155,4 +157,5 @@ def describe_open(catalogue: Catalogue, name: str) -> CatalogueDetail:
         nominal_speed_rpm=abs(speed) * 30 / pi if isinstance(speed, float) else None,
         plan=catalogue.plan.model_dump(mode="json"),
         statuses=catalogue.matrix.statuses(),
+        quality=kept_card(catalogue),
     )

@@ -8,7 +8,7 @@
   const tooLarge = () => {
     const limit = Number(byId("ask").dataset.maxBytes);
     const files = byId("file").files;
-    const size = files.length ? files[0].size : 0;
+    const size = Math.max(0, ...[...files].map((file) => file.size));
     const over = size > limit;
     const message = `the file has ${(size / 1e6).toFixed(1)} MB; this service takes at most ${limit / 1e6} MB`;
     byId("error-file").textContent = over ? message : "";
@@ -67,10 +67,60 @@
     request.send(new FormData(form));
   };
 
+  // Several files: each is diagnosed by itself, as it is understood, and has a row with a link to its result.
+  const cells = (row, head, texts) => {
+    for (const text of texts) {
+      const cell = document.createElement(head || !row.children.length ? "th" : "td");
+      cell.scope = head ? "col" : "row";
+      cell.append(text);
+      row.append(cell);
+    }
+    return row;
+  };
+  const outcome = async (given, file) => {
+    const form = new FormData();
+    for (const [name, value] of given) if (name !== "file" && name !== "measured_at" && value) form.append(name, value);
+    form.append("file", file);
+    try {
+      const answer = await fetch("/api/v1/diagnoses", { method: "POST", body: form });
+      if (answer.status === 401) return window.jointplay.signIn("/", byId("ask"));
+      const found = await answer.json();
+      if (!answer.ok) return ["refused", found.detail];
+      const [first] = found.hypotheses;
+      const link = Object.assign(document.createElement("a"), { href: `/diagnoses/${found.id}` });
+      link.textContent = `${Object.keys(first.joints).join(" + ") || "none worn"}, ${Math.floor(100 * first.probability)} %`;
+      return [found.verdict.replace("_", " "), link];
+    } catch {
+      return ["refused", "the service gave no answer"];
+    }
+  };
+  const sendEach = async (form) => {
+    const given = [...new FormData(form)];
+    const files = [...byId("file").files];
+    const table = document.createElement("table");
+    cells(table.createTHead().insertRow(), true, ["File", "Verdict", "Most probable, or why it was refused"]);
+    const rows = table.createTBody();
+    const card = Object.assign(document.createElement("section"), { className: "card scroll", tabIndex: 0, id: "answers" });
+    card.setAttribute("aria-label", "Results");
+    card.append(table);
+    byId("result").replaceChildren(card);
+    byId("progress").value = 0;
+    for (const [number, file] of files.entries()) {
+      waiting(`${number} of ${files.length} files are answered…`);
+      const found = await outcome(given, file);
+      if (!found) return;
+      cells(rows.insertRow(), false, [file.name, ...found]);
+      byId("progress").value = (number + 1) / files.length;
+    }
+    waiting("");
+  };
+
   document.addEventListener("submit", (event) => {
     if (event.target.id !== "ask") return;
     event.preventDefault();
-    if (!tooLarge()) send(event.target);
+    if (tooLarge()) return;
+    if (byId("file").files.length > 1) sendEach(event.target);
+    else send(event.target);
   });
   document.addEventListener("change", (event) => {
     if (event.target.id === "file") tooLarge();
@@ -84,6 +134,7 @@
   // A page that comes back from the browser's own cache is as it was left: it waits for nothing any more.
   window.addEventListener("pageshow", () => {
     if (!byId("ask")) return;
+    byId("file").multiple = true;
     waiting("");
     const field = byId("measured_at");
     byId("zone").textContent = Intl.DateTimeFormat().resolvedOptions().timeZone;

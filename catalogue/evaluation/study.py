@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -56,7 +57,9 @@ class Row:
     protocol : EvaluationProtocol
     setup : Setup
     failed, refused : int
-        Cases that could not be simulated; recordings that were refused (their drive speed could not be found, ...).
+        Cases that could not be simulated; recordings that were refused.
+    reasons : mapping of str to int
+        Why they were, as the first of each kind said it, and how many were of that kind.
     figures : FiguresOfMerit
     """
 
@@ -64,6 +67,7 @@ class Row:
     setup: Setup
     failed: int
     refused: int
+    reasons: Mapping[str, int]
     figures: FiguresOfMerit
 
 
@@ -198,7 +202,7 @@ def evaluate(
         for setup, answers in found.answers.items():
             largest = 1e6 * catalogue.plan.clearance.high
             made = figures(answers, run.columns(without), listed.get(setup, ()), largest)
-            rows.append(Row(protocol, setup, found.failed, found.refused, made))
+            rows.append(Row(protocol, setup, found.failed, found.refused, found.reasons, made))
     if progress is not None:
         progress(total, total)
     return Study(catalogue.machine.name, catalogue.id, len(catalogue.entries), seed, count, tuple(rows))
@@ -223,7 +227,19 @@ def networks_of(catalogue: Catalogue, setups: Sequence[Setup], most: int | None)
 class _Found:
     answers: dict[Setup, list[Answered]]
     failed: int = 0
-    refused: int = 0
+    refusals: list[str] = field(default_factory=list)
+
+    @property
+    def refused(self) -> int:
+        return len(self.refusals)
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """First refusal of each kind, and how many are of it: those that differ in their numbers alone."""
+        kinds: dict[str, list[str]] = {}
+        for text in self.refusals:
+            kinds.setdefault(re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", text), []).append(text)
+        return {texts[0]: len(texts) for texts in sorted(kinds.values(), key=len, reverse=True)}
 
 
 @dataclass(frozen=True)
@@ -290,8 +306,8 @@ class _StudyRun:
                 recording = recorded(protocol, truths[index], signal)
                 scheme, nominal = self.catalogue.scheme, self.catalogue.recipe.nominal_drive_speed
                 prepared = prepare(recording, self.catalogue.machine, scheme=scheme, nominal=nominal)
-            except MeasurementError:
-                found.refused += 1
+            except MeasurementError as error:
+                found.refusals.append(str(error))
                 continue
             for setup in self.setups:
                 question = Question(setup.effort, setup.mode)
@@ -313,7 +329,8 @@ class _StudyRun:
             marked = zip(numbers[setup], answers, strict=True)
             found.answers[setup] = [replace(each, hidden=True) if i in unseen else each for i, each in marked]
         if not any(found.answers.values()):
-            rule = f"{found.failed} failed, {found.refused} were refused"
+            why = f" ({next(iter(found.reasons))})" if found.refusals else ""
+            rule = f"{found.failed} failed, {found.refused} were refused{why}"
             raise DiagnosisError(
                 f"none of {self.count} recordings of protocol {protocol.name} could be diagnosed: {rule}"
             )

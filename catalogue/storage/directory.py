@@ -155,6 +155,11 @@ class CatalogueDirectory:
         """Folder of networks trained on it; made from the matrix, so it can be lost."""
         return self.root / "networks"
 
+    @property
+    def quality(self) -> Path:
+        """Quality card of its present state; made from the matrix, so it can be lost."""
+        return self.root / "quality.json"
+
     def other_matrices(self, catalogue_id: str) -> tuple[Path, ...]:
         """Folders of complete matrices of other states."""
         if not self.matrices.is_dir():

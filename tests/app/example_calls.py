@@ -215,6 +215,8 @@ class ExampleService:
         keyed = any(each["name"] == "Idempotency-Key" for each in operation.get("parameters", ()))
         if status == 409 and keyed:
             return KeyInUseError("Idempotency-Key: the first request with it is not answered yet")
+        if call.path.endswith("/forecasts") and status == 409:
+            return CatalogueMismatchError("press-7", "holds a catalogue of another machine: name another folder")
         if "entries" in call.path and status in (409, 500):
             if status == 409:
                 return CatalogueMismatchError("slider-crank", "has layout 1; this program reads layout 2")

@@ -46,6 +46,25 @@ def diagnose(page: Page, recording: Path) -> None:
     expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
 
 
+def test_several_files_have_a_row_each(visit: Visit, recording: Path, in_order: bytes, tmp_path: Path) -> None:
+    (tmp_path / "new.csv").write_bytes(in_order)
+    (tmp_path / "bad.csv").write_text("time [s],s1-x [m/s2]\n0,1\n")
+    page = visit.page
+    files = [recording, tmp_path / "bad.csv", tmp_path / "new.csv"]
+    page.get_by_label("Recording", exact=True).set_input_files(files)
+    page.get_by_role("button", name="Read the recording").click()
+    rows = page.locator("#answers tbody tr")
+    expect(rows).to_have_count(3, timeout=SECONDS)
+    expect(rows.nth(0)).to_contain_text("worn.csvwornB, ")
+    expect(rows.nth(1)).to_contain_text("bad.csvrefused")
+    expect(rows.nth(2)).to_contain_text("new.csvin order")
+    expect(page.locator("#sending")).to_be_hidden()
+    assert is_within_screen(page)
+    assert serious(page) == []
+    rows.nth(0).get_by_role("link").click()
+    expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn", timeout=SECONDS)
+
+
 def test_from_upload_to_verdict(visit: Visit, recording: Path) -> None:
     page = visit.page
     assert is_within_screen(page)

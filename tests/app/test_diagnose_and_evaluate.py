@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
+import hashlib
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +18,8 @@ from command_line import assert_refused, invoke
 from small_service import spoiled
 
 from jointplay.app.cli import main
-from jointplay.catalogue.evaluation import lives
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.evaluation import lives, study
 
 
 @pytest.fixture
@@ -141,6 +145,59 @@ def test_diagnose_refuses_bad_recordings(kind: str, text: str, shelf: Path, worn
     assert_refused(invoke("diagnose", path, "--catalogue", shelf / "slider-crank"), 2, text)
 
 
+def test_many_files_have_a_table_of_answers(
+    shelf: Path, recording: Path, in_order: bytes, worn: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "new.csv").write_bytes(in_order)
+    (tmp_path / "bad.csv").write_bytes(spoiled(worn, "nan"))
+    files = (recording, tmp_path / "bad.csv", tmp_path / "new.csv", tmp_path / "none.csv")
+    asked = ("diagnose", *files, "--catalogue", shelf / "slider-crank", "--effort", "fast")
+    moments = [f"--measured-at=2026-11-2{day}T10:00:00Z" for day in range(4)]
+    result = invoke(*asked, *moments, "--out", tmp_path / "table.csv")
+    assert result.exit_code == 1
+    last = result.stderr.splitlines()[-1]
+    assert last == f"jointplay: 2 of 4 measurements were refused; {tmp_path / 'table.csv'} says why"
+    assert "worn" in result.stdout and "refused" in result.stdout
+    with open(tmp_path / "table.csv", encoding="utf-8", newline="") as table:
+        rows = list(csv.DictReader(table))
+    assert [row["file"] for row in rows] == [str(file) for file in files]
+    assert [row["verdict"] for row in rows] == ["worn", "", "in_order", ""]
+    assert "line 301" in rows[1]["refusal"]
+    assert "cannot be read" in rows[3]["refusal"]
+    assert [row["sha256"] for row in rows] == [hashlib.sha256(each).hexdigest() for each in (
+        worn, spoiled(worn, "nan"), in_order)] + [""]  # fmt: skip
+    assert rows[2]["measured_at"] == "2026-11-22T10:00:00+00:00"
+    alone = json.loads(invoke("diagnose", recording, *asked[5:], "--json").stdout)
+    assert float(rows[0]["drive_speed_rpm"]) == alone["drive_speed_rpm"]
+    assert (rows[0]["first"], float(rows[0]["probability"])) == ("B", alone["hypotheses"][0]["probability"])
+    state = alone["joints"]["B"]
+    assert [float(rows[0][f"B_{name}"]) for name in ("p_worn", "clearance_um", "low_um", "high_um")] == [
+        *(state["p_worn"], state["clearance_um"], *state["interval_um"])
+    ]
+    good = invoke(*asked[:2], *asked[3:4], *asked[5:], "--out", tmp_path / "table.json", "--json")
+    assert good.exit_code == 0, good.stderr
+    rows = json.loads((tmp_path / "table.json").read_text())
+    assert rows == json.loads(good.stdout)
+    assert rows[0]["joints"] == alone["joints"]
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        (("--out", "table.xls"), "'--out': table.xls: must end in .csv or .json"),
+        (("--out", "missing/table.csv"), "there is no folder missing"),
+        (("--out", "table.csv", "--plot", "x.png"), "--plot: is of one answer"),
+        (("--out", "table.csv", "--speed", "600 rpm", "--speed", "610 rpm"), "2 for 1 measurements"),
+    ],
+)
+def test_a_table_that_cannot_be_is_refused_before(
+    more: tuple[str, ...], text: str, shelf: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert_refused(invoke("diagnose", recording, "--catalogue", shelf / "slider-crank", *more), 2, text)
+    assert not (tmp_path / "table.csv").exists()
+
+
 def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> None:
     arguments = [
         "evaluate",
@@ -166,6 +223,24 @@ def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> N
     assert "matched   nearest   standard  auto" in printed
     assert "truth (rows) against the first hypothesis (columns)" in printed
     assert plot.stat().st_size > 1000
+
+
+def test_evaluate_says_why_recordings_are_refused(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lengths = iter([2.41, 2.38, None, None, None, 1.02, None, None] * 2)
+
+    def refusing(*given: Any, **more: Any) -> Any:
+        short = next(lengths)
+        if short is not None:
+            raise MeasurementError(f"recording: {short} s are too few revolutions")
+        return prepare(*given, **more)
+
+    prepare = study.prepare
+    monkeypatch.setattr(study, "prepare", refusing)
+    asked = ("evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "matched", "--count", "8", "--seed", "3")
+    (row,) = json.loads(invoke(*asked, "--json").stdout)["rows"]
+    assert (row["refused"], row["figures"]["count"]) == (3, 5)
+    assert row["reasons"] == {"recording: 2.41 s are too few revolutions": 3}
+    assert "  refused 3 times: recording: 2.41 s are too few revolutions" in invoke(*asked).stdout
 
 
 def test_evaluate_prints_figures_of_lives(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -351,6 +351,14 @@ def test_a_recording_that_cannot_be_kept_leaves_nothing(tmp_path: Path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("rpm", [12.0, 600.0, 3000.0])
+def test_recordings_are_as_many_revolutions_whatever_the_speed(rpm: float) -> None:
+    machine = MACHINE.with_parameters({"drive.speed": rpm * math.pi / 30.0})
+    for name, revolutions in {"matched": 40.0, "hard": 40.0, "drop-out-short": 15.0, "drop-out-long": 50.0}.items():
+        truth = draw_truth(machine, Hypothesis.of(("A",)), PROTOCOLS[name], 3, 0)
+        assert truth.seconds * truth.parameters["drive.speed"] / (2.0 * math.pi) == pytest.approx(revolutions)
+
+
 def test_protocols_by_name_and_by_group(small_catalogue: Catalogue) -> None:
     assert [each.name for each in protocols_of(["hard", "model-error", "hard"])] == ["hard", *GROUPS["model-error"]]
     assert len(GROUPS["model-error"]) == 7
