@@ -1,0 +1,229 @@
+"""What is asked of a recording that is looked at, what is shown of it, and the motion that both are about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from jointplay.catalogue.errors import MeasurementError
+from jointplay.catalogue.measurements.measurement import Recording
+from jointplay.catalogue.signals.sensors import MOTIONS, map_sensors
+from jointplay.catalogue.signals.shown_units import UNITS, UnitShown, continued_samples, differentiate, high_pass_for
+from jointplay.solver.arrays import FloatArray
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.spectra.spectrum import DERIVATIVES, Quantity, Scaling
+
+SignalView = Literal["waveform", "spectrum", "spectrogram", "revolution", "overall"]
+SignalAxis = Literal["hz", "order"]
+SignalOf = Literal["sensors", "frame"]
+
+
+@dataclass(frozen=True)
+class SignalQuestion:
+    """What is to be seen of a recording.
+
+    Parameters
+    ----------
+    view : {"waveform", "spectrum", "spectrogram", "revolution", "overall"}
+    unit : {"m/s2", "g", "mm/s", "um"}
+    of : {"sensors", "frame"}
+        Channels as they are, or the motions of the frame that they see.
+    axis : {"hz", "order"}
+        Of spectra; by order a spectrogram goes over revolutions, else over seconds.
+    scaling : {"psd", "power", "rms", "peak"}
+        Of spectra.
+    channel : str
+        Of a spectrogram; the first one where it is empty.
+    start, end : float, optional
+        Part of the horizontal axis, in its unit; all of it where they are not given. A revolution is always whole.
+    points : int
+        Places on the axis, at most.
+    speed : float, optional
+        Of the drive [rad/s].
+    """
+
+    view: SignalView
+    unit: UnitShown = "m/s2"
+    of: SignalOf = "sensors"
+    axis: SignalAxis = "hz"
+    scaling: Scaling = "rms"
+    channel: str = ""
+    start: float | None = None
+    end: float | None = None
+    points: int = 1200
+    speed: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ShownLine:
+    """A line over the axis.
+
+    Parameters
+    ----------
+    name : str
+        Of the channel, or of the motion.
+    kind : {"value", "low", "high", "mean", "rms"}
+        Of the samples of each place: the sample itself, the lowest and highest, mean and rms by angle.
+    unit : str
+    values : (k,) array
+    """
+
+    name: str
+    kind: Literal["value", "low", "high", "mean", "rms"]
+    unit: str
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class OverallLevel:
+    """How much a channel shakes in all.
+
+    Parameters
+    ----------
+    name, unit : str
+    rms, peak : float
+        Of the whole recording, without its mean.
+    velocity_rms : float
+        mm/s (mrad/s of a rotation), within the band.
+    """
+
+    name: str
+    unit: str
+    rms: float
+    peak: float
+    velocity_rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class ShownSignal:
+    """What is seen.
+
+    Parameters
+    ----------
+    axis, axis_unit : str
+        What the places are: "time" in s, "frequency" in Hz, "order", "revolution", "angle" in deg.
+    ends : (float, float)
+        Of the whole axis.
+    at : (k,) array
+    lines : tuple of ShownLine
+    rows : (r,) array
+        Of a spectrogram: frequencies [Hz] or orders.
+    levels : (r, k) array
+        Of a spectrogram, dB re 1 of its unit, rms in the row's band.
+    overall : tuple of OverallLevel
+    high_pass : float or None
+        Hz; what is slower was left out where it was integrated. None where nothing was.
+    band : (float, float) or None
+        Of the overall velocity [Hz].
+    resolution : float or None
+        Distance of a spectrum's lines, in the unit of the axis.
+    notes : tuple of str
+    """
+
+    axis: str
+    axis_unit: str
+    ends: tuple[float, float]
+    at: FloatArray
+    lines: tuple[ShownLine, ...] = ()
+    rows: FloatArray | None = None
+    levels: FloatArray | None = None
+    overall: tuple[OverallLevel, ...] = ()
+    high_pass: float | None = None
+    band: tuple[float, float] | None = None
+    resolution: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Channels, or motions made of them, in some unit.
+
+    Parameters
+    ----------
+    recording : Recording
+    names, units : tuples of str, (m,)
+    columns : tuple of int, (c,)
+    weights : (m, c) array
+    factors : (m,) array
+        Of SI.
+    derivatives : tuple of int, (c,)
+        How often each column is to be differentiated.
+    high_pass : float
+    """
+
+    recording: Recording
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: tuple[int, ...]
+    weights: FloatArray
+    factors: FloatArray
+    derivatives: tuple[int, ...]
+    high_pass: float
+
+    @property
+    def integrates(self) -> bool:
+        """Whether any channel is integrated."""
+        return min(self.derivatives) < 0
+
+    def as_measured(self) -> tuple[Motion, Quantity]:
+        """The same motion in SI as what its sensors measure, where that is one quantity, else as acceleration."""
+        channels = self.recording.channels
+        measured = {channels[column].quantity for column in self.columns}
+        quantity: Quantity = measured.pop() if len(measured) == 1 else "acceleration"
+        derivatives = tuple(DERIVATIVES[quantity] - DERIVATIVES[channels[column].quantity] for column in self.columns)
+        return replace(self, factors=np.ones(len(self.names)), derivatives=derivatives), quantity
+
+    def part(self, first: int, last: int) -> FloatArray:
+        """Samples of a stretch, (last - first, m)."""
+        around = continued_samples(self.recording.sample_rate, self.high_pass) if any(self.derivatives) else 0
+        begin, end = max(0, first - around), min(len(self.recording.signal), last + around)
+        rate = self.recording.sample_rate
+        columns = [
+            differentiate(np.asarray(self.recording.signal[begin:end, column], np.float64), rate, times, self.high_pass)
+            for column, times in zip(self.columns, self.derivatives, strict=True)
+        ]
+        table = np.column_stack(columns)[first - begin : last - begin]
+        return np.asarray((table @ self.weights.T) * self.factors)
+
+
+def motion_of(
+    recording: Recording, question: SignalQuestion, machine: Machine | None, mapping: Mapping[str, str] | None
+) -> Motion:
+    """Return what a question is about.
+
+    Raises
+    ------
+    MeasurementError
+        The machine is needed, or its sensors do not see the motions of the frame.
+    """
+    unit = UNITS[question.unit]
+    high_pass = high_pass_for(question.speed)
+    wanted = DERIVATIVES[unit.quantity]
+    if question.of == "sensors":
+        columns = tuple(range(len(recording.channels)))
+        names = recording.channel_names
+        weights = np.eye(len(columns))
+        rotations = [False] * len(names)
+    else:
+        if machine is None:
+            rule = "the motion of the frame needs the machine and which column is which sensor: name a diagnosis"
+            raise MeasurementError(recording.name, rule=rule, field="diagnosis")
+        sensing = map_sensors(recording, machine, mapping)
+        if not sensing.rigid_body:
+            rule = f"{', '.join(sensing.sensors)} do not see all motions of the frame: look at the sensors"
+            raise MeasurementError(recording.name, rule=rule, field="of")
+        columns, names, weights = sensing.columns, sensing.compared, sensing.channels
+        rotations = [name == MOTIONS[2] for name in names]
+    return Motion(
+        recording,
+        names,
+        tuple(unit.rotation if turns else question.unit for turns in rotations),
+        columns,
+        weights,
+        np.array([unit.rotation_factor if turns else unit.factor for turns in rotations]),
+        tuple(wanted - DERIVATIVES[recording.channels[column].quantity] for column in columns),
+        high_pass,
+    )
