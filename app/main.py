@@ -37,6 +37,8 @@ from jointplay.app.routes import (
     measurements,
     pages,
     reports,
+    signal_pages,
+    signals,
     signin,
     webhooks,
 )
@@ -108,12 +110,24 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     templates = ["/openapi.json"]
     for modules, prefix, shown in (
         (
-            (machines, catalogues, entries, builds, measurements, diagnoses, reports, assets, findings, webhooks),
+            (
+                machines,
+                catalogues,
+                entries,
+                builds,
+                measurements,
+                signals,
+                diagnoses,
+                reports,
+                assets,
+                findings,
+                webhooks,
+            ),
             API,
             True,
         ),
         ((health,), "", True),
-        ((pages, browser_pages, build_pages, asset_pages, signin), "", False),
+        ((pages, browser_pages, build_pages, asset_pages, signal_pages, signin), "", False),
     ):
         for module in modules:
             application.include_router(

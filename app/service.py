@@ -16,6 +16,7 @@ from jointplay.app.errors import BadFieldError, TimeLimitError, UnknownMeasureme
 from jointplay.app.figures.pictures import response_picture
 from jointplay.app.jobs import following, tasks
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.samples import StoredRecording
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
 from jointplay.app.schemas.resources import DiagnosisRequest
@@ -27,7 +28,7 @@ from jointplay.app.storage.assets import AssetRow, Assets, measurements_of
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.storage.store import NewDiagnosis, Store, Upload
+from jointplay.app.storage.store import NewDiagnosis, Store, Upload, measurement_key
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
@@ -72,6 +73,11 @@ class Service:
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server is to stop: answers that go on and on then end."""
 
+    @property
+    def samples(self) -> str:
+        """Folder of the samples of recordings that were read."""
+        return str(self.settings.data / "signals")
+
     def stop(self) -> None:
         """Let everything end that would go on by itself: streams of events, and builds, which others take up."""
         self.stopping.set()
@@ -87,7 +93,9 @@ class Service:
     async def add_measurement(self, upload: Upload, name: str, told: Told, asset: str | None = None) -> MeasurementRow:
         """Read an uploaded recording or spectrum in a worker and store it, as one of an asset where that is named."""
         note = None if asset is None else await run_in_threadpool(self.noting, asset)
-        summary = await self.pool.run(tasks.summarise, str(upload.path), name, told)
+        recording = (str(upload.path), name, told)
+        kept = StoredRecording(measurement_key(upload.sha256, name, told), *recording, self.samples)
+        summary = await self.pool.run(tasks.summarise, *recording, kept)
         return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
 
     async def follow(self, external_id: str) -> WearState:

@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jointplay.app.jobs.samples import StoredRecording, keep, read
 from jointplay.app.jobs.summaries import summary_of
 from jointplay.app.jobs.workers import WorkerOutcome, attempt
 from jointplay.app.storage.told import Told
@@ -55,7 +56,7 @@ class DiagnosisTask:
     baselines: tuple[tuple[str, str, Told], ...] = ()
 
 
-def summarise(path: str, name: str, told: Told) -> dict[str, Any]:
+def summarise(path: str, name: str, told: Told, kept: StoredRecording | None = None) -> dict[str, Any]:
     """Read a recording, or a spectrum, and return what there is to say about it.
 
     Parameters
@@ -66,8 +67,16 @@ def summarise(path: str, name: str, told: Told) -> dict[str, Any]:
         What its sender calls it; its ending says how to read it.
     told : Told
         What its sender says of it.
+    kept : StoredRecording, optional
+        As what its samples are kept, to be looked at.
     """
-    return summary_of(read(path, name, told))
+    from jointplay.catalogue.measurements.measurement import Recording
+
+    measured = read(path, name, told)
+    if kept is not None and isinstance(measured, Recording):
+        with suppress(OSError):  # then it is read again when somebody looks at it
+            keep(kept, measured)
+    return summary_of(measured)
 
 
 def diagnose(
@@ -166,7 +175,8 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
         Folders and stamps, as in :class:`DiagnosisTask`.
     """
     import jointplay.catalogue.diagnosing.diagnosis
-    import jointplay.catalogue.measurements.measured_spectrum  # noqa: F401, loaded to be there when it is needed
+    import jointplay.catalogue.measurements.measured_spectrum
+    import jointplay.catalogue.signals.shown_views  # noqa: F401, loaded to be there when it is needed
     from jointplay.catalogue.errors import CatalogueError
     from jointplay.catalogue.matching.model_library import CATALOGUES, library_of
 
@@ -175,19 +185,6 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
         with suppress(CatalogueError):  # whoever asks for it is told
             loaded += library_of(open_catalogue(directory, stamp)).load()
     return loaded
-
-
-def read(path: str, name: str, told: Told) -> Recording | MeasuredSpectrum:
-    """Read a recording, or a spectrum, by the reader that its content and name ask for."""
-    from jointplay.catalogue.measurements.measured_spectrum import read_recording
-
-    return read_recording(
-        Path(path).read_bytes(),
-        name=name,
-        sample_rate=told.sample_rate_hz,
-        units=told.units or None,
-        profile=told.import_profile,
-    )
 
 
 def in_order(path: str, name: str, told: Told) -> Recording:

@@ -56,6 +56,7 @@ def diagnosis_row(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow])
         "measured": spell_moment(measured(row, measurements)),
         "received": any(measurements[key].measured_at_source == "received" for key in row.measurements),
         "diagnosed": spell_moment(row.created_at),
+        "measurement": row.measurement,
         "recording": words.recorded(result, name),
         "effort": result.effort,
     }

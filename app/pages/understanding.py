@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from jointplay.app.jobs.tasks import open_catalogue, read
+from jointplay.app.jobs.samples import read
+from jointplay.app.jobs.tasks import open_catalogue
 from jointplay.app.problems import say
 from jointplay.app.storage.told import Told
 

@@ -47,6 +47,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "joints": joint_rows(result),
         "machine": result.machine,
         "speed": speeds(result),
+        "measurement": row.measurement,
         "recording": words.recorded(result, measurement.name),
         "recordings": recording_rows(result),
         "asset": row.request.get("asset"),

@@ -1,56 +1,243 @@
-// Spectra by order: a few lines, and the range in which the first of them may lie.
+// The one chart of all pages: lines over an axis, with zoom, coupled cursors, a read-out for touch and keys, and files.
+// A kind of chart says what is drawn in a place: { x, y, at, lines, bands, paint, group, file, refine, value }.
 "use strict";
 
+window.jointplay = window.jointplay || {};
+
 (() => {
+  const kinds = [];
   const drawn = new Map();
+  const READ_OUT = 80;
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const isPlain = (value) => (value == null ? "–" : Number(value.toPrecision(4)).toString());
 
-  const looks = (name) => ({
-    matched: { stroke: colour("--matched"), width: 2, dash: [6, 4], points: { show: false } },
-    rival: { stroke: colour("--rival"), width: 1.5, dash: [2, 3], points: { show: false } },
-    measured: { stroke: colour("--measured"), width: 2, points: { show: true, size: 5 } },
-    decided: { stroke: colour("--decided"), paths: () => null, points: { show: true, size: 12, width: 2.5, fill: "transparent" } },
-  })[name];
+  // What a figure paints over its lines, on a canvas or into a file: the same strokes.
+  const onCanvas = (chart) => ({
+    pen: chart.ctx,
+    scale: window.devicePixelRatio || 1,
+    x: (value) => chart.valToPos(value, "x", true),
+    y: (value) => chart.valToPos(value, "y", true),
+  });
 
-  const options = (data, width) => {
+  const options = (entry, width) => {
+    const { figure } = entry;
     const axis = { stroke: colour("--soft"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--line"), width: 1 } };
-    const level = (self, value) => (value == null ? "–" : `${value.toFixed(1)} dB`);
+    const value = figure.value || isPlain;
+    const inGroup = figure.group ? { key: figure.group, scales: ["x", null], filters: { pub: (kind) => kind === "mousemove" || kind === "mouseleave" } } : undefined;
     return {
       width,
-      height: Math.max(220, Math.min(320, width * 0.45)),
-      scales: { x: { time: false, distr: 3, log: 10, range: [data.orders[0], data.orders[data.orders.length - 1]] } },
+      height: figure.height || Math.max(220, Math.min(320, width * 0.45)),
+      tzDate: figure.x.tzDate,
+      // A range that were fixed would forbid every zoom.
+      scales: {
+        x: { time: Boolean(figure.x.time), ...(figure.x.log ? { distr: 3, log: 10 } : {}), range: (self, low, high) => (entry.whole && low <= entry.ends[0] && high >= entry.ends[1] ? entry.whole : [low, high]) },
+        y: { ...(figure.y.log ? { distr: 3, log: 10 } : {}), ...(figure.y.range ? { range: figure.y.range } : {}) },
+      },
       axes: [
-        { ...axis, label: "order of the drive", values: (self, ticks) => ticks.map((tick) => (tick == null ? "" : String(tick))) },
-        { ...axis, label: data.label, size: 55 },
+        { ...axis, label: figure.x.label, ...(figure.x.space ? { space: figure.x.space } : {}), values: figure.x.values || ((self, ticks) => ticks.map((tick) => (tick == null ? "" : String(Number(tick.toPrecision(8)))))) },
+        { ...axis, label: figure.y.label, size: 60, ...(figure.y.log ? { values: (self, ticks) => ticks.map((tick) => (tick == null ? "" : tick < 1e-3 ? tick.toExponential(0) : String(Number(tick.toPrecision(2))))) } : {}) },
       ],
       series: [
-        { label: "order", value: (self, value) => (value == null ? "–" : value.toPrecision(3)) },
-        { label: "scatter, upper", stroke: "transparent", points: { show: false }, value: level },
-        { label: "scatter, lower", stroke: "transparent", points: { show: false }, value: level },
-        ...data.lines.map((line) => ({ label: line.name, value: level, ...looks(line.look) })),
+        { label: figure.x.name, value: figure.x.value || ((self, at) => isPlain(at)) },
+        ...figure.lines.map((line) => ({ width: 1.5, points: { show: false }, ...line.style, class: line.silent ? "silent" : undefined, label: line.name, value: (self, each) => value(each, line) })),
       ],
-      bands: [{ series: [1, 2], fill: colour("--scatter") }],
-      legend: { show: width > 480 },
+      bands: figure.bands,
+      cursor: { sync: inGroup, drag: { x: true, y: false, setScale: true }, bind: { dblclick: () => () => { reset(entry); } } },
+      legend: { show: true },
+      hooks: {
+        draw: [(chart) => figure.paint?.(onCanvas(chart), chart, figure)],
+        setScale: [(chart, key) => key === "x" && moved(entry)],
+      },
     };
   };
 
-  const draw = (place) => {
-    const data = JSON.parse(place.dataset.chart);
-    drawn.get(place)?.destroy();
+  const table = (figure) => [figure.at, ...figure.lines.map((line) => line.values)];
+  const shown = (entry) => [entry.chart.scales.x.min, entry.chart.scales.x.max];
+  const along = (entry, part) => {
+    const [low, high] = shown(entry);
+    return entry.figure.x.log ? low * (high / low) ** part : low + part * (high - low);
+  };
+
+  // The part of the axis that is shown, never beyond its ends.
+  const show = (entry, low, high) => {
+    const [first, last] = entry.whole;
+    const log = entry.figure.x.log;
+    const width = Math.min(log ? Math.log(high / low) : high - low, log ? Math.log(last / first) : last - first);
+    const from = Math.max(first, Math.min(low, log ? last * Math.exp(-width) : last - width));
+    entry.chart.setScale("x", { min: from, max: Math.min(last, log ? from * Math.exp(width) : from + width) });
+  };
+  const reset = (entry) => entry.chart.setScale("x", { min: entry.whole[0], max: entry.whole[1] });
+  const zoom = (entry, factor, middle = 0.5) => show(entry, along(entry, middle - middle * factor), along(entry, middle + (1 - middle) * factor));
+  const pan = (entry, part) => show(entry, along(entry, part), along(entry, 1 + part));
+
+  // After a zoom, charts of the same group follow, and finer points are asked for where there are any.
+  const moved = (entry) => {
+    const [low, high] = shown(entry);
+    if (low === entry.window[0] && high === entry.window[1]) return;
+    entry.window = [low, high];
+    entry.place.dataset.from = low;
+    entry.place.dataset.to = high;
+    if (!entry.ready) return;
+    for (const other of drawn.values()) {
+      if (other === entry || !entry.figure.group || other.figure.group !== entry.figure.group) continue;
+      const [first, last] = shown(other);
+      if (first !== low || last !== high) other.chart.setScale("x", { min: low, max: high });
+    }
+    if (entry.figure.refine) refine(entry);
+  };
+
+  const refine = (entry) => {
+    clearTimeout(entry.waiting);
+    entry.asked?.abort();
+    entry.waiting = setTimeout(async () => {
+      const [low, high] = entry.window;
+      const [first, last] = entry.whole;
+      entry.asked = new AbortController();
+      // A screen more to either side, so that a pan has something to show at once.
+      const from = Math.max(first, low - (high - low));
+      const to = Math.min(last, high + (high - low));
+      try {
+        const finer = low <= first && high >= last ? entry.first : await entry.figure.refine(from, to, entry.asked.signal);
+        entry.chart.batch(() => {
+          Object.assign(entry.figure, finer);
+          entry.chart.setData(table(entry.figure), false);
+          entry.chart.setScale("x", { min: low, max: high });
+        });
+        entry.place.dataset.points = entry.figure.at.length;
+      } catch (error) {
+        if (error.name !== "AbortError") throw error;
+      }
+    }, READ_OUT);
+  };
+
+  const move = (entry, index) => {
+    const { chart } = entry;
+    const [low, high] = chart.series[0].idxs;
+    const at = Math.max(low, Math.min(high, index));
+    chart.setCursor({ left: chart.valToPos(chart.data[0][at], "x"), top: chart.over.clientHeight / 2 });
+    entry.said.textContent = chart.series.map((line, number) => {
+      const value = chart.data[number][at];
+      if (number && entry.figure.lines[number - 1].silent) return "";
+      return `${line.label} ${number ? line.value(chart, value) : line.value(chart, value, 0, at)}`;
+    }).filter(Boolean).join(", ");
+  };
+
+  const KEYS = {
+    ArrowLeft: (entry, at) => move(entry, at - 1),
+    ArrowRight: (entry, at) => move(entry, at + 1),
+    PageUp: (entry, at) => move(entry, at - 20),
+    PageDown: (entry, at) => move(entry, at + 20),
+    Home: (entry) => move(entry, 0),
+    End: (entry) => move(entry, Infinity),
+    "+": (entry) => zoom(entry, 0.5),
+    "-": (entry) => zoom(entry, 2),
+    "<": (entry) => pan(entry, -0.5),
+    ">": (entry) => pan(entry, 0.5),
+    0: reset,
+  };
+  const pressed = (place, event) => {
+    const entry = drawn.get(place);
+    if (!entry || !KEYS[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    const [low, high] = entry.chart.series[0].idxs;
+    KEYS[event.key](entry, entry.chart.cursor.idx ?? Math.round((low + high) / 2));
+  };
+
+  // One finger reads out, two zoom and pan; upwards and downwards the page moves as ever.
+  const touching = (entry) => {
+    const { over } = entry.chart;
+    const fingers = new Map();
+    let pinch = null;
+    const place = (event) => event.clientX - over.getBoundingClientRect().left;
+    const touched = (event) => {
+      if (event.pointerType !== "touch") return;
+      if (event.type === "pointerdown") fingers.set(event.pointerId, place(event));
+      if (!fingers.has(event.pointerId)) return;
+      fingers.set(event.pointerId, place(event));
+      const spots = [...fingers.values()].sort((a, b) => a - b);
+      if (spots.length === 1) {
+        entry.chart.setCursor({ left: spots[0], top: over.clientHeight / 2 }, true, true);
+      } else if (!pinch || event.type === "pointerdown") {
+        pinch = spots.map((spot) => along(entry, spot / over.clientWidth));
+      } else if (spots[1] - spots[0] > 10) {
+        const per = (pinch[1] - pinch[0]) / (spots[1] - spots[0]);
+        show(entry, pinch[0] - spots[0] * per, pinch[0] + (over.clientWidth - spots[0]) * per);
+      }
+    };
+    const lifted = (event) => {
+      fingers.delete(event.pointerId);
+      pinch = null;
+    };
+    for (const kind of ["pointerdown", "pointermove"]) over.addEventListener(kind, touched);
+    for (const kind of ["pointerup", "pointercancel"]) over.addEventListener(kind, lifted);
+  };
+
+  const tools = (entry) => {
+    const bar = document.createElement("div");
+    bar.className = "chart-tools";
+    const title = entry.figure.title || "chart";
+    const button = (text, label, act) => {
+      const made = document.createElement("button");
+      made.type = "button";
+      made.className = "second";
+      made.textContent = text;
+      made.setAttribute("aria-label", `${label}: ${title}`);
+      made.title = label;
+      made.addEventListener("click", () => act(drawn.get(entry.place)));
+      bar.append(made);
+    };
+    button("+", "Zoom in", (now) => zoom(now, 0.5));
+    button("−", "Zoom out", (now) => zoom(now, 2));
+    button("◀", "Back", (now) => pan(now, -0.5));
+    button("▶", "Forth", (now) => pan(now, 0.5));
+    button("Whole", "Whole axis", reset);
+    for (const kind of ["png", "svg", "csv"]) {
+      button(kind.toUpperCase(), `Save as ${kind.toUpperCase()}`, (now) => window.jointplay.saveChart(now, kind));
+    }
+    entry.said = document.createElement("span");
+    entry.said.className = "unseen";
+    entry.said.setAttribute("role", "status");
+    bar.append(entry.said);
+    return bar;
+  };
+
+  const draw = (place, figure) => {
+    const before = drawn.get(place);
+    before?.chart.destroy();
+    clearTimeout(before?.waiting);
     place.replaceChildren();
-    const table = [data.orders, data.upper, data.lower, ...data.lines.map((line) => line.levels)];
-    drawn.set(place, new uPlot(options(data, place.clientWidth), table, place));
+    const ends = [figure.at[0], figure.at[figure.at.length - 1]];
+    const entry = { place, figure, ends, whole: figure.x.range || ends, window: [], first: { at: figure.at, lines: figure.lines }, bar: before?.bar, said: before?.said };
+    drawn.set(place, entry);
+    entry.chart = new uPlot(options(entry, place.clientWidth), table(figure), place);
+    if (!before) {
+      entry.bar = tools(entry);
+      place.tabIndex = 0;
+      place.addEventListener("keydown", (event) => pressed(place, event));
+    }
+    place.after(entry.bar);
+    touching(entry);
+    queueMicrotask(() => {
+      entry.window = shown(entry);
+      entry.ready = true;
+      if (figure.x.first) show(entry, ...figure.x.first);
+    });
+    return entry;
   };
 
   const drawAll = () => {
-    for (const [place, chart] of drawn) {
-      if (!place.isConnected) {
-        chart.destroy();
-        drawn.delete(place);
+    for (const [place, entry] of drawn) {
+      if (place.isConnected) continue;
+      entry.chart.destroy();
+      drawn.delete(place);
+    }
+    for (const [selector, figureOf] of kinds) {
+      for (const place of document.querySelectorAll(selector)) {
+        const figure = figureOf(place);
+        if (figure) draw(place, figure);
       }
     }
-    for (const place of document.querySelectorAll("[data-chart]")) draw(place);
   };
 
   let width = 0;
@@ -60,8 +247,42 @@
     drawAll();
   };
 
+  Object.assign(window.jointplay, {
+    colour,
+    drawChart: draw,
+    chartAt: (place) => drawn.get(place),
+    // Charts of a kind are drawn anew when they come, and when the screen's width or colours change.
+    addChartKind: (selector, figureOf) => kinds.push([selector, figureOf]),
+  });
+
   document.addEventListener("DOMContentLoaded", resized);
   document.addEventListener("htmx:after:swap", drawAll);
   window.addEventListener("resize", resized);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
+
+  // Levels by order: a few lines, and the range in which the first of them may lie.
+  const LOOKS = {
+    matched: { width: 2, dash: [6, 4] },
+    rival: { dash: [2, 3] },
+    measured: { width: 2, points: { show: true, size: 5 } },
+    decided: { paths: () => null, points: { show: true, size: 12, width: 2.5, fill: "transparent" } },
+  };
+  window.jointplay.addChartKind("[data-chart]", (place) => {
+    const data = JSON.parse(place.dataset.chart);
+    const hidden = { stroke: "transparent" };
+    return {
+      group: "order",
+      title: place.closest("figure")?.querySelector("figcaption")?.textContent,
+      x: { name: "order", label: "order of the drive", log: true },
+      y: { label: data.label },
+      value: (value) => (value == null ? "–" : `${value.toFixed(1)} dB`),
+      at: data.orders,
+      lines: [
+        { name: "scatter, upper", values: data.upper, style: hidden, silent: true },
+        { name: "scatter, lower", values: data.lower, style: hidden, silent: true },
+        ...data.lines.map((line) => ({ name: line.name, values: line.levels, silent: line.look === "decided", style: { ...(LOOKS[line.look] || { width: 1.5 }), stroke: colour(`--${line.look}`) } })),
+      ],
+      bands: [{ series: [1, 2], fill: colour("--scatter") }],
+    };
+  });
 })();

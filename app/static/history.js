@@ -2,10 +2,9 @@
 "use strict";
 
 (() => {
-  const drawn = new Map();
   const SYMBOLS = { in_order: "✓", changed: "△", unknown: "?", finding: "◆", repair: "↺" };
 
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const { colour } = window.jointplay;
 
   // One column of times for all joints; a joint has no value at the times of others.
   const table = (data) => {
@@ -30,16 +29,14 @@
   };
 
   // Intervals as bars; marks stand at their clearance, those without one at the bottom.
-  const marks = (data) => (chart) => {
-    const { ctx } = chart;
-    const scale = window.devicePixelRatio || 1;
+  const marks = (data) => ({ pen: ctx, scale, x: across, y: up }) => {
     ctx.save();
     for (const joint of data.joints) {
       ctx.strokeStyle = colour(`--joint-${joint.look}`);
       ctx.lineWidth = 2 * scale;
       for (const point of joint.points) {
-        const x = chart.valToPos(point.at, "x", true);
-        const ends = [point.low, point.high].map((value) => chart.valToPos(value, "y", true));
+        const x = across(point.at);
+        const ends = [point.low, point.high].map(up);
         ctx.beginPath();
         ctx.moveTo(x, ends[0]);
         ctx.lineTo(x, ends[1]);
@@ -54,9 +51,9 @@
     ctx.textAlign = "center";
     ctx.textBaseline = "middle";
     for (const event of data.events) {
-      const y = chart.valToPos(event.um ?? 0, "y", true) - (event.um == null ? 9 * scale : 0);
+      const y = up(event.um ?? 0) - (event.um == null ? 9 * scale : 0);
       ctx.fillStyle = colour(`--mark-${event.kind.replace("_", "-")}`);
-      const x = chart.valToPos(event.at, "x", true);
+      const x = across(event.at);
       ctx.fillText(SYMBOLS[event.kind], x, y);
       if (event.joint) ctx.fillText(event.joint, x + 15 * scale, y);
     }
@@ -74,45 +71,25 @@
     return index && date === day(utc(ticks[index - 1])) ? clock(utc(tick)) : `${clock(utc(tick))}\n${date}`;
   });
 
-  const draw = (place) => {
+  window.jointplay.addChartKind("[data-history]", (place) => {
     const data = JSON.parse(place.dataset.history);
-    const values = table(data);
-    const axis = { stroke: colour("--soft"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--line"), width: 1 } };
-    const um = (self, value) => (value == null ? "–" : `${value.toFixed(0)} µm`);
-    const width = place.clientWidth;
-    drawn.get(place)?.destroy();
-    place.replaceChildren();
-    drawn.set(place, new uPlot({
-      width,
-      height: Math.max(240, Math.min(340, width * 0.4)),
-      tzDate: utc,
-      scales: { x: { range: range(values[0]) }, y: { range: [0, 1.1 * largest(data)] } },
-      axes: [{ ...axis, label: "time (UTC)", values: dates, space: width > 480 ? 70 : 50 }, { ...axis, label: data.label, size: 55 }],
-      series: [
-        { label: "time (UTC)", value: "{YYYY}-{MM}-{DD} {HH}:{mm}" },
-        ...data.joints.map((joint) => ({
-          label: `joint ${joint.name}`, value: um, stroke: colour(`--joint-${joint.look}`), width: 2, spanGaps: true,
-          dash: joint.look % 2 ? [6, 4] : undefined, points: { show: true, size: 8 },
-        })),
-      ],
-      legend: { show: width > 480 },
-      hooks: { draw: [marks(data)] },
-    }, values, place));
-  };
-
-  const drawAll = () => {
-    for (const place of document.querySelectorAll("[data-history]")) draw(place);
-  };
-
-  let width = 0;
-  const resized = () => {
-    if (document.documentElement.clientWidth === width) return;
-    width = document.documentElement.clientWidth;
-    drawAll();
-  };
-
-  document.addEventListener("DOMContentLoaded", resized);
-  document.addEventListener("htmx:after:swap", drawAll);
-  window.addEventListener("resize", resized);
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
+    const [times, ...columns] = table(data);
+    const top = 1.1 * largest(data);
+    return {
+      title: place.closest("section")?.querySelector("h2")?.textContent,
+      height: Math.max(240, Math.min(340, place.clientWidth * 0.4)),
+      x: {
+        name: "time (UTC)", label: "time (UTC)", time: true, tzDate: utc, values: dates, value: "{YYYY}-{MM}-{DD} {HH}:{mm}",
+        space: place.clientWidth > 480 ? 70 : 50, range: range(times),
+      },
+      y: { label: data.label, range: [0, top] },
+      value: (value) => (value == null ? "–" : `${value.toFixed(0)} µm`),
+      at: times,
+      lines: data.joints.map((joint, index) => ({
+        name: `joint ${joint.name}`, unit: "µm", values: columns[index],
+        style: { stroke: colour(`--joint-${joint.look}`), width: 2, spanGaps: true, dash: joint.look % 2 ? [6, 4] : undefined, points: { show: true, size: 8 } },
+      })),
+      paint: marks(data),
+    };
+  });
 })();

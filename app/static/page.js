@@ -35,7 +35,7 @@
     window.location.assign(`/sign-in?next=${encodeURIComponent(`${place}?${new URLSearchParams(fields)}`)}`);
   };
 
-  window.jointplay = { mark, noAnswer, signIn };
+  Object.assign(window.jointplay, { mark, noAnswer, signIn });
 
   document.addEventListener("htmx:before:response", (event) => {
     const form = byId("confirm");

@@ -1,7 +1,8 @@
-"""What is asked of a recording that is looked at, what is shown of it, and the motion that both are about."""
+"""What is shown of a recording that is looked at, and the motion that it is about."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -11,50 +12,11 @@ import numpy as np
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.sensors import MOTIONS, map_sensors
-from jointplay.catalogue.signals.shown_units import UNITS, UnitShown, continued_samples, differentiate, high_pass_for
+from jointplay.catalogue.signals.shown_units import UNITS, continued_samples, differentiate, high_pass_for
+from jointplay.catalogue.signals.signal_question import SignalQuestion
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.spectra.spectrum import DERIVATIVES, Quantity, Scaling
-
-SignalView = Literal["waveform", "spectrum", "spectrogram", "revolution", "overall"]
-SignalAxis = Literal["hz", "order"]
-SignalOf = Literal["sensors", "frame"]
-
-
-@dataclass(frozen=True)
-class SignalQuestion:
-    """What is to be seen of a recording.
-
-    Parameters
-    ----------
-    view : {"waveform", "spectrum", "spectrogram", "revolution", "overall"}
-    unit : {"m/s2", "g", "mm/s", "um"}
-    of : {"sensors", "frame"}
-        Channels as they are, or the motions of the frame that they see.
-    axis : {"hz", "order"}
-        Of spectra; by order a spectrogram goes over revolutions, else over seconds.
-    scaling : {"psd", "power", "rms", "peak"}
-        Of spectra.
-    channel : str
-        Of a spectrogram; the first one where it is empty.
-    start, end : float, optional
-        Part of the horizontal axis, in its unit; all of it where they are not given. A revolution is always whole.
-    points : int
-        Places on the axis, at most.
-    speed : float, optional
-        Of the drive [rad/s].
-    """
-
-    view: SignalView
-    unit: UnitShown = "m/s2"
-    of: SignalOf = "sensors"
-    axis: SignalAxis = "hz"
-    scaling: Scaling = "rms"
-    channel: str = ""
-    start: float | None = None
-    end: float | None = None
-    points: int = 1200
-    speed: float | None = None
+from jointplay.solver.spectra.spectrum import DERIVATIVES, Quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +48,15 @@ class OverallLevel:
     name, unit : str
     rms, peak : float
         Of the whole recording, without its mean.
-    velocity_rms : float
-        mm/s (mrad/s of a rotation), within the band.
+    velocity_rms : float or None
+        mm/s (mrad/s of a rotation), within the band; None where the sample rate has none of it.
     """
 
     name: str
     unit: str
     rms: float
     peak: float
-    velocity_rms: float
+    velocity_rms: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +124,7 @@ class Motion:
     factors: FloatArray
     derivatives: tuple[int, ...]
     high_pass: float
+    period: float | None
 
     @property
     def integrates(self) -> bool:
@@ -176,13 +139,42 @@ class Motion:
         derivatives = tuple(DERIVATIVES[quantity] - DERIVATIVES[channels[column].quantity] for column in self.columns)
         return replace(self, factors=np.ones(len(self.names)), derivatives=derivatives), quantity
 
+    def only(self, name: str) -> Motion:
+        """One of the channels.
+
+        Raises
+        ------
+        MeasurementError
+            There is none of this name.
+        """
+        if name not in self.names:
+            rule = f"channel {name[:80]}: must be one of {', '.join(self.names)}"
+            raise MeasurementError(self.recording.name, rule=rule, field="channel")
+        place = self.names.index(name)
+        used = np.flatnonzero(self.weights[place])
+        return replace(
+            self,
+            names=(name,),
+            units=(self.units[place],),
+            columns=tuple(self.columns[each] for each in used),
+            weights=self.weights[[place]][:, used],
+            factors=self.factors[[place]],
+            derivatives=tuple(self.derivatives[each] for each in used),
+        )
+
     def part(self, first: int, last: int) -> FloatArray:
         """Samples of a stretch, (last - first, m)."""
         around = continued_samples(self.recording.sample_rate, self.high_pass) if any(self.derivatives) else 0
         begin, end = max(0, first - around), min(len(self.recording.signal), last + around)
         rate = self.recording.sample_rate
         columns = [
-            differentiate(np.asarray(self.recording.signal[begin:end, column], np.float64), rate, times, self.high_pass)
+            differentiate(
+                np.asarray(self.recording.signal[begin:end, column], np.float64),
+                rate,
+                times,
+                self.high_pass,
+                self.period,
+            )
             for column, times in zip(self.columns, self.derivatives, strict=True)
         ]
         table = np.column_stack(columns)[first - begin : last - begin]
@@ -226,4 +218,5 @@ def motion_of(
         np.array([unit.rotation_factor if turns else unit.factor for turns in rotations]),
         tuple(wanted - DERIVATIVES[recording.channels[column].quantity] for column in columns),
         high_pass,
+        None if question.speed is None else 2.0 * math.pi * recording.sample_rate / abs(question.speed),
     )

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import scipy.fft
 
+from jointplay.catalogue.signals.signal_question import UnitShown
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.spectra.spectrum import Quantity
-
-UnitShown = Literal["m/s2", "g", "mm/s", "um"]
 
 #: Without a drive speed, what is slower than this is not integrated [Hz]: where velocities of machines begin.
 HIGH_PASS = 10.0
@@ -69,7 +67,9 @@ def pass_factor(frequency: FloatArray, high_pass: float) -> FloatArray:
     return np.asarray(0.5 - 0.5 * np.cos(math.pi * ramp))
 
 
-def differentiate(signal: FloatArray, sample_rate: float, times: int, high_pass: float) -> FloatArray:
+def differentiate(
+    signal: FloatArray, sample_rate: float, times: int, high_pass: float, period: float | None = None
+) -> FloatArray:
     """Differentiate a signal in the frequency domain, or integrate it.
 
     Parameters
@@ -81,6 +81,8 @@ def differentiate(signal: FloatArray, sample_rate: float, times: int, high_pass:
         How often; negative to integrate. As it is for 0.
     high_pass : float
         Hz; what is slower is left out where it is integrated.
+    period : float, optional
+        Samples after which the signal is much the same again: a revolution.
 
     Returns
     -------
@@ -90,12 +92,16 @@ def differentiate(signal: FloatArray, sample_rate: float, times: int, high_pass:
         return signal
     count = len(signal)
     level = signal - signal.mean()
-    # Continued at its ends by what mirrors it there, fading away: the jump from end to beginning would be integrated.
+    # Continued at its ends, fading away: the jump from its end to its beginning would be integrated, too.
     beyond = min(count - 1, continued_samples(sample_rate, high_pass))
     fade = 0.5 - 0.5 * np.cos(math.pi * (np.arange(beyond) + 0.5) / beyond)
-    before = (2.0 * level[0] - level[beyond:0:-1]) * fade
-    after = (2.0 * level[-1] - level[-2 : -beyond - 2 : -1]) * fade[::-1]
-    whole = np.concatenate([before, level, after])
+    revolutions = math.ceil(beyond / period) if period else 0
+    back = math.ceil(revolutions * period) if period else 0
+    if 0 < back < count:
+        before, after = level[back - beyond : back], level[count - back : count - back + beyond]
+    else:  # by what mirrors it there
+        before, after = level[beyond:0:-1], level[-2 : -beyond - 2 : -1]
+    whole = np.concatenate([before * fade, level, after * fade[::-1]])
     length = scipy.fft.next_fast_len(len(whole), real=True)
     frequency = scipy.fft.rfftfreq(length, 1.0 / sample_rate)
     factor = np.zeros(len(frequency), dtype=np.complex128)

@@ -21,14 +21,13 @@ from jointplay.catalogue.signals.shown_motion import (
     OverallLevel,
     ShownLine,
     ShownSignal,
-    SignalQuestion,
-    SignalView,
     motion_of,
 )
-from jointplay.catalogue.signals.shown_units import UNITS, pass_factor
+from jointplay.catalogue.signals.shown_units import UNITS, continued_samples, pass_factor
+from jointplay.catalogue.signals.signal_question import SignalQuestion
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.spectra.spectrum import DERIVATIVES, scale_power, value_units
+from jointplay.solver.spectra.spectrum import DERIVATIVES, Quantity, scale_power, value_units
 from jointplay.solver.spectra.welch import HANN_NOISE_LINES, welch
 
 #: Revolutions in a window of a spectrum at most, and of a spectrogram; seconds where no speed is known.
@@ -39,6 +38,8 @@ SHORT_REVOLUTIONS, SHORT_S = 4.0, 0.1
 COLUMNS, ROWS, HIGHEST_ORDER, FLOOR_DB = 240, 120, 60.0, 80.0
 #: Parts of a revolution.
 ANGLES, FEWEST_ANGLES = 360, 12
+#: Samples that a revolution needs to be one.
+FEWEST_SAMPLES = 4.0
 #: Revolutions that one profile is made of where many are laid over each other, and parts it is shifted by at most.
 STEP_REVOLUTIONS, MOST_SHIFTED = 10.0, 18
 #: Band of the overall velocity, Hz, and the share of the sample rate to which a recording is trusted.
@@ -71,10 +72,16 @@ def show_signal(
         A speed or a machine is needed; the sensors do not see the frame's motion; there is no such channel.
     """
     motion = motion_of(recording, question, machine, mapping)
+    if question.channel:
+        motion = motion.only(question.channel)
     if question.speed is None and (question.view == "revolution" or question.axis == "order"):
-        rule = "is needed for orders and revolutions: give the drive speed"
-        raise MeasurementError(recording.name, rule=f"speed {rule}", field="speed")
-    views: dict[SignalView, Callable[[Motion, SignalQuestion], ShownSignal]] = {
+        rule = "orders and revolutions need the drive speed: give speed, or name a diagnosis"
+        raise MeasurementError(recording.name, rule=rule, field="speed")
+    samples = math.inf if question.speed is None else 2.0 * math.pi * recording.sample_rate / abs(question.speed)
+    if samples < FEWEST_SAMPLES:
+        rule = f"speed: a revolution has {samples:.2g} samples; at least {FEWEST_SAMPLES:g} are needed"
+        raise MeasurementError(recording.name, rule=rule, field="speed")
+    views: Mapping[str, Callable[[Motion, SignalQuestion], ShownSignal]] = {
         "waveform": _waveform,
         "spectrum": _spectrum,
         "spectrogram": _spectrogram,
@@ -165,11 +172,8 @@ def _highest(axis: FloatArray, values: FloatArray, points: int) -> tuple[FloatAr
 
 def _spectrogram(motion: Motion, question: SignalQuestion) -> ShownSignal:
     """Levels by frequency over time, or by order over revolutions."""
-    name = question.channel or motion.names[0]
-    if name not in motion.names:
-        rule = f"channel {name[:80]}: must be one of {', '.join(motion.names)}"
-        raise MeasurementError(motion.recording.name, rule=rule, field="channel")
-    place = motion.names.index(name)
+    if len(motion.names) > 1:
+        motion = motion.only(motion.names[0])
     rate, count = motion.recording.sample_rate, len(motion.recording.signal)
     turn = None if question.speed is None else abs(question.speed) / (2.0 * math.pi)
     by_order = question.axis == "order" and turn is not None
@@ -182,7 +186,7 @@ def _spectrogram(motion: Motion, question: SignalQuestion) -> ShownSignal:
         end = start + length
     columns = max(1, min(COLUMNS, question.points, 1 + 4 * (end - start - length) // length))
     begins = np.linspace(start, end - length, columns).astype(np.intp)
-    values = motion.part(start, end)[:, place]
+    values = motion.part(start, end)[:, 0]
     taper = np.hanning(length + 1)[:-1]
     frequency = scipy.fft.rfftfreq(length, 1.0 / rate)
     top = min(0.5 * rate, HIGHEST_ORDER * turn) if turn is not None else 0.5 * rate
@@ -203,7 +207,7 @@ def _spectrogram(motion: Motion, question: SignalQuestion) -> ShownSignal:
         "" if by_order else "s",
         (half, max(half, (count - 0.5 * length) / rate * per_second)),
         np.asarray(middle),
-        (ShownLine(name, "value", motion.units[place], np.empty(0)),),
+        (ShownLine(motion.names[0], "value", motion.units[0], np.empty(0)),),
         rows=rows / (turn if by_order and turn is not None else 1.0),
         levels=np.maximum(decibels, decibels.max() - FLOOR_DB),
         notes=(f"Hann windows of {length / rate:.4g} s",),
@@ -218,17 +222,22 @@ def _revolution(motion: Motion, question: SignalQuestion) -> ShownSignal:
     values = motion.part(0, count)
     parts = int(min(ANGLES, question.points, max(FEWEST_ANGLES, rate * 2.0 * math.pi / abs(question.speed or 1.0))))
     known = np.isfinite(angle)
-    place = np.floor((angle[known] % (2.0 * math.pi)) * (parts / (2.0 * math.pi))).astype(np.intp) % parts
-    held = np.maximum(np.bincount(place, minlength=parts), 1)
     values = values[known] - values[known].mean(axis=0)
     lines: list[ShownLine] = []
-    for name, unit, column in zip(motion.names, motion.units, values.T, strict=True):
-        mean = np.bincount(place, column, parts) / held
-        rms = np.sqrt(np.bincount(place, column**2, parts) / held)
+    for name, unit, mean, rms in zip(motion.names, motion.units, *by_angle(values, angle[known], parts), strict=True):
         lines += [ShownLine(name, "mean", unit, mean), ShownLine(name, "rms", unit, rms)]
     at = np.asarray((np.arange(parts) + 0.5) * (360.0 / parts))
     turns = float(np.ptp(angle[known])) / (2.0 * math.pi)
     return ShownSignal("angle", "deg", (0.0, 360.0), at, tuple(lines), notes=(f"{turns:.4g} revolutions", *notes))
+
+
+def by_angle(values: FloatArray, angle: FloatArray, parts: int) -> tuple[FloatArray, FloatArray]:
+    """Mean and rms of channels (n, c) in equal parts of a revolution, (c, parts) each; `angle` (n,) in rad."""
+    place = np.floor((angle % (2.0 * math.pi)) * (parts / (2.0 * math.pi))).astype(np.intp) % parts
+    held = np.maximum(np.bincount(place, minlength=parts), 1)
+    mean = np.array([np.bincount(place, column, parts) / held for column in values.T])
+    square = np.array([np.bincount(place, column**2, parts) / held for column in values.T])
+    return mean, np.sqrt(square)
 
 
 def _drive_angle(recording: Recording, columns: tuple[int, ...], speed: float) -> tuple[FloatArray, tuple[str, ...]]:
@@ -281,21 +290,35 @@ def _in_step(signal: FloatArray, angle: FloatArray) -> FloatArray:
 def _overall(motion: Motion, question: SignalQuestion) -> ShownSignal:
     """Rms and peak, and the rms velocity between 10 and 1000 Hz that plants go by."""
     rate, count = motion.recording.sample_rate, len(motion.recording.signal)
-    values = motion.part(0, count)
-    values = values - values.mean(axis=0)
     band = (OVERALL_HZ[0], min(OVERALL_HZ[1], PASS * rate))
     measured, quantity = motion.as_measured()
-    times = DERIVATIVES["velocity"] - DERIVATIVES[quantity]
     found = welch(
         measured.part(0, count), rate, drive_speed=None, channels=motion.names, units=motion.units,
         window_length=max(8, min(count, round(2.0 * rate))),
     )  # fmt: skip
-    inside = (found.frequency >= band[0]) & (found.frequency <= band[1])
-    velocity = found.values[inside] * (2.0 * math.pi * found.frequency[inside, None]) ** (2 * times)
-    rms = UNITS["mm/s"].factor * np.sqrt(velocity.sum(axis=0) * found.resolution)
+    frequency, density = found.frequency[1:, None], found.values[1:]
+
+    def rms_as(wanted: Quantity, weight: FloatArray) -> FloatArray:
+        factor = (2.0 * math.pi * frequency) ** (DERIVATIVES[wanted] - DERIVATIVES[quantity]) * weight
+        return np.asarray(np.sqrt((density * factor**2).sum(axis=0) * found.resolution))
+
+    velocity = UNITS["mm/s"].factor * rms_as(
+        "velocity", np.where((frequency >= band[0]) & (frequency <= band[1]), 1.0, 0.0)
+    )
+    values = motion.part(0, count)
+    if motion.integrates:
+        # What lies beyond its ends is not known: there an integral is a guess.
+        unsure = min(count // 4, continued_samples(rate, motion.high_pass))
+        values = values[unsure : count - unsure]
+        rms = motion.factors * rms_as(UNITS[question.unit].quantity, pass_factor(frequency, motion.high_pass))
+    else:
+        rms = values.std(axis=0)
+    peak = np.abs(values - values.mean(axis=0)).max(axis=0)
     rows = tuple(
-        OverallLevel(name, unit, float(np.sqrt(np.mean(column**2))), float(np.abs(column).max()), float(level))
-        for name, unit, column, level in zip(motion.names, motion.units, values.T, rms, strict=True)
+        OverallLevel(name, unit, *map(float, levels))
+        for name, unit, *levels in zip(motion.names, motion.units, rms, peak, velocity, strict=True)
     )
     notes = () if band[1] == OVERALL_HZ[1] else (f"the sample rate bounds the band at {band[1]:.4g} Hz",)
+    if band[1] <= band[0]:
+        rows, notes = tuple(replace(row, velocity_rms=None) for row in rows), ("the sample rate is too low for it",)
     return ShownSignal("", "", (0.0, 0.0), np.empty(0), overall=rows, band=band, notes=notes)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Recording
-from jointplay.catalogue.signals.shown_motion import SignalQuestion
-from jointplay.catalogue.signals.shown_units import UNITS, UnitShown
+from jointplay.catalogue.signals.shown_contact import lay_over
+from jointplay.catalogue.signals.shown_units import UNITS
 from jointplay.catalogue.signals.shown_views import show_signal
+from jointplay.catalogue.signals.signal_question import SignalAxis, SignalQuestion, SignalView, UnitShown
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import shipped_machine
 from jointplay.solver.spectra.sensor import sensor_transform
@@ -63,6 +66,16 @@ def test_a_tone_over_time_has_its_rms_in_every_unit(unit: UnitShown, frequency: 
     if shown.high_pass is not None:
         assert shown.high_pass == 10.0
     assert (shown.high_pass is None) == (unit in ("m/s2", "g"))
+
+
+@pytest.mark.parametrize("unit", UNIT_NAMES)
+@pytest.mark.parametrize("frequency", [20.0, 40.0, 80.0])
+def test_with_a_speed_orders_are_right_to_the_ends(unit: UnitShown, frequency: float) -> None:
+    whole = recorded(tone(seconds=3.96, frequency=frequency))
+    shown = show_signal(whole, SignalQuestion("waveform", unit, points=50_000, speed=SPEED))
+    wanted = amplitude_in(unit, frequency=frequency)
+    assert np.abs(shown.lines[0].values).max() == pytest.approx(wanted, rel=0.01)
+    assert np.abs(shown.lines[0].values[-500:]).max() == pytest.approx(wanted, rel=0.01)
 
 
 @pytest.mark.parametrize(("measured", "text"), [("velocity", "m/s"), ("displacement", "m")])
@@ -195,6 +208,37 @@ def test_the_frames_motion_is_what_its_sensors_see(unit: UnitShown) -> None:
     assert shown.lines[2].unit == f"{UNITS[unit].rotation} peak"
 
 
+@pytest.mark.parametrize("view", ["waveform", "spectrum", "spectrogram", "revolution", "overall"])
+@pytest.mark.parametrize("speed", [1e-9, 0.3, SPEED, 1.5e4])
+@pytest.mark.parametrize(("rate", "count"), [(1.0, 256), (RATE, 300), (RATE, 40_000)])
+@pytest.mark.parametrize(("start", "end"), [(None, None), (0.001, 0.002), (1e6, 1e7)])
+def test_odd_questions_are_answered_with_numbers_or_refused(
+    view: SignalView, speed: float, rate: float, count: int, start: float | None, end: float | None
+) -> None:
+    refused: set[str] = set()
+    signal = np.random.default_rng(6).normal(size=(count, 2))
+    recording = Recording.from_arrays(signal, rate, ["a", "b"])
+    for unit, axis in itertools.product(UNIT_NAMES[1::2], get_args(SignalAxis)):
+        question = SignalQuestion(view, unit, axis=axis, speed=speed, start=start, end=end, points=50)
+        try:
+            shown = show_signal(recording, question)
+        except MeasurementError as error:
+            refused.add(error.field)
+            continue
+        lines = [line.values for line in shown.lines if view != "spectrogram"]
+        assert all(len(values) == len(shown.at) <= 101 and np.isfinite(values).all() for values in lines)
+        assert shown.levels is None or np.isfinite(shown.levels).all()
+        assert all(math.isfinite(row.rms) and math.isfinite(row.peak) for row in shown.overall)
+    assert refused <= {"speed", "from"}
+
+
+def test_a_revolution_is_turned_until_it_lies_over_another() -> None:
+    one = np.random.default_rng(5).normal(size=(3, 360))
+    shift, alike = lay_over(np.roll(one, 77, axis=1), 5 * one)
+    assert shift == 77
+    assert alike == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize(
     ("question", "field"),
     [
@@ -203,6 +247,7 @@ def test_the_frames_motion_is_what_its_sensors_see(unit: UnitShown) -> None:
         (SignalQuestion("spectrum", of="frame"), "diagnosis"),
         (SignalQuestion("spectrogram", channel="b"), "channel"),
         (SignalQuestion("waveform", start=9.0, end=9.1), "from"),
+        (SignalQuestion("revolution", speed=1e6), "speed"),
     ],
 )
 def test_what_cannot_be_shown_is_refused_by_its_field(question: SignalQuestion, field: str) -> None:

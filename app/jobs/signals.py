@@ -1,0 +1,143 @@
+"""The worker's task behind the charts of a recording: what is seen of it, as bytes to be sent."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from math import pi
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from cachetools import LRUCache, cached
+
+from jointplay.app.errors import BadFieldError
+from jointplay.app.jobs.samples import StoredRecording, samples_of
+
+if TYPE_CHECKING:
+    from jointplay.app.schemas.signals import SignalOut
+    from jointplay.catalogue.measurements.measurement import Recording
+    from jointplay.catalogue.signals.shown_motion import ShownSignal
+    from jointplay.catalogue.signals.signal_question import SignalQuestion
+
+#: Part of a recording that a speed is looked for in.
+SEARCHED_S = 20.0
+
+
+def look(
+    stored: StoredRecording,
+    question: SignalQuestion,
+    kind: str,
+    machine: Mapping[str, Any] | None,
+    mapping: Mapping[str, str],
+    near: float | None = None,
+    clearances: Mapping[str, float] | None = None,
+) -> bytes:
+    """Return what is seen of a recording.
+
+    Parameters
+    ----------
+    stored : StoredRecording
+    question : SignalQuestion
+    kind : str
+        ``text/csv`` or ``application/json``.
+    machine : mapping, optional
+        The machine's canonical document.
+    mapping : mapping of column to sensor
+    near : float, optional
+        Where no speed is asked for: what it is near to [rad/s].
+    clearances : mapping of joint to float, optional
+        Of the machine as it was matched, m.
+    """
+    from jointplay.catalogue.signals.shown_views import show_signal
+    from jointplay.solver.machines.machine import parse_machine
+
+    recording = samples_of(stored)
+    if question.speed is None and near is not None:
+        question = replace(question, speed=speed_of(stored, near))
+    parsed = None if machine is None else parse_machine(dict(machine))
+    if question.view == "contact":
+        if parsed is None:
+            raise BadFieldError(
+                "diagnosis: forces in joints are those of a matched machine: name one", field="diagnosis"
+            )
+        from jointplay.catalogue.signals.shown_contact import show_contact
+
+        shown = show_contact(recording, question, parsed, mapping or None, clearances or {})
+    else:
+        shown = show_signal(recording, question, parsed, mapping or None)
+    if kind == "text/csv":
+        return as_csv(shown)
+    return signal_out(stored.id, recording, question, shown).model_dump_json().encode()
+
+
+@cached(LRUCache(256), key=lambda stored, near: (stored.id, near))
+def speed_of(stored: StoredRecording, near: float) -> float:
+    """Return the drive speed of a recording [rad/s], which is near to another.
+
+    Raises
+    ------
+    MeasurementError
+        When none is found there.
+    """
+    from jointplay.catalogue.measurements.drivespeed import estimate_speed
+
+    recording = samples_of(stored)
+    signal = np.asarray(recording.signal[: round(SEARCHED_S * recording.sample_rate)], np.float64)
+    return estimate_speed(signal, recording.sample_rate, near, source=recording.name).speed
+
+
+def signal_out(key: str, recording: Recording, question: SignalQuestion, shown: ShownSignal) -> SignalOut:
+    """Return the outside shape of what is seen."""
+    from jointplay.app.schemas.signals import SignalLine, SignalMap, SignalOut, SignalOverall
+
+    spectrogram = None
+    lines = shown.lines
+    if shown.rows is not None and shown.levels is not None:
+        levels = np.round(shown.levels, 1).tolist()
+        spectrogram = SignalMap(rows=plain(shown.rows), unit=f"{lines[0].unit} rms", levels_db=levels)
+    return SignalOut(
+        measurement=key,
+        view=question.view,
+        unit=question.unit,
+        of=question.of,
+        sample_rate_hz=recording.sample_rate,
+        duration_s=recording.duration,
+        drive_speed_rpm=None if question.speed is None else abs(question.speed) * 30 / pi,
+        high_pass_hz=shown.high_pass,
+        axis=shown.axis,
+        axis_unit=shown.axis_unit,
+        ends=shown.ends,
+        at=plain(shown.at, 9),
+        lines=[SignalLine(name=line.name, kind=line.kind, unit=line.unit, values=plain(line.values)) for line in lines],
+        map=spectrogram,
+        overall=[SignalOverall(**asdict(row)) for row in shown.overall],
+        band_hz=shown.band,
+        resolution=shown.resolution,
+        notes=list(shown.notes),
+    )
+
+
+def plain(numbers: np.typing.NDArray[np.floating[Any]], digits: int = 6) -> list[float]:
+    """Return numbers with as many digits as a chart needs."""
+    return [float(f"{number:.{digits}g}") for number in numbers.tolist()]
+
+
+def as_csv(shown: ShownSignal) -> bytes:
+    """Return what is seen as a table: a row a place, or a row a channel of the overall levels."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\r\n")
+    label = f"{shown.axis} [{shown.axis_unit}]" if shown.axis_unit else shown.axis
+    if shown.overall:
+        writer.writerow(["channel", "unit", "rms", "peak", "velocity rms [mm/s; mrad/s]"])
+        writer.writerows([row.name, row.unit, row.rms, row.peak, row.velocity_rms] for row in shown.overall)
+    elif shown.rows is not None and shown.levels is not None:
+        writer.writerow([label, *(f"{row:.6g} [dB]" for row in shown.rows.tolist())])
+        for at, levels in zip(plain(shown.at, 9), np.round(shown.levels.T, 1).tolist(), strict=True):
+            writer.writerow([at, *levels])
+    else:
+        kinds = {"value": "", "low": " lowest", "high": " highest", "mean": " mean", "rms": " rms"}
+        writer.writerow([label, *(f"{line.name}{kinds[line.kind]} [{line.unit}]" for line in shown.lines)])
+        writer.writerows(zip(plain(shown.at, 9), *(plain(line.values) for line in shown.lines), strict=True))
+    return text.getvalue().encode()

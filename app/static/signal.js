@@ -1,0 +1,319 @@
+// A recording, looked at: asks for what the form says, draws it, and asks for finer points where somebody looks closer.
+"use strict";
+
+(() => {
+  const { colour, drawChart, chartAt, addChartKind } = window.jointplay;
+  const figures = new Map();
+  const UNITS = { "m/s2": "m/s²", g: "g", "mm/s": "mm/s", um: "µm", "rad/s2": "rad/s²", "mrad/s": "mrad/s", urad: "µrad" };
+  const VIEWS = ["overall", "spectrum", "waveform", "revolution", "spectrogram"];
+  const DECIBELS = 20;
+  let round = 0;
+
+  const form = () => document.getElementById("look");
+  const given = () => Object.fromEntries([...new FormData(form())].map(([name, value]) => [name, value.trim()]));
+  const place = (view) => document.querySelector(`[data-signal="${view}"]`);
+  const pretty = (unit) => unit.split(" ").map((part) => UNITS[part] || part).join(" ");
+
+  const address = (key, view, look, more = {}) => {
+    const asked = { view, unit: look.unit, of: look.of, ...more };
+    if (look.channel) asked.channel = look.channel;
+    if (view === "spectrum" || view === "spectrogram") asked.axis = look.axis;
+    if (look.diagnosis) asked.diagnosis = look.diagnosis;
+    if (look.speed) asked.speed = look.speed;
+    return `/api/v1/measurements/${encodeURIComponent(key)}/signal?${new URLSearchParams(asked)}`;
+  };
+
+  // Another recording of the machine turns at a speed of its own, which is found near that of the diagnosis.
+  const beside = (look) => (look.diagnosis ? { ...look, speed: "" } : look);
+
+  const fetched = async (url, signal) => {
+    const answer = await fetch(url, { signal, headers: { Accept: "application/json" } });
+    const found = await answer.json();
+    if (!answer.ok) throw new Error(found.detail || "The service did not answer.");
+    return found;
+  };
+
+  const points = (view) => Math.max(200, Math.round(place(view).clientWidth * (view === "waveform" ? 1 : 2)));
+  const tone = (index) => colour(`--joint-${index % 6}`);
+  const file = (view) => `${document.querySelector("h1").textContent.trim().replace(/\.[^.]*$/, "")}-${view}`;
+  const axisOf = (found) => (found.axis_unit ? `${found.axis}, ${found.axis_unit}` : found.axis);
+
+  // Samples between which nothing was left out are their own lowest and highest.
+  const waves = (found) => {
+    const lines = [];
+    const names = [...new Set(found.lines.map((line) => line.name))];
+    for (const [index, name] of names.entries()) {
+      const own = Object.fromEntries(found.lines.filter((line) => line.name === name).map((line) => [line.kind, line]));
+      const style = { stroke: tone(index), width: 1 };
+      const { unit } = own.value || own.high;
+      lines.push({ name, unit, values: (own.high || own.value).values, style });
+      lines.push({ name: `${name}, lowest`, unit, silent: true, values: (own.low || own.value).values, style });
+    }
+    return { at: found.at, lines };
+  };
+
+  const waveform = (found, look, key) => {
+    const wave = waves(found);
+    return {
+      ...wave,
+      x: { name: "time", label: "time, s" },
+      y: { label: pretty(found.lines[0].unit) },
+      bands: wave.lines.map((_, index) => index).filter((index) => index % 2 === 0).map((index) => ({ series: [index + 1, index + 2], fill: `${wave.lines[index].style.stroke}55` })),
+      refine: async (from, to, signal) => waves(await fetched(address(key, "waveform", look, { from: Math.max(0, from), to, points: 3 * points("waveform") }), signal)),
+    };
+  };
+
+  const scaled = (values, look) => {
+    if (look.levels === "lin") return values;
+    return values.map((value) => (value > 0 ? (look.levels === "db" ? DECIBELS * Math.log10(value) : value) : null));
+  };
+  const spectra = (answers, look) => {
+    const tables = answers.map((found) => [found.at, ...found.lines.map((line) => scaled(line.values, look))]);
+    const [at, ...values] = tables.length > 1 ? uPlot.join(tables) : tables[0];
+    const lines = answers.flatMap((found, which) => found.lines.map((line, index) => ({
+      name: which ? `${line.name}, the other` : line.name, unit: look.levels === "db" ? `dB re 1 ${line.unit}` : line.unit,
+      style: { stroke: tone(index), width: which ? 1 : 1.5, dash: which ? [4, 4] : undefined, spanGaps: true },
+    })));
+    return { at, lines: lines.map((line, index) => ({ ...line, values: values[index] })) };
+  };
+
+  const spectrum = (found, look, key, other) => {
+    const unit = pretty(found.lines[0].unit);
+    return {
+      ...spectra(other ? [found, other] : [found], look),
+      x: { name: found.axis, label: axisOf(found), first: found.axis === "order" && found.ends[1] > 60 ? [found.ends[0], 60] : null },
+      y: { label: look.levels === "db" ? `dB re 1 ${unit}` : unit, log: look.levels === "log" },
+      harmonic: look.harmonics === "drive" && found.drive_speed_rpm ? (found.axis === "order" ? 1 : found.drive_speed_rpm / 60) : null,
+      paint: harmonics,
+      refine: async (from, to, signal) => {
+        const asked = { from: Math.max(0, from), to, points: points("spectrum") };
+        const places = [address(key, "spectrum", look, asked), ...(other ? [address(look.with, "spectrum", beside(look), asked)] : [])];
+        return spectra(await Promise.all(places.map((each) => fetched(each, signal))), look);
+      },
+    };
+  };
+
+  // Multiples of an order, as far as there is room for them.
+  const harmonics = ({ pen, scale, x, y }, chart, figure) => {
+    if (!figure.harmonic) return;
+    const { min, max } = chart.scales.x;
+    const [low, high] = [chart.scales.y.min, chart.scales.y.max];
+    const space = (chart.over.clientWidth * figure.harmonic) / (max - min);
+    if (space < 4) return;
+    pen.save();
+    pen.strokeStyle = colour("--decided");
+    pen.fillStyle = colour("--decided");
+    pen.lineWidth = scale;
+    pen.font = `${11 * scale}px system-ui, sans-serif`;
+    pen.textAlign = "center";
+    for (let number = Math.max(1, Math.ceil(min / figure.harmonic)); number * figure.harmonic <= max; number += 1) {
+      const at = x(number * figure.harmonic);
+      pen.setLineDash(number === 1 ? [] : [3 * scale, 3 * scale]);
+      pen.beginPath();
+      pen.moveTo(at, y(low));
+      pen.lineTo(at, y(high));
+      pen.stroke();
+      if (number % Math.ceil(22 / space) === 0 || number === 1) pen.fillText(String(number), at, y(high) + 10 * scale);
+    }
+    pen.restore();
+  };
+
+  const degrees = (self, ticks) => ticks.map((tick) => `${tick}°`);
+  const revolution = (found) => {
+    const several = new Set(found.lines.map((line) => line.name)).size > 1;
+    const shown = found.lines.filter((line) => line.kind === "rms" || !several);
+    return {
+      at: found.at,
+      lines: shown.map((line, index) => ({ name: several ? line.name : `${line.name}, ${line.kind}`, unit: line.unit, values: line.values, style: { stroke: tone(index), width: line.kind === "rms" ? 2 : 1.5 } })),
+      x: { name: "angle", label: "angle of the drive, °", range: [0, 360], values: degrees },
+      group: "angle",
+      y: { label: `${pretty(found.lines[0].unit)}${several ? " rms" : ""}` },
+    };
+  };
+
+  const contact = (found) => ({
+    at: found.at,
+    lines: found.lines.map((line, index) => ({ name: line.name, unit: line.unit, values: line.values, style: { stroke: tone(index), width: 2 } })),
+    group: "angle",
+    x: { name: "angle", label: "angle of the drive, °", range: [0, 360], values: degrees },
+    y: { label: "force, N" },
+  });
+
+  const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+  const shade = (share) => {
+    const at = Math.min(STOPS.length - 1.001, Math.max(0, share * (STOPS.length - 1)));
+    const low = Math.floor(at);
+    return STOPS[low].map((value, index) => value + (at - low) * (STOPS[low + 1][index] - value));
+  };
+  const picture = (map) => {
+    const loudest = Math.max(...map.levels_db.map((row) => Math.max(...row)));
+    const canvas = document.createElement("canvas");
+    canvas.width = map.levels_db[0].length;
+    canvas.height = map.levels_db.length;
+    const pen = canvas.getContext("2d");
+    const image = pen.createImageData(canvas.width, canvas.height);
+    for (const [row, levels] of map.levels_db.entries()) {
+      for (const [column, level] of levels.entries()) {
+        image.data.set([...shade(1 + (level - loudest) / 80), 255], 4 * ((canvas.height - 1 - row) * canvas.width + column));
+      }
+    }
+    pen.putImageData(image, 0, 0);
+    return canvas;
+  };
+
+  const spectrogram = (found, look, key) => {
+    const { rows } = found.map;
+    const half = (rows[1] - rows[0]) / 2 || 0.5;
+    const [low, high] = [rows[0] - half, rows[rows.length - 1] + half];
+    const unit = pretty(found.map.unit);
+    const parts = (next) => ({ at: next.at, map: next.map, image: picture(next.map), lines: [{ name: next.lines[0].name, unit, values: next.at.map(() => null), style: { stroke: colour("--measured") } }],
+      csv: { head: [axisOf(next), ...next.map.rows.map((row) => `${row} [dB re 1 ${next.map.unit}]`)], rows: next.at.map((at, column) => [at, ...next.map.levels_db.map((levels) => levels[column])]) } });
+    const figure = {
+      ...parts(found),
+      x: { name: found.axis, label: axisOf(found) },
+      y: { label: found.axis === "revolution" ? "order of the drive" : "frequency, Hz", range: [low, high] },
+      value: () => {
+        const { chart } = chartAt(place("spectrogram")) || {};
+        const column = chart?.cursor.idx;
+        if (column == null || chart.cursor.top < 0) return "–";
+        const at = chart.posToVal(chart.cursor.top, "y");
+        const row = Math.max(0, Math.min(rows.length - 1, Math.round((at - rows[0]) / (2 * half))));
+        return `${figure.map.levels_db[row]?.[column]} dB at ${at.toPrecision(3)}`;
+      },
+      paint: ({ pen, x, y }, chart, now) => {
+        const step = now.at.length > 1 ? (now.at[1] - now.at[0]) / 2 : 0.5;
+        const left = x(now.at[0] - step);
+        const top = y(high);
+        pen.save();
+        pen.beginPath();
+        pen.rect?.(chart.bbox.left, chart.bbox.top, chart.bbox.width, chart.bbox.height);
+        pen.clip?.();
+        pen.imageSmoothingEnabled = false;
+        pen.drawImage(now.image, left, top, x(now.at[now.at.length - 1] + step) - left, y(low) - top);
+        pen.restore();
+      },
+      refine: async (from, to, signal) => parts(await fetched(address(key, "spectrogram", look, { from: Math.max(0, from), to }), signal)),
+    };
+    return figure;
+  };
+
+  const orbit = (found) => {
+    const mean = (name) => found.lines.find((line) => line.name === name && line.kind === "mean");
+    const [across, up] = [mean("x"), mean("y")];
+    const reach = 1.1 * Math.max(...across.values.map(Math.abs), ...up.values.map(Math.abs));
+    const unit = pretty(across.unit);
+    const width = Math.min(place("orbit").clientWidth, 420);
+    return {
+      at: [-reach, reach],
+      lines: [{ name: "path", values: [null, null], style: { stroke: tone(0) } }],
+      height: width,
+      x: { name: "x", label: `x, ${unit}` },
+      y: { label: `y, ${unit}`, range: [-reach, reach] },
+      csv: { head: ["angle [deg]", `x [${across.unit}]`, `y [${up.unit}]`], rows: found.at.map((at, index) => [at, across.values[index], up.values[index]]) },
+      paint: ({ pen, scale, x, y }) => {
+        pen.save();
+        pen.strokeStyle = tone(0);
+        pen.lineWidth = 2 * scale;
+        pen.beginPath();
+        for (let index = 0; index <= found.at.length; index += 1) {
+          const here = index % found.at.length;
+          pen[index ? "lineTo" : "moveTo"](x(across.values[here]), y(up.values[here]));
+        }
+        pen.stroke();
+        pen.restore();
+      },
+    };
+  };
+
+  const overall = (found) => {
+    const row = (kind, cells) => `<tr>${cells.map((cell, index) => `<${kind}${index ? ' class="figure"' : ` scope="${kind === "th" ? "col" : "row"}"`}>${cell}</${kind}>`).join("")}</tr>`;
+    const table = document.getElementById("overall");
+    const escaped = (text) => text.replace(/[&<>"]/g, (sign) => `&#${sign.charCodeAt(0)};`);
+    const said = (value) => Number(value.toPrecision(4));
+    const [low, high] = found.band_hz;
+    table.innerHTML = `<thead>${row("th", ["Channel", "Rms", "Peak", `Velocity, rms <span class="unit">${said(low)} to ${said(high)} Hz</span>`])}</thead><tbody>${found.overall.map((each) => row("td", [escaped(each.name), `${said(each.rms)} ${pretty(each.unit)}`, `${said(each.peak)} ${pretty(each.unit)}`, each.velocity_rms == null ? "–" : `${said(each.velocity_rms)} ${each.unit.includes("rad") ? "mrad/s" : "mm/s"}`])).join("")}</tbody>`;
+  };
+
+  const noted = (view, found) => {
+    const integrated = found.high_pass_hz ? [`integrated above ${Number(found.high_pass_hz.toPrecision(4))} Hz`] : [];
+    document.querySelector(`[data-note="${view}"]`).textContent = [...found.notes, ...integrated].map((each) => `${each[0].toUpperCase()}${each.slice(1)}.`).join(" ");
+  };
+
+  const FIGURES = { waveform, spectrum, revolution, spectrogram, contact };
+
+  const draw = (view, figure) => {
+    figure.title = document.getElementById(`title-${view}`).textContent;
+    figure.file = file(view);
+    figures.set(view, figure);
+    drawChart(place(view), figure);
+    place(view).dataset.points = figure.at.length;
+    place(view).dataset.look = new URLSearchParams(given());
+  };
+
+  const show = async (view, look, mine) => {
+    const key = form().dataset.measurement;
+    document.querySelector(`[data-numbers="${view}"]`).href = address(key, view, look);
+    const more = view === "overall" ? {} : { points: view === "waveform" || view === "spectrum" ? points(view) : 1200 };
+    const found = await fetched(address(key, view, look, more));
+    const other = view === "spectrum" && look.with ? await fetched(address(look.with, view, beside(look), more)) : null;
+    if (mine !== round) return;
+    noted(view, found);
+    if (view === "overall") overall(found);
+    else draw(view, FIGURES[view](found, look, key, other));
+    if (view !== "revolution") return;
+    const path = look.of === "frame" && !look.channel;
+    place("orbit").closest("section").hidden = !path;
+    if (path) draw("orbit", orbit(found));
+    else figures.delete("orbit");
+  };
+
+  const all = () => {
+    round += 1;
+    const mine = round;
+    for (const option of document.querySelectorAll("#look-channel [data-of]")) {
+      option.hidden = option.disabled = option.dataset.of !== document.getElementById("look-of").value;
+      if (option.selected && option.disabled) document.getElementById("look-channel").value = "";
+    }
+    const look = given();
+    if (look.axis === "order" && !look.speed) look.axis = "hz";
+    history.replaceState(null, "", `?${new URLSearchParams(given())}`);
+    document.getElementById("look-error").textContent = "";
+    for (const view of VIEWS) {
+      const without = view === "revolution" && !look.speed;
+      place(view)?.closest("section").toggleAttribute("hidden", without);
+      if (without) continue;
+      show(view, look, mine).catch((error) => { if (mine === round) document.getElementById("look-error").textContent = error.message; });
+    }
+  };
+
+  // Asked for by its own button, as it is simulated then.
+  const simulate = async () => {
+    const said = document.getElementById("contact-said");
+    said.textContent = "Simulating…";
+    place("contact").hidden = false;
+    try {
+      await show("contact", given(), round);
+      said.textContent = "";
+    } catch (error) {
+      place("contact").hidden = true;
+      said.textContent = error.message;
+    }
+  };
+
+  const clicked = (event) => {
+    if (event.target.id === "contact") simulate();
+    const entry = chartAt(place("spectrum"));
+    if (!entry || document.getElementById("look-harmonics").value !== "cursor" || !entry.place.contains(event.target)) return;
+    entry.figure.harmonic = entry.chart.posToVal(entry.chart.cursor.left, "x");
+    entry.chart.redraw(false);
+  };
+
+  addChartKind("[data-signal]", (where) => figures.get(where.dataset.signal));
+  document.addEventListener("DOMContentLoaded", () => {
+    if (!form()) return;
+    form().addEventListener("change", all);
+    form().addEventListener("submit", (event) => { event.preventDefault(); all(); });
+    document.addEventListener("click", clicked);
+    all();
+  });
+})();
