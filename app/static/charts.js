@@ -35,8 +35,8 @@ window.jointplay = window.jointplay || {};
         y: { ...(figure.y.log ? { distr: 3, log: 10 } : {}), ...(figure.y.range ? { range: figure.y.range } : {}) },
       },
       axes: [
-        { ...axis, label: figure.x.label, ...(figure.x.space ? { space: figure.x.space } : {}), values: figure.x.values || ((self, ticks) => ticks.map((tick) => (tick == null ? "" : String(Number(tick.toPrecision(8)))))) },
-        { ...axis, label: figure.y.label, size: 60, ...(figure.y.log ? { values: (self, ticks) => ticks.map((tick) => (tick == null ? "" : tick < 1e-3 ? tick.toExponential(0) : String(Number(tick.toPrecision(2))))) } : {}) },
+        { ...axis, size: figure.x.time ? 50 : 36, labelSize: 22, label: figure.x.label, ...(figure.x.space ? { space: figure.x.space } : {}), values: figure.x.values || ((self, ticks) => ticks.map((tick) => (tick == null ? "" : String(Number(tick.toPrecision(8)))))) },
+        { ...axis, label: figure.y.label, size: width > 480 ? 60 : 46, labelSize: 22, ...(figure.y.log ? { values: (self, ticks) => ticks.map((tick) => (tick == null ? "" : tick < 1e-3 ? tick.toExponential(0) : String(Number(tick.toPrecision(2))))) } : {}) },
       ],
       series: [
         { label: figure.x.name, value: figure.x.value || ((self, at) => isPlain(at)) },
@@ -191,7 +191,7 @@ window.jointplay = window.jointplay || {};
     button("−", "Zoom out", (now) => zoom(now, 2));
     button("◀", "Back", (now) => pan(now, -0.5));
     button("▶", "Forth", (now) => pan(now, 0.5));
-    button("Whole", "Whole axis", reset);
+    button("All", "All of the axis", reset);
     for (const kind of ["png", "svg", "csv"]) {
       button(kind.toUpperCase(), `Save as ${kind.toUpperCase()}`, (now) => window.jointplay.saveChart(now, kind));
     }
@@ -250,6 +250,7 @@ window.jointplay = window.jointplay || {};
   Object.assign(window.jointplay, {
     colour,
     drawChart: draw,
+    shade: (share) => shade(share),
     chartAt: (place) => drawn.get(place),
     // Charts of a kind are drawn anew when they come, and when the screen's width or colours change.
     addChartKind: (selector, figureOf) => kinds.push([selector, figureOf]),
@@ -261,6 +262,15 @@ window.jointplay = window.jointplay || {};
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
 
   // Levels by order: a few lines, and the range in which the first of them may lie.
+  // Members of a family, share 0 to 1, go from dark to light on light pages and the other way on dark ones.
+  const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+  const shade = (share) => {
+    const at = Math.min(STOPS.length - 1.001, Math.max(0, share * (STOPS.length - 1)));
+    const low = Math.floor(at);
+    return STOPS[low].map((value, index) => Math.round(value + (at - low) * (STOPS[low + 1][index] - value)));
+  };
+  const member = (share) => `rgb(${shade(window.matchMedia("(prefers-color-scheme: dark)").matches ? 1 - 0.75 * share : 0.85 * share).join(" ")})`;
+
   const LOOKS = {
     matched: { width: 2, dash: [6, 4] },
     rival: { dash: [2, 3] },
@@ -280,7 +290,7 @@ window.jointplay = window.jointplay || {};
       lines: [
         { name: "scatter, upper", values: data.upper, style: hidden, silent: true },
         { name: "scatter, lower", values: data.lower, style: hidden, silent: true },
-        ...data.lines.map((line) => ({ name: line.name, values: line.levels, silent: line.look === "decided", style: { ...(LOOKS[line.look] || { width: 1.5 }), stroke: colour(`--${line.look}`) } })),
+        ...data.lines.map((line) => ({ name: line.name, values: line.levels, silent: line.look === "decided", style: { ...(LOOKS[line.look] || { width: 1.5 }), stroke: line.share == null ? colour(`--${line.look}`) : member(line.share) } })),
       ],
       bands: [{ series: [1, 2], fill: colour("--scatter") }],
     };

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { colour, drawChart, chartAt, addChartKind } = window.jointplay;
+  const { colour, shade, drawChart, chartAt, addChartKind } = window.jointplay;
   const figures = new Map();
   const UNITS = { "m/s2": "m/s²", g: "g", "mm/s": "mm/s", um: "µm", "rad/s2": "rad/s²", "mrad/s": "mrad/s", urad: "µrad" };
   const VIEWS = ["overall", "spectrum", "waveform", "revolution", "spectrogram"];
@@ -12,6 +12,8 @@
   const form = () => document.getElementById("look");
   const given = () => Object.fromEntries([...new FormData(form())].map(([name, value]) => [name, value.trim()]));
   const place = (view) => document.querySelector(`[data-signal="${view}"]`);
+  // A rotation says its own unit, as the axis has that of the others.
+  const named = (line, lines) => (line.unit === lines[0].unit ? line.name : `${line.name}, ${pretty(line.unit)}`);
   const pretty = (unit) => unit.split(" ").map((part) => UNITS[part] || part).join(" ");
 
   const address = (key, view, look, more = {}) => {
@@ -46,7 +48,7 @@
       const own = Object.fromEntries(found.lines.filter((line) => line.name === name).map((line) => [line.kind, line]));
       const style = { stroke: tone(index), width: 1 };
       const { unit } = own.value || own.high;
-      lines.push({ name, unit, values: (own.high || own.value).values, style });
+      lines.push({ name: named({ name, unit }, found.lines), unit, values: (own.high || own.value).values, style });
       lines.push({ name: `${name}, lowest`, unit, silent: true, values: (own.low || own.value).values, style });
     }
     return { at: found.at, lines };
@@ -71,7 +73,7 @@
     const tables = answers.map((found) => [found.at, ...found.lines.map((line) => scaled(line.values, look))]);
     const [at, ...values] = tables.length > 1 ? uPlot.join(tables) : tables[0];
     const lines = answers.flatMap((found, which) => found.lines.map((line, index) => ({
-      name: which ? `${line.name}, the other` : line.name, unit: look.levels === "db" ? `dB re 1 ${line.unit}` : line.unit,
+      name: `${named(line, found.lines)}${which ? ", the other" : ""}`, unit: look.levels === "db" ? `dB re 1 ${line.unit}` : line.unit,
       style: { stroke: tone(index), width: which ? 1 : 1.5, dash: which ? [4, 4] : undefined, spanGaps: true },
     })));
     return { at, lines: lines.map((line, index) => ({ ...line, values: values[index] })) };
@@ -124,7 +126,7 @@
     const shown = found.lines.filter((line) => line.kind === "rms" || !several);
     return {
       at: found.at,
-      lines: shown.map((line, index) => ({ name: several ? line.name : `${line.name}, ${line.kind}`, unit: line.unit, values: line.values, style: { stroke: tone(index), width: line.kind === "rms" ? 2 : 1.5 } })),
+      lines: shown.map((line, index) => ({ name: several ? named(line, shown) : `${line.name}, ${line.kind}`, unit: line.unit, values: line.values, style: { stroke: tone(index), width: line.kind === "rms" ? 2 : 1.5 } })),
       x: { name: "angle", label: "angle of the drive, °", range: [0, 360], values: degrees },
       group: "angle",
       y: { label: `${pretty(found.lines[0].unit)}${several ? " rms" : ""}` },
@@ -139,12 +141,6 @@
     y: { label: "force, N" },
   });
 
-  const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
-  const shade = (share) => {
-    const at = Math.min(STOPS.length - 1.001, Math.max(0, share * (STOPS.length - 1)));
-    const low = Math.floor(at);
-    return STOPS[low].map((value, index) => value + (at - low) * (STOPS[low + 1][index] - value));
-  };
   const picture = (map) => {
     const loudest = Math.max(...map.levels_db.map((row) => Math.max(...row)));
     const canvas = document.createElement("canvas");

@@ -106,9 +106,9 @@ def lay_over(recorded: FloatArray, felt: FloatArray) -> tuple[int, float]:
 def forces_of(reactions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Magnitude of the force [N] in each joint, (n,)."""
     found = {}
-    for name, values in sorted(reactions.items()):
+    for name, values in reactions.items():
         if name.startswith("force_"):
             found[name.removeprefix("force_").removesuffix("_on_pin")] = np.hypot(values[:, 0], values[:, 1])
         elif name.startswith("normal_"):
             found[name.removeprefix("normal_")] = np.abs(values)
-    return found
+    return dict(sorted(found.items()))

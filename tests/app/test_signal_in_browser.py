@@ -7,6 +7,7 @@ import io
 import re
 import struct
 from collections.abc import Iterator
+from typing import Any
 from xml.etree import ElementTree
 
 import httpx
@@ -181,6 +182,49 @@ def test_harmonics_stand_where_they_are_wanted(visit: Visit, server: str, minute
     assert pixels(spectrum) != plain
     for view in ("revolution", "spectrogram"):
         assert has_drawn(page.locator(f"[data-signal='{view}'] canvas"))
+
+
+def test_forces_in_the_joints_are_simulated_when_asked_for(
+    browser: Browser, server: str, measurement: dict[str, Any]
+) -> None:
+    asked = {"measurement": measurement["id"], "catalogue": "slider-crank", "effort": "fast"}
+    with httpx.Client(base_url=server, timeout=300) as client:
+        assert client.post("/api/v1/diagnoses", json=asked).status_code == 201
+    with visiting(browser, f"{server}/measurements/{measurement['id']}", SCREENS[0]) as visit:
+        page = visit.page
+        expect(page.locator("[data-signal='revolution'] canvas")).to_have_count(1, timeout=SECONDS)
+        page.get_by_role("button", name="Simulate them").click()
+        force = page.locator("[data-signal='contact']")
+        expect(force.locator("canvas")).to_have_count(1, timeout=SECONDS)
+        head, rows = numbers(page, force)
+        assert head[1:] == ["A [N]", "B [N]", "G1 [N]", "O [N]"] and len(rows) == 360
+        expect(page.locator("[data-note='contact']")).to_contain_text(
+            "laid over the recording by its sensors", ignore_case=True
+        )
+        # Where somebody looks closer, the recording and the forces are seen at the same angles.
+        drag(page, force, 0.5, 0.75)
+        expect(page.locator("[data-signal='revolution']")).to_have_attribute(
+            "data-from", force.get_attribute("data-from") or ""
+        )
+        assert axis(force) == axis(page.locator("[data-signal='revolution']"))
+
+
+def test_a_family_of_lines_goes_from_one_colour_to_another(visit: Visit, server: str) -> None:
+    page = visit.page
+    page.goto(f"{server}/catalogues/slider-crank?hypothesis=B")
+    chart = page.locator("[data-chart]").first
+    expect(chart.locator("canvas")).to_have_count(1)
+    family = """place => {
+        const data = JSON.parse(place.dataset.chart);
+        data.lines = [0, 0.5, 1].map(share => ({ name: `${share}`, share, levels: data.orders.map(() => 10 * share) }));
+        place.dataset.chart = JSON.stringify(data);
+        document.dispatchEvent(new Event("htmx:after:swap", { bubbles: true }));
+    }"""
+    chart.evaluate(family)
+    strokes = chart.evaluate(
+        "place => window.jointplay.chartAt(place).chart.series.slice(3).map(line => line.stroke())"
+    )
+    assert len(set(strokes)) == 3 and all(stroke.startswith("rgb(") for stroke in strokes)
 
 
 def test_charts_are_saved_as_png_and_svg(visit: Visit, server: str, minute: str) -> None:
