@@ -193,7 +193,7 @@ window.jointplay = window.jointplay || {};
     button("▶", "Forth", (now) => pan(now, 0.5));
     button("All", "All of the axis", reset);
     for (const kind of ["png", "svg", "csv"]) {
-      button(kind.toUpperCase(), `Save as ${kind.toUpperCase()}`, (now) => window.jointplay.saveChart(now, kind));
+      button(kind.toUpperCase(), `Download as ${kind.toUpperCase()}`, (now) => window.jointplay.saveChart(now, kind));
     }
     entry.said = document.createElement("span");
     entry.said.className = "unseen";

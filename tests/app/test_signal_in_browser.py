@@ -68,7 +68,7 @@ def drag(page: Page, chart: Locator, begin: float, end: float) -> None:
 def saved(page: Page, chart: Locator, kind: str) -> bytes:
     tools = chart.locator("xpath=following-sibling::div[1]")
     with page.expect_download() as held:
-        tools.get_by_role("button", name=f"Save as {kind.upper()}").click()
+        tools.get_by_role("button", name=f"Download as {kind.upper()}").click()
     assert held.value.suggested_filename.endswith(f".{kind}")
     path = held.value.path()
     return path.read_bytes()
