@@ -261,7 +261,6 @@ window.jointplay = window.jointplay || {};
   window.addEventListener("resize", resized);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
 
-  // Levels by order: a few lines, and the range in which the first of them may lie.
   // Members of a family, share 0 to 1, go from dark to light on light pages and the other way on dark ones.
   const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
   const shade = (share) => {
@@ -271,6 +270,7 @@ window.jointplay = window.jointplay || {};
   };
   const member = (share) => `rgb(${shade(window.matchMedia("(prefers-color-scheme: dark)").matches ? 1 - 0.75 * share : 0.85 * share).join(" ")})`;
 
+  // Levels by order: a few lines, and the range in which the first of them may lie.
   const LOOKS = {
     matched: { width: 2, dash: [6, 4] },
     rival: { dash: [2, 3] },
