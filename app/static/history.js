@@ -20,19 +20,59 @@
   };
 
   const largest = (data) => Math.max(1, ...data.joints.flatMap((joint) => joint.points.map((point) => point.high)),
-    ...data.events.map((event) => event.um ?? 0));
+    ...data.events.map((event) => event.um ?? 0), ...(data.limits ?? []).map((limit) => limit.um));
 
-  const range = (times) => {
+  // As far ahead as a limit is foretold, but no further than the past reaches back.
+  const range = (times, data) => {
     const first = times[0];
-    const last = times[times.length - 1];
+    const now = times[times.length - 1];
+    const ahead = Math.max(now - first, 60 * 86400);
+    const last = Math.min(now + ahead, Math.max(now, ...(data.reached ?? []).map(({ at }) => at[2] ?? now + ahead)));
     const margin = Math.max(0.05 * (last - first), 1800);
     return [first - margin, last + margin];
+  };
+
+  // Limits as lines; on them, when each is reached: bars from early to late, and the way there from the last recording.
+  const limits = (chart, data, scale) => {
+    const { ctx, bbox } = chart;
+    const line = (look, dash, points) => {
+      ctx.strokeStyle = colour(look);
+      ctx.setLineDash(dash.map((length) => length * scale));
+      ctx.beginPath();
+      for (const [x, y] of points) ctx.lineTo(x, y);
+      ctx.stroke();
+    };
+    ctx.save();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.font = `${12 * scale}px ${getComputedStyle(document.body).fontFamily}`;
+    ctx.textAlign = "left";
+    ctx.textBaseline = "bottom";
+    ctx.fillStyle = colour("--bad");
+    ctx.lineWidth = 2 * scale;
+    for (const limit of data.limits ?? []) {
+      const y = chart.valToPos(limit.um, "y", true);
+      line("--bad", [6, 4], [[bbox.left, y], [bbox.left + bbox.width, y]]);
+      ctx.fillText(limit.text, bbox.left + 6 * scale, y - 3 * scale);
+    }
+    for (const { name, look, um, at } of data.reached ?? []) {
+      const points = data.joints.find((joint) => joint.name === name).points;
+      const last = points[points.length - 1];
+      const y = chart.valToPos(um, "y", true);
+      const place = (time) => (time == null ? bbox.left + bbox.width : chart.valToPos(time, "x", true));
+      if (at[1] != null) line(`--joint-${look}`, [2, 4], [[place(last.at), chart.valToPos(last.um, "y", true)], [place(at[1]), y]]);
+      ctx.lineWidth = 6 * scale;
+      line(`--joint-${look}`, [], [[place(at[0]), y], [place(at[2]), y]]);
+      ctx.lineWidth = 2 * scale;
+    }
+    ctx.restore();
   };
 
   // Intervals as bars; marks stand at their clearance, those without one at the bottom.
   const marks = (data) => (chart) => {
     const { ctx } = chart;
     const scale = window.devicePixelRatio || 1;
+    limits(chart, data, scale);
     ctx.save();
     for (const joint of data.joints) {
       ctx.strokeStyle = colour(`--joint-${joint.look}`);
@@ -86,7 +126,7 @@
       width,
       height: Math.max(240, Math.min(340, width * 0.4)),
       tzDate: utc,
-      scales: { x: { range: range(values[0]) }, y: { range: [0, 1.1 * largest(data)] } },
+      scales: { x: { range: range(values[0], data) }, y: { range: [0, 1.1 * largest(data)] } },
       axes: [{ ...axis, label: "time (UTC)", values: dates, space: width > 480 ? 70 : 50 }, { ...axis, label: data.label, size: 55 }],
       series: [
         { label: "time (UTC)", value: "{YYYY}-{MM}-{DD} {HH}:{mm}" },
