@@ -7,6 +7,7 @@ import json
 import re
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import httpx
 import pytest
 from http_answers import API, assert_problem
 from recordings import RECORDINGS
+from service_process import client_of, service_process
 from small_service import serving
 from webhook_listener import Listener, listening
 
@@ -185,4 +187,60 @@ def test_limits_are_set_on_the_page(service: httpx.Client) -> None:
     ):
         refused = service.post("/assets/life-3", data={**form, **change})
         assert refused.status_code == 422 and said in html.unescape(refused.text), refused.text
-    assert service.get(f"{API}/assets/life-3").json() == stored
+    assert service.get(f"{API}/assets/life-3").json()["updated_at"] == stored["updated_at"]
+
+
+def test_a_change_outlives_kill_9_and_is_told_once_by_two_servers(shelf: Path, tmp_path: Path) -> None:
+    with listening() as own:
+        folder = tmp_path / "killed"
+        folder.mkdir()
+        (folder / "catalogues").symlink_to(shelf)
+        options = {"builds": "0", "keys": "off", "webhooks_private": "true"}
+        with service_process(folder, **options) as running, client_of(running) as client:
+            events = ["asset.state_changed", "build.ended"]
+            client.post(f"{API}/webhooks", json={"url": own.url, "events": events}).raise_for_status()
+            put(client, "killed").raise_for_status()
+            standing(client, "killed")
+            answer = diagnose(client, "killed", 2)
+            running.process.kill()
+        with ExitStack() as stack:
+            both = [stack.enter_context(service_process(folder, **options)) for _ in range(2)]
+            client = stack.enter_context(client_of(both[1]))
+            event, data = told(own)
+            assert (event, data["state"], data["diagnosis"]) == ("asset.state_changed", "watch", answer["id"])
+            build = client.post(
+                f"{API}/builds", json={"machine": "slider-crank", "plan": "quick", "catalogue": "x"}
+            ).json()
+            client.post(f"{API}/builds/{build['id']}/cancel").raise_for_status()
+            assert told(own) == (
+                "build.ended",
+                {
+                    "build": build["id"],
+                    "machine": "slider-crank",
+                    "catalogue": "x",
+                    "catalogue_id": None,
+                    "state": "cancelled",
+                    "message": "",
+                },
+            ), "nothing else was to be told before"
+            assert standing(client, "killed")["state"] == "watch"
+        assert own.told.empty()
+
+
+def test_the_trend_has_limits_findings_and_the_date_of_each(service: httpx.Client) -> None:
+    put(service, "life-4", limits_um={"B": 400})
+    first = datetime.now(UTC).replace(microsecond=0) - timedelta(days=40)
+    answer = diagnose(service, "life-4", 2, measured_at=first.isoformat())
+    diagnose(service, "life-4", 5, measured_at=(first + timedelta(days=20)).isoformat())
+    found = {"joints": {"B": {"clearance_um": 180}}, "at": (first + timedelta(days=21)).isoformat()}
+    service.post(f"{API}/diagnoses/{answer['id']}/finding", json=found).raise_for_status()
+    page = service.get("/assets/life-4/state").text
+    drawn = json.loads(html.unescape(re.findall(r'data-history="([^"]+)"', page)[0]))
+    assert drawn["limits"] == [{"um": 400.0, "text": "limit B"}]
+    assert {"at": (first + timedelta(days=21)).timestamp(), "kind": "finding", "joint": "B", "um": 180} in drawn[
+        "events"
+    ]
+    dates = service.get(f"{API}/assets/life-4/state").json()["joints"]["B"]["limit_at"]
+    (reached,) = drawn["reached"]
+    assert (reached["name"], reached["um"]) == ("B", 400.0)
+    assert reached["at"] == [date and datetime.fromisoformat(date).timestamp() for date in dates]
