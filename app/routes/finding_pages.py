@@ -89,7 +89,7 @@ def asked_after(service: Service, key: str, given: dict[str, str]) -> dict[str, 
         When there is no diagnosis of this id.
     """
     row = service.store.diagnosis(key)
-    chosen = {"at": now().isoformat(timespec="minutes").replace("+00:00", "Z")} | given
+    chosen = {"at": now().isoformat(timespec="seconds").replace("+00:00", "Z")} | given
     return {
         "key": row.id,
         "asset": row.request.get("asset"),

@@ -50,11 +50,6 @@
     ctx.textBaseline = "bottom";
     ctx.fillStyle = colour("--bad");
     ctx.lineWidth = 2 * scale;
-    for (const limit of data.limits ?? []) {
-      const y = chart.valToPos(limit.um, "y", true);
-      line("--bad", [6, 4], [[bbox.left, y], [bbox.left + bbox.width, y]]);
-      ctx.fillText(limit.text, bbox.left + 6 * scale, y - 3 * scale);
-    }
     for (const { name, look, um, at } of data.reached ?? []) {
       const points = data.joints.find((joint) => joint.name === name).points;
       const last = points[points.length - 1];
@@ -64,6 +59,11 @@
       ctx.lineWidth = 6 * scale;
       line(`--joint-${look}`, [], [[place(at[0]), y], [place(at[2]), y]]);
       ctx.lineWidth = 2 * scale;
+    }
+    for (const limit of data.limits ?? []) {
+      const y = Math.round(chart.valToPos(limit.um, "y", true));
+      line("--bad", [6, 4], [[bbox.left, y], [bbox.left + bbox.width, y]]);
+      ctx.fillText(limit.text, bbox.left + 6 * scale, y - 3 * scale);
     }
     ctx.restore();
   };

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import html
+import re
 from typing import Any
 
 import httpx
 import pytest
 from http_answers import API
 from test_wear_state import diagnose
+
+from jointplay.app.schemas.assets import FindingIn
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +32,8 @@ def test_what_was_found_and_repaired_is_entered(client: httpx.Client, answer: di
     page = client.get(place).text
     assert "What was found at found-1" in page and 'name="clearance-O"' in page
     form = {"clearance-B": "152.5", "repaired-B": "yes", "clearance-A": "12", "text": "pin <new>"}
+    offered = re.findall(r'name="at"[^>]* value="([^"]+)"', page)[0]
+    assert FindingIn.model_validate({"text": "x", "at": offered})
     for _ in range(2):  # sent twice
         kept = client.post(place, data={**form, "at": "2026-11-21T10:30:00+01:00"})
         assert (kept.status_code, kept.headers["location"]) == (303, "/assets/found-1")
