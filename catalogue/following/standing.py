@@ -158,7 +158,7 @@ def _judge_joint(name: str, joint: JointKnown, at: datetime, within: timedelta) 
     limit = f"its limit of {_length(joint.limit_um)}"
     about, likely = f"joint {name}", joint.limit_at[1]
     if joint.p_over_limit >= LIKELY:
-        text = f"Joint {name} is beyond {limit}: {_length(joint.clearance_um)}, {joint.p_over_limit:.0%} sure."
+        text = f"Joint {name} is beyond {limit}: {_length(joint.clearance_um)}, {_percent(joint.p_over_limit)} sure."
         return Reason(about=about, state="alarm", text=text)
     if likely is not None and joint.is_over(at):
         text = f"Joint {name} has likely reached {limit} by {likely:%Y-%m-%d}."
@@ -169,7 +169,7 @@ def _judge_joint(name: str, joint: JointKnown, at: datetime, within: timedelta) 
         return Reason(
             about=about,
             state="watch",
-            text=f"Joint {name} may be beyond {limit}: {_length(joint.clearance_um)}, {joint.p_over_limit:.0%}.",
+            text=f"Joint {name} may be beyond {limit}: {_length(joint.clearance_um)}, {_percent(joint.p_over_limit)}.",
         )
     if joint.p_worn >= LIKELY:
         return Reason(
@@ -207,3 +207,7 @@ def _judge_wear(known: Known) -> Reason | None:
 
 def _length(micrometres: float) -> str:
     return f"{micrometres:.3g} µm" if micrometres < 999.5 else f"{1e-3 * micrometres:.3g} mm"
+
+
+def _percent(probability: float) -> str:
+    return "> 99 %" if probability >= 0.995 else f"{100 * probability:.0f} %"

@@ -7,7 +7,7 @@ import json
 import re
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,10 @@ from small_service import serving
 from webhook_listener import Listener, listening
 
 from jointplay.app.schemas.resources import EVENTS
+from jointplay.app.scopes import Scope
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.store import Store
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +147,16 @@ def test_what_is_seen_is_acknowledged(service: httpx.Client) -> None:
     assert stale.status_code == 422 and "life-2 is watch now" in stale.text
     service.post("/assets/life-2/acknowledgement", data={"again": "yes"})
     assert standing(service, "life-2")["acknowledged"] is None
+
+
+def test_who_acknowledges_is_the_name_of_the_key(tmp_path: Path) -> None:
+    settings = ServiceSettings(catalogues=tmp_path, data=tmp_path, keys="required", workers=1)
+    with serving(settings) as address, closing(Store(tmp_path)) as store:
+        token = Keys(store.database).create("hall B", frozenset({Scope.MATCH, Scope.READ}), timedelta(days=1))[1]
+        with httpx.Client(base_url=address, headers={"Authorization": f"Bearer {token}"}, timeout=300) as client:
+            put(client, "press-7").raise_for_status()
+            seen = client.put(f"{API}/assets/press-7/acknowledgement", json={"state": "unknown"}).json()
+    assert seen["standing"]["acknowledged"]["by"] == "hall B"
 
 
 def test_the_list_says_who_needs_somebody(service: httpx.Client) -> None:

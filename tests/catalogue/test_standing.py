@@ -48,8 +48,9 @@ def known(verdict: Any = "in_order", heard: float = -1.0, failure: str = "", **j
     ("what", "state", "texts"),
     [
         (known(), "in_order", []),
-        (known("worn", B=joint(1.0, 0.87, 214.0)), "alarm", ["beyond its limit of 200 µm: 214 µm, 87% sure"]),
-        (known("worn", B=joint(1.0, 0.3, 190.0)), "watch", ["may be beyond its limit of 200 µm: 190 µm, 30%"]),
+        (known("worn", B=joint(1.0, 0.87, 214.0)), "alarm", ["beyond its limit of 200 µm: 214 µm, 87 % sure"]),
+        (known("worn", B=joint(1.0, 1.0, 1400.0)), "alarm", ["of 200 µm: 1.4 mm, > 99 % sure"]),
+        (known("worn", B=joint(1.0, 0.3, 190.0)), "watch", ["may be beyond its limit of 200 µm: 190 µm, 30 %"]),
         (known("worn", B=joint(1.0, 0.0, 140.0, 20)), "watch", ["reaches its limit of 200 µm about 2026-06-21"]),
         (
             known("worn", B=joint(1.0, 0.0, 140.0, -3)),
