@@ -18,6 +18,7 @@ from jointplay.app.http.gate import Gate
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.jobs.workers import WorkerPool
 from jointplay.app.logs import LogSettings
@@ -31,6 +32,7 @@ from jointplay.app.routes import (
     catalogues,
     diagnoses,
     entries,
+    finding_pages,
     findings,
     forecasts,
     health,
@@ -86,12 +88,15 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         runner.start()
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
-        warming = asyncio.create_task(service.warm()) if warm else None
+        behind = [asyncio.create_task(StandingKeeper(store, pool).run())]
+        if warm:
+            behind.append(asyncio.create_task(service.warm()))
         try:
             yield
         finally:
-            if warming is not None:
-                warming.cancel()
+            for task in behind:
+                task.cancel()
+            await asyncio.gather(*behind, return_exceptions=True)
             service.stop()
             await run_in_threadpool(runner.close)
             await run_in_threadpool(sender.close)
@@ -129,7 +134,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             True,
         ),
         ((health,), "", True),
-        ((pages, browser_pages, build_pages, asset_pages, signal_pages, signin), "", False),
+        ((pages, browser_pages, build_pages, asset_pages, finding_pages, signal_pages, signin), "", False),
     ):
         for module in modules:
             application.include_router(

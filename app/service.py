@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cachetools import TTLCache
@@ -28,9 +28,10 @@ from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
-from jointplay.app.storage.assets import AssetRow, Assets, measurements_of
+from jointplay.app.storage.assets import AssetRow, Assets, measurements_of, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.store import NewDiagnosis, Store, Upload, measurement_key
 from jointplay.app.storage.told import Told
@@ -57,11 +58,14 @@ class Asked:
         Its asset.
     question : DiagnosisTask
         What a worker is told of them.
+    remembered : bool
+        Whether its sensors are those of the asset's last recording with the same columns.
     """
 
     offer: Offer
     asset: AssetRow | None
     question: tasks.DiagnosisTask
+    remembered: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,10 +106,12 @@ class Service:
 
     async def add_measurement(self, upload: Upload, name: str, told: Told, asset: str | None = None) -> MeasurementRow:
         """Read an uploaded recording or spectrum in a worker and store it, as one of an asset where that is named."""
-        note = None if asset is None else await run_in_threadpool(self.noting, asset)
+        known = None if asset is None else await run_in_threadpool(Assets(self.store.database).asset, asset)
+        told = await self.recall(upload, name, told, asset)
         recording = (str(upload.path), name, told)
         kept = StoredRecording(measurement_key(upload.sha256, name, told), *recording, self.samples)
         summary = await self.pool.run(tasks.summarise, *recording, kept)
+        note = None if known is None else self.noting(known.external_id, columns_of(summary), told)
         return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
 
     async def follow(self, external_id: str) -> WearState:
@@ -122,21 +128,28 @@ class Service:
         state: WearState = await self.pool.run(following.follow_life, life)
         return state
 
-    def noting(self, external_id: str) -> Callable[[Session, str], None]:
-        """Return what notes in a transaction that a measurement is of an asset.
+    async def recall(self, upload: Upload, name: str, told: Told, asset: str | None) -> Told:
+        """Return what is said of a file: what was said of an asset's last one with its columns, where it needs that."""
+        if asset is None or told.shown:
+            return told
+        known = await run_in_threadpool(Remembered(self.store.database).all_said, asset)
+        said = await self.pool.run(tasks.recall, str(upload.path), name, told, known) if known else {}
+        return Told(**said, measured_at=told.measured_at, remembered_of=asset) if said else told
 
-        Raises
-        ------
-        UnknownAssetError
-            When there is none of this id.
-        """
-        assets = Assets(self.store.database)
-        found = assets.asset(external_id).external_id
-        return lambda session, key: assets.own_in(session, found, key)
+    def noting(self, external_id: str, columns: Sequence[str], told: Told) -> Callable[[Session, str], None]:
+        """Return what notes in a transaction that a measurement is of an asset, and how its file was read."""
+        database = self.store.database
+
+        def noted(session: Session, key: str) -> None:
+            Assets(database).own_in(session, external_id, key)
+            touch_owners(session, key)
+            Remembered(database).remember(session, external_id, columns, told.shown)
+
+        return noted
 
     async def diagnose(self, request: DiagnosisRequest) -> DiagnosisRow:
         """Diagnose a stored measurement, or several of one machine, in a worker and store the result."""
-        rows, asked = await run_in_threadpool(self.about_stored, request)
+        rows, asked, request = await run_in_threadpool(self.about_stored, request)
         recordings = [(str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows]
         result: Diagnosis
         if request.measurement is not None:
@@ -145,7 +158,8 @@ class Service:
             result = await self.pool.run(tasks.diagnose_together, recordings, asked.question)
             request = request.model_copy(update={"measurements": [row.id for row in rows]})
         self.metrics.count_diagnosis(result)
-        return await run_in_threadpool(self.store.add_diagnosis, self.new_diagnosis(request, asked, result))
+        diagnosis = self.new_diagnosis(request, asked, result, columns_of(rows[0].summary), rows[0].told)
+        return await run_in_threadpool(self.store.add_diagnosis, diagnosis)
 
     async def diagnose_upload(self, upload: Upload, name: str, told: Told, request: DiagnosisRequest) -> DiagnosisRow:
         """Store an uploaded recording and diagnose it: the same as both calls by themselves, but it is read once.
@@ -157,8 +171,14 @@ class Service:
         upload, name, told
             As for :meth:`add_measurement`.
         request : DiagnosisRequest
-            Names the measurement that the upload becomes.
         """
+        told = await self.recall(upload, name, told, request.asset)
+        request = request.model_copy(update={"measurement": measurement_key(upload.sha256, name, told)})
+        known = Remembered(self.store.database)
+        left_out = request.asset is not None and "mapping" not in request.model_fields_set
+        if left_out and await run_in_threadpool(known.has_mappings, str(request.asset)):
+            await self.add_measurement(upload, name, told)  # its columns say which sensors they were before
+            return await self.diagnose(request)
         try:
             asked = await run_in_threadpool(self.about, request)
         except Exception:
@@ -175,7 +195,7 @@ class Service:
             await run_in_threadpool(self.store.add_measurement, upload, name, told, summary)
             raise TaskFailedError(outcome.problem)
         self.metrics.count_diagnosis(outcome.value)
-        diagnosis = self.new_diagnosis(request, asked, outcome.value)
+        diagnosis = self.new_diagnosis(request, asked, outcome.value, columns_of(summary), told)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
 
     async def forecast(self, wanted: BuildRequest) -> dict[str, Any]:
@@ -205,8 +225,11 @@ class Service:
         drawn: str = await self.pool.run(response_picture, machine, phase)
         return drawn
 
-    def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked]:
-        """Return the measurements that a request names, and what else it names.
+    def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked, DiagnosisRequest]:
+        """Return the measurements that a request names, what else it names, and the request with what is remembered.
+
+        Which column is which sensor is taken from what was said of the asset's last recording with the same columns,
+        where the request does not say it.
 
         Raises
         ------
@@ -214,7 +237,14 @@ class Service:
             When something of that does not exist, or breaks a rule.
         """
         asked = self.about(request)
-        return self.measurements_of(request, asked.asset), asked
+        rows = self.measurements_of(request, asked.asset)
+        columns = {frozenset(columns_of(row.summary)) for row in rows}
+        if asked.asset is not None and "mapping" not in request.model_fields_set and len(columns) == 1:
+            known = Remembered(self.store.database).mapping(asked.asset.external_id, columns.pop())
+            if known:
+                asked = replace(asked, question=replace(asked.question, mapping=known), remembered=True)
+                request = request.model_copy(update={"mapping": known})
+        return rows, asked, request
 
     def measurements_of(self, request: DiagnosisRequest, asset: AssetRow | None) -> list[MeasurementRow]:
         """Return the measurements that a request names, or those of its asset in a window of time.
@@ -276,17 +306,35 @@ class Service:
         question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baselines)
         return Asked(offer, asset, question)
 
-    def new_diagnosis(self, request: DiagnosisRequest, asked: Asked, result: Diagnosis) -> NewDiagnosis:
-        """Return a diagnosis as it is stored, with what is told of it."""
+    def new_diagnosis(
+        self, request: DiagnosisRequest, asked: Asked, result: Diagnosis, columns: Sequence[str], told: Told
+    ) -> NewDiagnosis:
+        """Return a diagnosis as it is stored, with what is told of it, and remembered of its first recording."""
         measurements = request.measurements or [request.measurement or ""]
+        mapping = request.mapping if "mapping" in request.model_fields_set else None
+
+        def also(session: Session, key: str) -> None:
+            self.announce(session, key, measurements, asked.asset, result)
+            if asked.asset is not None:
+                external_id = asked.asset.external_id
+                Remembered(self.store.database).remember(session, external_id, columns, told.shown, mapping)
+
         return NewDiagnosis(
             measurements[0],
             asked.offer.description.id,
             asked.offer.document,
-            request.model_dump(mode="json"),
+            request.model_dump(mode="json") | ({"mapping_remembered": True} if asked.remembered else {}),
             result,
-            lambda session, key: self.announce(session, key, measurements, asked.asset, result),
+            also,
         )
+
+    def machine_of(self, name: str) -> Machine | None:
+        """Return the machine that assets of a name are one of, as a catalogue or a file of it says; None for others."""
+        for offer in self.shelf.offers():
+            if offer.machine.name == name:
+                return offer.machine
+        found = (self.machines.find(each) for each in self.machines.names())
+        return next((machine for machine in found if machine.name == name), None)
 
     def asset_of(self, name: str | None, machine: str) -> AssetRow | None:
         """Return the asset of a name, where one is given.
@@ -324,6 +372,11 @@ class Service:
         told = result.model_dump(mode="json", include={"machine", "verdict", "candidate_set"})
         named = {"diagnosis": diagnosis, "asset": None if asset is None else asset.external_id}
         webhooks.announce(session, "diagnosis.created", {**named, **told})
+
+
+def columns_of(summary: Mapping[str, Any]) -> list[str]:
+    """Return the names of the columns of a recording."""
+    return [channel["name"] for channel in summary["channels"]]
 
 
 def of_request(request: Request) -> Service:

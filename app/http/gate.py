@@ -114,6 +114,7 @@ class Gate:
             if path not in PROBES:
                 self._count(key.id if key is not None else address(request))
         request.state.key = None if key is None else key.id
+        request.state.key_name = None if key is None else key.name
         request.state.signed_in = by_cookie
         request.state.scopes = None if key is None else key.scopes
         if method not in READING and (by_cookie or key is None):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -43,12 +43,15 @@ class Life:
         When something was found, its id, and its joints.
     lessons : sequence of (Mapping, Mapping)
         Answers to recordings of machines of this kind, and what was found at their joints then.
+    limits_um : Mapping
+        Its own limits by joint, in place of the machine's.
     """
 
     machine: Mapping[str, Any]
     visits: Sequence[tuple[datetime, str, Mapping[str, Any]]]
     findings: Sequence[tuple[datetime, str, Mapping[str, Any]]]
     lessons: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]
+    limits_um: Mapping[str, float]
 
 
 def gather(store: Store, asset: str) -> Life:
@@ -93,6 +96,7 @@ def gather(store: Store, asset: str) -> Life:
         visits=[(at, key, _without_evidence(each)) for at, key, each in counted],
         findings=[(found.at, found.id, found.joints) for found in own],
         lessons=[(results[found.diagnosis], found.joints) for found in reversed(fleet)],
+        limits_um=row.limits_um,
     )
 
 
@@ -111,7 +115,10 @@ def follow_life(life: Life) -> WearState:
 
     visits = [Visit(at, key, Diagnosis.model_validate(result)) for at, key, result in life.visits]
     joints = dict.fromkeys(joint for visit in visits for joint in visit.answer.joints)
-    bounds = bounds_of(parse_machine(life.machine), joints)
+    bounds = {
+        name: replace(found, limit=1e-6 * life.limits_um[name]) if name in life.limits_um else found
+        for name, found in bounds_of(parse_machine(life.machine), joints).items()
+    }
     inspections = [
         Inspection(
             at,

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from jointplay.app.storage.told import Told
+
 if TYPE_CHECKING:
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
     from jointplay.catalogue.measurements.measurement import Recording
 
 
-def summary_of(measurement: Recording | MeasuredSpectrum) -> dict[str, Any]:
+def summary_of(measurement: Recording | MeasuredSpectrum, told: Told) -> dict[str, Any]:
     """Return what there is to say about a measurement.
 
     Parameters
     ----------
     measurement : Recording or MeasuredSpectrum
+    told : Told
+        By which it was read.
 
     Returns
     -------
@@ -25,9 +29,11 @@ def summary_of(measurement: Recording | MeasuredSpectrum) -> dict[str, Any]:
     """
     from jointplay.catalogue.measurements.measurement import Recording
 
+    said = f"as said of the last file of asset {told.remembered_of} with these columns: {summarise_told(told.shown)}"
+    remembered = [said] if told.remembered_of else []
     common = {
         "warnings": list(measurement.warnings),
-        "import_report": list(measurement.import_report),
+        "import_report": [*measurement.import_report, *remembered],
         "measured_at": None if measurement.measured_at is None else measurement.measured_at.isoformat(),
     }
     channels = [

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from jointplay.app.jobs.samples import StoredRecording, keep, read
 from jointplay.app.jobs.summaries import summary_of
 from jointplay.app.jobs.workers import WorkerOutcome, attempt
+from jointplay.app.storage.remembered import columns_key
 from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
@@ -76,7 +77,30 @@ def summarise(path: str, name: str, told: Told, kept: StoredRecording | None = N
     if kept is not None and isinstance(measured, Recording):
         with suppress(OSError):  # then it is read again when somebody looks at it
             keep(kept, measured)
-    return summary_of(measured)
+    return summary_of(measured, told)
+
+
+def recall(path: str, name: str, told: Told, known: Sequence[tuple[str, Mapping[str, Any]]]) -> Mapping[str, Any]:
+    """Return what was said of an earlier file with the same columns, where this one cannot be read without it.
+
+    Parameters
+    ----------
+    path, name, told
+        As for :func:`summarise`.
+    known : sequence of (str, Mapping)
+        What was said, by columns.
+    """
+    from jointplay.catalogue.errors import CatalogueError
+
+    with suppress(CatalogueError):
+        read(path, name, told)
+        return {}
+    for columns, said in known:
+        with suppress(CatalogueError):
+            found = read(path, name, Told(**said, measured_at=told.measured_at))
+            if columns_key(channel.name for channel in found.channels) == columns:
+                return said
+    return {}
 
 
 def diagnose(
@@ -121,7 +145,7 @@ def summarise_and_diagnose(
         The diagnosis, or why there is none.
     """
     measurement = read(path, name, told)
-    return summary_of(measurement), attempt(diagnose_measured, (measurement, question))
+    return summary_of(measurement, told), attempt(diagnose_measured, (measurement, question))
 
 
 def diagnose_measured(measurement: Recording | MeasuredSpectrum, question: DiagnosisTask) -> Diagnosis:

@@ -20,7 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.storage.rows import now
-from jointplay.app.storage.webhooks import SIGNATURE, Taken, Webhooks, signature
+from jointplay.app.storage.webhooks import SIGNATURE, Taken, Webhooks, signature, standard_signature
 
 log = logging.getLogger(__name__)
 
@@ -170,13 +170,17 @@ def send(taken: Taken, private: bool) -> None:
     host, port = str(parts.hostname), parts.port or (443 if secure else 80)
     body = taken.body.encode()
     target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+    moment = int(time.time())
     headers = {
         "Content-Type": "application/json",
         "User-Agent": "jointplay",
         "Connection": "close",
+        "webhook-id": taken.id,
+        "webhook-timestamp": str(moment),
+        "webhook-signature": standard_signature(taken.secret, taken.id, moment, body),
         "Jointplay-Event": taken.event,
         "Jointplay-Delivery": taken.id,
-        SIGNATURE: signature(taken.secret, int(time.time()), body),
+        SIGNATURE: signature(taken.secret, moment, body),
     }
     connection = GuardedConnection(host, port, address_of(host, port, private), secure)
     # Each wait is limited by itself; somebody who sends one byte now and then is stopped by the deadline.

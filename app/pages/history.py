@@ -64,11 +64,14 @@ def diagnosis_row(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow])
 
 def finding_row(row: FindingRow) -> dict[str, Any]:
     """Return the row of a finding in the table."""
-    found = [f"{name} {micrometres(joint['clearance_um'])} µm" for name, joint in row.joints.items()]
+    found = [
+        f"{name} {micrometres(joint['clearance_um'])} µm{', repaired' if joint.get('repaired') else ''}"
+        for name, joint in row.joints.items()
+    ]
     return {
         "at": spell_moment(row.at),
         "diagnosis": row.diagnosis,
-        "joints": ", ".join(found),
+        "joints": "; ".join(found),
         "text": row.text,
     }
 

@@ -132,9 +132,23 @@ def plain_number(text: str) -> bool:
     return True
 
 
+def number_of(text: str, field: str) -> float:
+    """Return a number that was typed, a whole one as such.
+
+    Raises
+    ------
+    BadFieldError
+    """
+    if not plain_number(text):
+        raise BadFieldError(f"{field}: {text[:80]}: must be a number", field=field)
+    value = float(text)
+    return int(value) if value.is_integer() else value
+
+
 def messages_of(problem: Problem, fields: Sequence[str]) -> dict[str, str]:
     """Return the messages of a problem by field of a form; what is wrong with a recording is about the recording."""
-    named = [entry["field"] for entry in problem.errors if entry["field"] in fields]
+    parts = [entry["field"].partition(".")[0] for entry in problem.errors]
+    named = [part for part in parts if part in fields]
     about_file = problem.type.rpartition(":")[2] in ("measurement", "too-large", "diagnosis")
     recording = "file" if "file" in fields else "measurement"
     return dict.fromkeys(named or ([recording] if about_file else []), problem.detail)

@@ -14,7 +14,11 @@ from jointplay.catalogue.signals.sensors import match_by_name
 
 
 def confirmation(
-    measurement: MeasurementRow, offer: Offer, found: Mapping[str, Any], given: Mapping[str, str]
+    measurement: MeasurementRow,
+    offer: Offer,
+    found: Mapping[str, Any],
+    given: Mapping[str, str],
+    remembered: Mapping[str, str],
 ) -> dict[str, Any]:
     """Return the members that the page of confirmation shows.
 
@@ -28,10 +32,12 @@ def confirmation(
         What :func:`jointplay.app.pages.understanding.understand` returned.
     given : Mapping
         Fields that somebody filled in already; they stay.
+    remembered : Mapping
+        Column to sensor by what was confirmed for the asset's last recording with the same columns.
     """
     summary = measurement.summary
     names = [channel["name"] for channel in summary["channels"]]
-    by_name = match_by_name(names, offer.machine)
+    by_name = {**match_by_name(names, offer.machine), **remembered}
     estimated = "" if found["speed_rpm"] is None else f"{found['speed_rpm']:.6g}"
     return {
         "measurement": measurement.id,
@@ -48,10 +54,11 @@ def confirmation(
                 "name": channel["name"],
                 "words": channel_words(channel),
                 "field": f"sensor-{index}",
-                "chosen": given.get(f"sensor-{index}", by_name.get(channel["name"], NOT_USED)),
+                "chosen": given.get(f"sensor-{index}", by_name.get(channel["name"]) or NOT_USED),
             }
             for index, channel in enumerate(summary["channels"])
         ],
+        "remembered": given.get("asset") if remembered else "",
         "sensors": [sensor.name for sensor in offer.machine.sensors],
         "not_used": NOT_USED,
         "estimated": estimated,

@@ -51,6 +51,10 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "recording": words.recorded(result, measurement.name),
         "recordings": recording_rows(result),
         "asset": row.request.get("asset"),
+        "mapped": ", ".join(
+            f"{column}: {sensor or 'not used'}" for column, sensor in row.request.get("mapping", {}).items()
+        ),
+        "remembered": row.request.get("mapping_remembered", False),
         "created": row.created_at,
         "warnings": result.warnings,
         "ranking": hypothesis_rows(result, SHOWN_HYPOTHESES),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from collections.abc import Sequence
 from typing import Any
 
+from jointplay.app.pages.standing import day
 from jointplay.app.rows import between, length, micrometres, percent
+from jointplay.app.storage.assets import FindingRow
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.following.state import JointFollowed, WearState
 
@@ -16,8 +18,8 @@ LOOKS = 6
 """Looks of joints in charts."""
 
 
-def show_state(state: WearState) -> dict[str, Any]:
-    """Return what a template shows of a state of wear."""
+def show_state(state: WearState, findings: Sequence[FindingRow] = ()) -> dict[str, Any]:
+    """Return what a template shows of a state of wear, and of what inspections found meanwhile."""
     joints = sorted(state.joints.items(), key=lambda item: (-item[1].p_over_limit, -item[1].p_worn))
     return {
         "at": spell_moment(state.at),
@@ -38,7 +40,7 @@ def show_state(state: WearState) -> dict[str, Any]:
             {"joint": repair.joint, "at": day(repair.at), "percent": percent(repair.probability)}
             for repair in state.repairs
         ],
-        "chart": chart(state),
+        "chart": chart(state, findings),
     }
 
 
@@ -62,8 +64,8 @@ def joint_row(name: str, found: JointFollowed) -> dict[str, Any]:
     }
 
 
-def chart(state: WearState) -> dict[str, Any] | None:
-    """Return the course of worn joints for the script, and in words; None where none ever was."""
+def chart(state: WearState, findings: Sequence[FindingRow]) -> dict[str, Any] | None:
+    """Return the course of worn joints, their limits and findings for the script, and in words; None of no wear."""
     order = list(state.joints)
     points = {
         name: [
@@ -83,19 +85,32 @@ def chart(state: WearState) -> dict[str, Any] | None:
         return None
     looks = [{"name": name, "look": order.index(name) % LOOKS} for name in drawn]
     said = [f"{name} {micrometres(points[name][-1]['um'])} µm" for name in drawn]
+    events: list[dict[str, Any]] = [
+        {"at": repair.at.timestamp(), "kind": "repair", "joint": repair.joint} for repair in state.repairs
+    ]
+    events += [
+        {"at": finding.at.timestamp(), "kind": "finding", "joint": name, "um": found["clearance_um"]}
+        for finding in findings
+        for name, found in finding.joints.items()
+    ]
+    limits: dict[float, list[str]] = {}
+    for name in drawn:
+        limits.setdefault(state.joints[name].limit_um, []).append(name)
+    reached = [
+        {**look, "um": found.limit_um, "at": [None if at is None else at.timestamp() for at in found.limit_at]}
+        for look in looks
+        for found in [state.joints[str(look["name"])]]
+        if found.p_worn >= WORN and found.limit_at[0] is not None
+    ]
     return {
         "joints": looks,
+        "kinds": sorted({event["kind"] for event in events} | ({"limit"} if reached else set())),
         "summary": f"Radial clearance by all recordings up to each. Last: {', '.join(said)}. The table has the values.",
         "data": {
             "label": "radial clearance, µm",
             "joints": [{**look, "points": points[str(look["name"])]} for look in looks],
-            "events": [
-                {"at": repair.at.timestamp(), "kind": "repair", "joint": repair.joint} for repair in state.repairs
-            ],
+            "events": events,
+            "limits": [{"um": um, "text": f"limit {', '.join(names)}"} for um, names in limits.items()],
+            "reached": reached,
         },
     }
-
-
-def day(at: datetime | None) -> str:
-    """Return a day in UTC; empty for none."""
-    return spell_moment(at)[:10] if at else ""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
 from sqlalchemy import select
@@ -14,30 +16,34 @@ from jointplay.app.http import paging
 from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
 from jointplay.app.pages.history import history
-from jointplay.app.pages.page_forms import messages_of, plain_form
+from jointplay.app.pages.page_forms import messages_of, number_of, plain_form
+from jointplay.app.pages.standing import STATES, show_standing
 from jointplay.app.pages.wear_state import show_state
 from jointplay.app.problems import Problem
-from jointplay.app.routes.assets import check_baseline
+from jointplay.app.routes.assets import check_baseline, check_limits, list_assets
 from jointplay.app.routes.pages import REFUSALS, context
-from jointplay.app.schemas.assets import AssetIn, AssetName
+from jointplay.app.schemas.assets import Acknowledgement, AssetIn, AssetName, Looking
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
-from jointplay.app.storage.rows import MeasurementRow
+from jointplay.app.storage.rows import MeasurementRow, now
+from jointplay.app.storage.standings import Standings
 from jointplay.app.words import spell_moment
 
 router = APIRouter(prefix="/assets")
 
-FIELDS = ("external_id", "machine", "notes", "baseline", "from")
+LIMIT = "limit-"
+DAYS = ("silent_after_days", "warn_within_days")
+FIELDS = ("external_id", "machine", "notes", "baseline", "from", "limits_um", *DAYS, "state", "note")
 SHOWN = 200
 
 
 @router.get("")
 async def assets(request: Request) -> Response:
-    """Show the assets, and the form that notes a new one."""
+    """Show the assets, those first that need somebody, and the form that notes a new one."""
     try:
-        return await show_list(request, request.query_params.get("cursor"), {})
+        return await show_list(request, request.query_params.get("cursor"), {}, looking=looked_for(request))
     except REFUSALS as error:
         return await show_list(request, None, {}, problem_from(error))
 
@@ -74,7 +80,10 @@ async def state(request: Request, external_id: str) -> Response:
     service = of_request(request)
     try:
         row = await run_in_threadpool(Assets(service.store.database).asset, external_id)
-        members = {"asset": asset_item(row), "state": show_state(await service.follow(external_id))}
+        only = {"asset": external_id}
+        found = await run_in_threadpool(Assets(service.store.database).findings, None, SHOWN, None, only)
+        shown = show_state(await service.follow(external_id), found)
+        members = {"asset": asset_item(row), "state": shown}
     except REFUSALS as error:
         return await show_list(request, None, {}, problem_from(error))
     return await answer_page(request, "state.html", members | {"title": f"{external_id}: jointplay"}, None)
@@ -90,6 +99,7 @@ async def change(request: Request, external_id: str) -> Response:
         row = await run_in_threadpool(found.asset, external_id)
         given.update(await plain_form(request))
         _, wanted = check_form({**given, "external_id": external_id, "machine": row.machine})
+        await run_in_threadpool(check_limits, service, wanted)
         if wanted.baseline is not None and wanted.baseline == row.baseline:
             # The page chooses the first; those that came besides by the interface stay with it.
             wanted = wanted.model_copy(update={"baselines": list(row.in_order)})
@@ -99,6 +109,28 @@ async def change(request: Request, external_id: str) -> Response:
         problem = problem_from(error)
         try:
             return await show_asset(request, external_id, None, given, problem)
+        except REFUSALS:
+            return await show_list(request, None, {}, problem)
+    return RedirectResponse(f"/assets/{external_id}", status_code=303)
+
+
+@router.post("/{external_id}/acknowledgement")
+async def acknowledge(request: Request, external_id: str) -> Response:
+    """Note that somebody has seen how an asset stands, or let it need somebody again."""
+    standings = Standings(of_request(request).store.database)
+    try:
+        await run_in_threadpool(Assets(of_request(request).store.database).asset, external_id)
+        given = await plain_form(request)
+        if given.pop("again", ""):
+            await run_in_threadpool(standings.forget_acknowledgement, external_id)
+        else:
+            seen = validate(Acknowledgement, given)
+            by = request.state.key_name or ""
+            await run_in_threadpool(standings.acknowledge, external_id, seen.state, by, seen.note)
+    except REFUSALS as error:
+        problem = problem_from(error)
+        try:
+            return await show_asset(request, external_id, None, None, problem)
         except REFUSALS:
             return await show_list(request, None, {}, problem)
     return RedirectResponse(f"/assets/{external_id}", status_code=303)
@@ -127,19 +159,44 @@ async def together(request: Request, external_id: str) -> Response:
 def check_form(given: dict[str, str]) -> tuple[str, AssetIn]:
     """Return the name of an asset and what a form says of it, by the rules of the HTTP interface."""
     name = validate(AssetName, {"external_id": given["external_id"]}).external_id
-    return name, validate(AssetIn, {field: value for field, value in given.items() if field != "external_id"})
+    said: dict[str, Any] = {}
+    limits: dict[str, float] = {}
+    for field, value in given.items():
+        if field.startswith(LIMIT):
+            limits[field.removeprefix(LIMIT)] = number_of(value, "limits_um")
+        elif field in DAYS:
+            said[field] = number_of(value, field)
+        elif field != "external_id":
+            said[field] = value
+    return name, validate(AssetIn, said | {"limits_um": limits})
+
+
+def looked_for(request: Request) -> dict[str, str]:
+    """Return what a list is asked to show alone."""
+    given = {name: request.query_params.get(name, "") for name in ("state", "search")}
+    return validate(Looking, {name: value for name, value in given.items() if value}).model_dump(exclude_defaults=True)
 
 
 async def show_list(
-    request: Request, cursor: str | None, given: dict[str, str], problem: Problem | None = None
+    request: Request,
+    cursor: str | None,
+    given: dict[str, str],
+    problem: Problem | None = None,
+    looking: dict[str, str] | None = None,
 ) -> Response:
     """Return the page with the list and the form, and with what was wrong."""
     service = of_request(request)
     size = service.settings.page_size
-    rows = await run_in_threadpool(Assets(service.store.database).page, paging.decode_number(cursor), size + 1)
-    cut, following = paging.cut(rows, size)
+    wanted = looking or {}
+    only = (wanted.get("state"), wanted.get("search"))
+    rows, following = await run_in_threadpool(list_assets, service, "urgent", cursor, size, *only)
+    counts = await run_in_threadpool(Assets(service.store.database).counts)
+    moment = now()
     members: dict[str, Any] = {
-        "assets": [asset_item(row) for row in cut],
+        "assets": [asset_item(row) | {"standing": show_standing(row, moment)} for row in rows],
+        "states": [(state, said, counts.get(state, 0)) for state, said in STATES.items()],
+        "looking": wanted,
+        "same": urlencode(wanted),
         "following": following,
         "first": cursor is None,
         "machines": await run_in_threadpool(machine_names, service),
@@ -160,17 +217,19 @@ async def show_asset(
     """Return the page of an asset, and what was wrong with a change of it."""
     service = of_request(request)
     members = await run_in_threadpool(past, service, external_id, cursor)
-    members["chosen"] = {"notes": members["asset"]["notes"], "baseline": members["asset"]["baseline"]} | (given or {})
+    members["chosen"] = members["stored"] | (given or {})
     members |= {"may_match": may_match(request), "title": f"{external_id}: jointplay"}
     return await answer_page(request, "asset.html", members, problem)
 
 
-async def answer_page(request: Request, page: str, members: dict[str, Any], problem: Problem | None) -> Response:
+async def answer_page(
+    request: Request, page: str, members: dict[str, Any], problem: Problem | None, fields: Sequence[str] = FIELDS
+) -> Response:
     """Return a page, with a problem beside the field that it is about, or above all."""
     if problem is None:
         return templates.TemplateResponse(request, page, await context(request, **members))
     note(request, problem)
-    messages = messages_of(problem, FIELDS)
+    messages = messages_of(problem, fields)
     members |= {"messages": messages}
     members["summary"] = None if messages else {"title": problem.title, "detail": problem.detail}
     whole = await context(request, **members)
@@ -201,8 +260,19 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     baselines = [store.measurement(key) for key in row.in_order]
     recordings += [each for each in baselines[:1] if each.id not in {one.id for one in recordings}]
     findings = found.findings(None, SHOWN + 1, only={"asset": external_id})
+    machine = service.machine_of(row.machine)
+    wearing = () if machine is None else machine.wearing_joints
+    limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []
     return {
         "asset": asset_item(row),
+        "standing": show_standing(row, now()),
+        "limits": limits,
+        "stored": {
+            "notes": row.notes,
+            "baseline": row.baseline or "",
+            **{name: getattr(row, name) for name in DAYS},
+            **{f"{LIMIT}{name}": f"{limit:g}" for name, limit in row.limits_um.items()},
+        },
         "baseline": ", ".join(each.name for each in baselines),
         "recordings": [(each.id, f"{each.name}, {spell_moment(each.measured_at)} UTC") for each in recordings],
         "history": history(diagnoses, measurements, findings[:SHOWN]),

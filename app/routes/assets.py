@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.errors import BadFieldError, UnknownMeasurementError
@@ -14,14 +15,25 @@ from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, AssetOut, AssetPage
+from jointplay.app.schemas.assets import EXTERNAL_ID, TEXT, Acknowledgement, AssetIn, AssetOut, AssetPage
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.standings import Standings, standing_out
+from jointplay.catalogue.following.standing import StandingName
 from jointplay.catalogue.following.state import WearState
+from jointplay.solver.machines.joints import LARGEST_LIMIT
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
 ExternalId = Annotated[str, Path(pattern=EXTERNAL_ID, description="The asset's name in your own records.")]
+Order = Annotated[
+    Literal["newest", "urgent"],
+    Query(description="urgent: first what needs somebody most, by its standing and the date of reaching a limit."),
+]
+State = Annotated[StandingName | None, Query(description="Only what stands so.")]
+Search = Annotated[
+    str | None, Query(max_length=200, pattern=TEXT, examples=["press"], description="In id, machine or notes.")
+]
 CREATED: dict[int | str, dict[str, Any]] = {201: {"model": AssetOut, "description": "There was none of this id."}}
 
 
@@ -30,6 +42,7 @@ def put(request: Request, response: Response, external_id: ExternalId, wanted: A
     """Say which machine an asset is, what to note of it, and its baselines; what is left out is emptied."""
     service = of_request(request)
     check_baseline(service, wanted)
+    check_limits(service, wanted)
     row, new = Assets(service.store.database).put(external_id, wanted)
     if new:
         response.status_code = 201
@@ -38,13 +51,19 @@ def put(request: Request, response: Response, external_id: ExternalId, wanted: A
 
 
 @router.get("", responses=problems(400, 422))
-def assets(request: Request, cursor: Cursor = None, limit: Limit = None) -> AssetPage:
-    """List the assets, the newest first."""
+def assets(
+    request: Request,
+    order: Order = "newest",
+    state: State = None,
+    search: Search = None,
+    cursor: Cursor = None,
+    limit: Limit = None,
+) -> AssetPage:
+    """List the assets, the newest first, or first those that need somebody: of a state, or with a text."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows = Assets(service.store.database).page(paging.decode_number(cursor), size + 1)
-    shown, following = paging.cut(rows, size)
-    return AssetPage(items=[asset_out(row) for row in shown], next_cursor=following)
+    rows, following = list_assets(service, order, cursor, size, state, search)
+    return AssetPage(items=[asset_out(row) for row in rows], next_cursor=following)
 
 
 @router.get("/{external_id}", response_model=AssetOut, responses=problems(404, 422))
@@ -63,6 +82,24 @@ async def state(request: Request, external_id: ExternalId) -> Response:
     """
     text = (await of_request(request).follow(external_id)).model_dump_json()
     return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
+
+
+@router.put(
+    "/{external_id}/acknowledgement", responses=problems(400, 404, 413, 415, 422), dependencies=[Depends(json_body)]
+)
+def acknowledge(request: Request, external_id: ExternalId, seen: Acknowledgement) -> AssetOut:
+    """Say that somebody has seen how the asset stands; it holds until that gets worse or has another reason."""
+    database = of_request(request).store.database
+    found = Assets(database).asset(external_id)
+    Standings(database).acknowledge(found.external_id, seen.state, request.state.key_name or "", seen.note)
+    return asset_out(Assets(database).asset(external_id))
+
+
+@router.delete("/{external_id}/acknowledgement", status_code=204, responses=problems(404, 422))
+def take_back(request: Request, external_id: ExternalId) -> None:
+    """Let what was acknowledged need somebody again."""
+    database = of_request(request).store.database
+    Standings(database).forget_acknowledgement(Assets(database).asset(external_id).external_id)
 
 
 @router.put("/{external_id}/measurements/{measurement}", status_code=204, responses=problems(404, 422))
@@ -90,6 +127,42 @@ def check_baseline(service: Service, wanted: AssetIn) -> None:
             raise BadFieldError(f"{field}: {measured.id}: {rule}", field=field)
 
 
+def list_assets(
+    service: Service, order: str, cursor: str | None, size: int, state: str | None, search: str | None
+) -> tuple[Sequence[AssetRow], str | None]:
+    """Return a page of assets, and the cursor of the next."""
+    found, start = Assets(service.store.database), paging.decode_number(cursor)
+    if order == "newest":
+        return paging.cut(found.page(start, size + 1, state, search), size)
+    rows = found.urgent(start or 0, size + 1, state, search)
+    return rows[:size], paging.encode(str((start or 0) + size)) if len(rows) > size else None
+
+
+def check_limits(service: Service, wanted: AssetIn) -> None:
+    """Refuse limits of joints that the machine does not have, or that no worn joint can have.
+
+    Raises
+    ------
+    BadFieldError
+    """
+    if not wanted.limits_um:
+        return
+    machine = service.machine_of(wanted.machine)
+    if machine is None:
+        raise BadFieldError(f"limits_um: machine {wanted.machine[:80]}: is not known here", field="limits_um")
+    wearing = machine.wearing_joints
+    for name, limit in wanted.limits_um.items():
+        if name not in wearing:
+            known = ", ".join(sorted(wearing))
+            raise BadFieldError(
+                f"limits_um: {name[:80]}: is no joint of {machine.name} that can wear ({known})", field="limits_um"
+            )
+        low, high = 1e6 * machine.joints[name].play_as_new[1], 1e6 * LARGEST_LIMIT
+        if not low < limit <= high:
+            rule = f"must be above its play as new, {low:.3g} um, and at most {high:g} um"
+            raise BadFieldError(f"limits_um: {name}: {limit:g}: {rule}", field="limits_um")
+
+
 def asset_out(row: AssetRow) -> AssetOut:
     """Return the outside shape of an asset."""
     return AssetOut(
@@ -98,6 +171,10 @@ def asset_out(row: AssetRow) -> AssetOut:
         notes=row.notes,
         baseline=row.baseline,
         baselines=list(row.in_order),
+        limits_um=row.limits_um,
+        silent_after_days=row.silent_after_days,
+        warn_within_days=row.warn_within_days,
         created_at=row.created_at,
         updated_at=row.updated_at,
+        standing=standing_out(row),
     )

@@ -49,6 +49,11 @@ class DiagnosisOut(Answer, _Stored):
 
     id: str
     catalogue: str = Field(description="Id of the catalogue as it was then; one that has grown has another.")
+    mapping: dict[str, str] = Field(description="Column to sensor, beyond what their names say; empty: left out.")
+    mapping_remembered: bool = Field(
+        description="Whether the request left it out, so that it is that of the asset's last recording with the same"
+        " columns."
+    )
 
 
 def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
@@ -60,6 +65,8 @@ def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
         "measurements": list(row.measurements),
         "asset": row.request.get("asset"),
         "catalogue": row.catalogue,
+        "mapping": row.request.get("mapping", {}),
+        "mapping_remembered": row.request.get("mapping_remembered", False),
     }
     members = {name: value for name, value in row.answer if name != "hash"}
     return DiagnosisOut.model_validate({**members, **stored})

@@ -27,9 +27,10 @@ from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, p
 from jointplay.app.pages.understood import confirmation
 from jointplay.app.pages.views import view
 from jointplay.app.problems import Problem
-from jointplay.app.service import Service, of_request
+from jointplay.app.service import Service, columns_of, of_request
 from jointplay.app.storage.assets import Assets
-from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.remembered import Remembered
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.told import read_told
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
@@ -64,6 +65,7 @@ async def upload(request: Request) -> Response:
             offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
             await run_in_threadpool(service.asset_of, given.get("asset"), offer.machine.name)
             told = await run_in_threadpool(read_told, given)
+            told = await service.recall(form.file, form.file_name, told, given.get("asset"))
             measurement = await service.add_measurement(form.file, form.file_name, told)
     except REFUSALS as error:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
@@ -165,7 +167,8 @@ async def understood(request: Request, given: Mapping[str, str]) -> dict[str, An
         offer.stamp,
     )
     messages = {found["field"]: found["message"]} if found["field"] else {}
-    shown = confirmation(measurement, offer, found, given)
+    known = await run_in_threadpool(remembered_sensors, service, measurement, given.get("asset"))
+    shown = confirmation(measurement, offer, found, given, known)
     # The result comes below it, with a drawing of the same machine: names within them are told apart.
     shown["drawing"] = (
         machine_svg(offer.machine)
@@ -173,6 +176,14 @@ async def understood(request: Request, given: Mapping[str, str]) -> dict[str, An
         .replace("-title places-", '-title" aria-describedby="places-')  # names of sensors label the selects
     )
     return await context(request, confirm=shown, chosen=dict(given), messages=messages, title="Confirm: jointplay")
+
+
+def remembered_sensors(service: Service, measurement: MeasurementRow, asset: str | None) -> dict[str, str]:
+    """Return which column is which sensor by what was confirmed for the asset before; nothing where nothing was."""
+    if not asset:
+        return {}
+    columns = columns_of(measurement.summary)
+    return Remembered(service.store.database).mapping(asset, columns) or {}
 
 
 async def refuse(

@@ -9,7 +9,9 @@ from pydantic import ConfigDict, Field, model_validator
 
 from jointplay.app.schemas.resources import Page, Shape
 from jointplay.app.words import MeasuredAt
+from jointplay.catalogue.diagnosing.answer import Verdict
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+from jointplay.catalogue.following.standing import Reason, StandingName
 
 EXTERNAL_ID = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,127}$"
 TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f]*$"  # a database takes no NUL, and nobody wants the others
@@ -49,11 +51,76 @@ class AssetIn(Shape):
         ),
     ]
 
+    limits_um: Annotated[
+        dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]],
+        Field(
+            default={},
+            max_length=200,
+            description="Radial clearance from which a joint of this asset is worn out, by its name; those that are not"
+            " named have the machine's `limit`.",
+        ),
+    ]
+    silent_after_days: Annotated[
+        int,
+        Field(
+            default=30, ge=1, le=3650, strict=True, description="Age of its last recording from which on it is silent."
+        ),
+    ]
+    warn_within_days: Annotated[
+        int,
+        Field(default=30, ge=0, le=3650, strict=True, description="How long before a limit is reached that is said."),
+    ]
+
     @property
     def in_order(self) -> tuple[str, ...]:
         """Ids of its baselines, each once."""
         given = self.baselines or ([] if self.baseline is None else [self.baseline])
         return tuple(dict.fromkeys(given))
+
+
+class Looking(Shape):
+    """Which assets a list shows alone."""
+
+    state: StandingName | None = None
+    search: Annotated[str | None, Field(default=None, max_length=200, pattern=TEXT)]
+
+
+class Acknowledgement(Shape):
+    """That somebody has seen how an asset stands."""
+
+    model_config = ConfigDict(json_schema_extra={"example": {"state": "unknown", "note": "stands still until Monday"}})
+
+    state: Annotated[StandingName, Field(description="What was seen; refused where it is another by now.")]
+    note: Annotated[str, Field(default="", max_length=2000, pattern=TEXT)]
+
+
+class Acknowledged(Shape):
+    """Who has seen how an asset stands; it holds until the state gets worse, or something else is the reason."""
+
+    by: str = Field(description="Name of the key; empty where no keys are asked for.")
+    at: datetime
+    note: str
+
+
+class StandingOut(Shape):
+    """How an asset stands."""
+
+    state: StandingName = Field(
+        description="alarm: a joint is beyond its limit; watch: somebody should look; unknown: too little is known, or"
+        " nothing was heard for long; in_order."
+    )
+    reasons: list[Reason] = Field(description="What asks most of somebody first; none where it is in order.")
+    acknowledged: Acknowledged | None
+    verdict: Verdict | None = Field(description="Of the last recording that was diagnosed.")
+    verdict_at: datetime | None = Field(description="When that recording was made.")
+    diagnosis: str | None = Field(description="Id of that diagnosis.")
+    heard_at: datetime | None = Field(description="When its last recording was made.")
+    over_limit: list[str] = Field(description="Joints beyond their limit.")
+    near_limit: list[str] = Field(description="Joints that may be, or will be within `warn_within_days`.")
+    limit_at: tuple[datetime | None, datetime | None, datetime | None] | None = Field(
+        description="When the first worn joint has reached its limit, with probabilities of 0.05, 0.5 and 0.95."
+    )
+    up_to_date: bool = Field(description="Whether it follows from all that is stored by now.")
 
 
 class AssetOut(Shape):
@@ -64,8 +131,12 @@ class AssetOut(Shape):
     notes: str
     baseline: str | None
     baselines: list[str] = Field(description="All of its baselines, of which `baseline` is the first.")
+    limits_um: dict[str, float]
+    silent_after_days: int
+    warn_within_days: int
     created_at: datetime
     updated_at: datetime
+    standing: StandingOut
 
 
 class AssetPage(Page):

@@ -378,7 +378,9 @@ class BuildPage(Page):
     items: list[BuildOut]
 
 
-Event = Literal["diagnosis.created", "finding.created"]
+Event = Literal[
+    "diagnosis.created", "finding.created", "asset.state_changed", "limit.predicted", "asset.silent", "build.ended"
+]
 EVENTS: tuple[str, ...] = get_args(Event)
 
 

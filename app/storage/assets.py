@@ -6,10 +6,10 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import ForeignKey, Select, String, Text, select
+from sqlalchemy import JSON, ColumnElement, ForeignKey, Select, String, Text, func, or_, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column, relationship
 
 from jointplay.app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
@@ -17,10 +17,24 @@ from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, DiagnosisRow, newest, now
 from jointplay.app.storage.webhooks import announce
+from jointplay.catalogue.following.standing import Known, Patience, Reason, judge
+
+NEEDED = 10
+"""Added to the severity of what nobody has acknowledged."""
+
+
+def reasons_at_first() -> list[dict[str, Any]]:
+    """Return why nothing is known of an asset that was just noted, as JSON values."""
+    patience = Patience(silent_after=timedelta(days=1), warn_within=timedelta(days=1))
+    return [reason.model_dump() for reason in judge(Known(), now(), patience)]
 
 
 class AssetRow(Base):
-    """One asset."""
+    """One asset, and how it stands: what follows from all that is known of it is kept, not computed for every look.
+
+    Whatever changes that counts up `changes`, in its own transaction; what was judged is by the `followed` first of
+    them. It is to be judged anew at `due_at`, by time alone or since something has changed.
+    """
 
     __tablename__ = "assets"
 
@@ -31,6 +45,19 @@ class AssetRow(Base):
     baseline: Mapped[str | None] = mapped_column(ForeignKey("measurements.id"))
     created_at: Mapped[datetime]
     updated_at: Mapped[datetime]
+    limits_um: Mapped[dict[str, Any]]
+    silent_after_days: Mapped[int]
+    warn_within_days: Mapped[int]
+    state: Mapped[str] = mapped_column(String(16), default="unknown")
+    need: Mapped[int] = mapped_column(default=0)
+    reasons: Mapped[list[dict[str, Any]]] = mapped_column(JSON, default=reasons_at_first)
+    known: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    said: Mapped[list[str]] = mapped_column(JSON, default=list)
+    acknowledged: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    limit_at: Mapped[datetime | None]
+    changes: Mapped[int] = mapped_column(default=1)
+    followed: Mapped[int] = mapped_column(default=0)
+    due_at: Mapped[datetime | None] = mapped_column(default=now, index=True)
     further: Mapped[list[AssetBaselineRow]] = relationship(
         order_by="AssetBaselineRow.place", lazy="selectin", cascade="all, delete-orphan"
     )
@@ -39,6 +66,17 @@ class AssetRow(Base):
     def in_order(self) -> tuple[str, ...]:
         """Ids of its baselines."""
         return () if self.baseline is None else (self.baseline, *(each.measurement for each in self.further))
+
+    @property
+    def patience(self) -> Patience:
+        """How long it may be silent, and how long before a limit somebody wants to know."""
+        days = (timedelta(days=self.silent_after_days), timedelta(days=self.warn_within_days))
+        return Patience(silent_after=days[0], warn_within=days[1])
+
+    @property
+    def judged(self) -> tuple[Reason, ...]:
+        """What somebody should know of it."""
+        return tuple(map(Reason.model_validate, self.reasons))
 
 
 class AssetBaselineRow(Base):
@@ -126,6 +164,7 @@ class Assets:
                     AssetBaselineRow(place=place, measurement=key) for place, key in enumerate(in_order[1:], 1)
                 ]
                 row.updated_at = moment
+                row.changes, row.due_at = row.changes + 1, moment
             session.flush()
             for measurement in in_order:
                 self.own_in(session, external_id, measurement)
@@ -147,15 +186,44 @@ class Assets:
             raise UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
         return row
 
-    def page(self, before: int | None, limit: int) -> list[AssetRow]:
-        """Return assets, the newest first, from below a row number on."""
+    def page(
+        self, before: int | None, limit: int, state: str | None = None, search: str | None = None
+    ) -> list[AssetRow]:
+        """Return assets, the newest first, from below a row number on; of a state, or with a text, where one is given.
+
+        Parameters
+        ----------
+        before : int, optional
+        limit : int
+        state : str, optional
+        search : str, optional
+            In their id, machine or notes, in whatever case.
+        """
         with self._database.reading() as session:
-            return list(session.scalars(newest(session, AssetRow, before, limit)))
+            query = newest(session, AssetRow, before, limit)
+            return list(session.scalars(query.where(*filters(state, search))))
+
+    def urgent(self, after: int, limit: int, state: str | None = None, search: str | None = None) -> list[AssetRow]:
+        """Return assets from a place on, those first that need somebody most; the rest as for :meth:`page`.
+
+        Of those that need somebody alike, the one is first whose limit is reached first.
+        """
+        order = (AssetRow.need.desc(), AssetRow.limit_at.asc().nulls_last(), AssetRow.number.desc())
+        with self._database.reading() as session:
+            query = select(AssetRow).where(*filters(state, search)).order_by(*order)
+            return list(session.scalars(query.offset(after).limit(limit)))
+
+    def counts(self) -> dict[str, int]:
+        """Return how many assets are in each state."""
+        with self._database.reading() as session:
+            found = session.execute(select(AssetRow.state, func.count()).group_by(AssetRow.state)).all()
+        return {str(state): int(count) for state, count in found}
 
     def own(self, external_id: str, measurement: str) -> None:
         """Note that a stored measurement is of an asset."""
         with self._database.writing() as session:
             self.own_in(session, external_id, measurement)
+            touch(session, AssetRow.external_id == external_id)
 
     def own_in(self, session: Session, external_id: str, measurement: str) -> None:
         """Note in a transaction that a stored measurement is of an asset."""
@@ -168,6 +236,7 @@ class Assets:
             self.own_in(session, external_id, measurement)
         row = {"asset": external_id, "diagnosis": diagnosis}
         session.execute(self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing())
+        touch(session, AssetRow.external_id == external_id)
 
     def add_finding(self, row: DiagnosisRow, found: FindingIn) -> FindingRow:
         """Store a finding and return it: the same finding twice is one.
@@ -177,8 +246,7 @@ class Assets:
         BadFieldError
             When it names a joint that the diagnosed machine does not have.
         """
-        joints = row.machine["joints"].items()
-        wearing = {name for name, joint in joints if joint["kind"] == "turning" or "length" in joint}
+        wearing = wearing_in(row.machine)
         for name in found.joints:
             if name not in wearing:
                 known = ", ".join(sorted(wearing))
@@ -201,6 +269,9 @@ class Assets:
         with self._database.writing() as session:
             insert = self._database.insert(FindingRow).values(values).on_conflict_do_nothing(index_elements=["id"])
             if session.scalar(insert.returning(FindingRow.id)) is not None:
+                # It teaches what answers to recordings of all machines of the kind are worth.
+                of = select(AssetRow.machine).where(AssetRow.external_id == values["asset"])
+                touch(session, AssetRow.machine == of.scalar_subquery())
                 announce(session, "finding.created", {"finding": key, "diagnosis": row.id, "asset": values["asset"]})
         return self.finding(key)
 
@@ -250,6 +321,35 @@ class Assets:
                 if value is not None:
                     query = query.where(getattr(FindingRow, name) == value)
             return list(session.scalars(query))
+
+
+def wearing_in(machine: Mapping[str, Any]) -> set[str]:
+    """Return the joints of a stored machine that can wear."""
+    return {name for name, joint in machine["joints"].items() if joint["kind"] == "turning" or "length" in joint}
+
+
+def filters(state: str | None, search: str | None) -> list[ColumnElement[bool]]:
+    """Return what assets of a state, and with a text in what they are called, have to fulfil."""
+    found = [] if state is None else [AssetRow.state == state]
+    if search:
+        texts = (AssetRow.external_id, AssetRow.machine, AssetRow.notes)
+        found.append(or_(*(text.icontains(search, autoescape=True) for text in texts)))
+    return found
+
+
+def touch(session: Session, which: ColumnElement[bool]) -> None:
+    """Note in a transaction that something has changed of which the standing of assets depends."""
+    # In one order: two that touch the same assets wait for each other, not for ever.
+    held = select(AssetRow.number).where(which).order_by(AssetRow.number).with_for_update(key_share=True)
+    numbers = list(session.scalars(held))
+    values = {"changes": AssetRow.changes + 1, "due_at": now()}
+    session.execute(update(AssetRow).where(AssetRow.number.in_(numbers)).values(values))
+
+
+def touch_owners(session: Session, measurement: str) -> None:
+    """Note in a transaction that something about a measurement has changed: its assets may stand otherwise."""
+    owners = select(AssetMeasurementRow.asset).where(AssetMeasurementRow.measurement == measurement)
+    touch(session, AssetRow.external_id.in_(owners))
 
 
 def measurements_of(external_id: str) -> Select[str]:

@@ -21,14 +21,14 @@ from sqlalchemy import Integer, func, insert, select
 from sqlalchemy.engine import URL, make_url
 
 from jointplay.app.errors import BackupError
-from jointplay.app.storage import assets, build_queue, idempotency, keys, webhooks
+from jointplay.app.storage import assets, build_queue, idempotency, keys, remembered, webhooks
 from jointplay.app.storage.database import REVISION, ServiceDatabase, database_url
 from jointplay.app.storage.rows import Base, MeasurementRow, now
 from jointplay.app.storage.store import recording_path
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, sync_folder
 
 #: All tables are known once the modules that define them are loaded.
-_DEFINING = (assets, build_queue, idempotency, keys, webhooks)
+_DEFINING = (assets, build_queue, idempotency, keys, remembered, webhooks)
 TABLES = Base.metadata
 
 FORMAT = 1

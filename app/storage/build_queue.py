@@ -21,6 +21,7 @@ from jointplay.app.logs import request_id
 from jointplay.app.schemas.resources import BuildOut, State
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, newest, now
+from jointplay.app.storage.webhooks import announce
 
 ATTEMPTS = 5
 """How often a build is begun before one whose process or server dies each time is given up."""
@@ -156,7 +157,7 @@ class BuildQueue:
             row: BuildRow
             for row in session.scalars(self._open(session).with_for_update(skip_locked=True)):
                 if row.state == "running":
-                    self._lost(row, "its server ended in the middle of it")
+                    self._lost(session, row, "its server ended in the middle of it")
                 if row.state == "queued":
                     row.state, row.owner, row.attempts = "running", owner, row.attempts + 1
                     row.started_at = row.started_at or now()
@@ -184,14 +185,14 @@ class BuildQueue:
             if row is not None:
                 for name, value in values.items():
                     setattr(row, name, value)
-                self._close(row, state)
+                self._close(session, row, state)
 
     def lose(self, key: str, owner: str, message: str) -> None:
         """Note that the process of a build died: it waits to be taken up again, or is given up."""
         with self._database.writing() as session:
             row = self._mine(session, key, owner)
             if row is not None:
-                self._lost(row, message)
+                self._lost(session, row, message)
 
     def release(self, key: str, owner: str) -> None:
         """Give a build back that this server stops in good order; that counts as no attempt."""
@@ -199,7 +200,7 @@ class BuildQueue:
             row = self._mine(session, key, owner)
             if row is not None:
                 row.attempts -= 1
-                self._lost(row, "")
+                self._lost(session, row, "")
 
     def cancel(self, key: str) -> BuildRow:
         """Stop a build: one that waits at once, one that runs as soon as its server hears of it.
@@ -215,7 +216,7 @@ class BuildQueue:
         with self._database.writing() as session:
             row = session.scalars(select(BuildRow).where(BuildRow.id == key).with_for_update()).one()
             if row.state == "queued":
-                self._close(row, "cancelled")
+                self._close(session, row, "cancelled")
             elif row.state == "running":
                 row.cancel_asked = True
             elif row.state != "cancelled":
@@ -235,20 +236,24 @@ class BuildQueue:
         found: BuildRow | None = session.scalar(select(BuildRow).where(*mine).with_for_update())
         return found
 
-    def _lost(self, row: BuildRow, message: str) -> None:
+    def _lost(self, session: Session, row: BuildRow, message: str) -> None:
         row.owner, row.lease_until, row.rate_per_s, row.seconds_left = "", 0.0, 0.0, None
         row.message = message
         if row.cancel_asked:
-            self._close(row, "cancelled")
+            self._close(session, row, "cancelled")
         elif row.attempts >= ATTEMPTS:
             row.message = f"{message}; given up after {row.attempts} attempts"
-            self._close(row, "worker_lost")
+            self._close(session, row, "worker_lost")
         else:
             row.state = "queued"
 
-    def _close(self, row: BuildRow, state: State) -> None:
+    def _close(self, session: Session, row: BuildRow, state: State) -> None:
         row.state, row.ended_at = state, now()
         row.owner, row.lease_until, row.seconds_left = "", 0.0, None
+        told = {"build": row.id, "machine": row.machine["name"], "catalogue": row.catalogue}
+        announce(
+            session, "build.ended", {**told, "catalogue_id": row.catalogue_id, "state": state, "message": row.message}
+        )
 
     def _clock(self, session: Session) -> float:
         """One clock for all servers: the database's; a file of SQLite has the computer's."""

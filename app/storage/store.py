@@ -19,6 +19,7 @@ from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
 from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
 from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, MomentSource, Row, newest, now
 from jointplay.app.storage.told import Told
@@ -275,6 +276,7 @@ class Store:
         is_first_told = source == "file" and kept.measured_at_source == "received"
         if not new and (told.measured_at is not None or is_first_told):
             kept.measured_at, kept.measured_at_source = moment, source
+            touch_owners(session, kept.id)
         return kept
 
     def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:
@@ -310,6 +312,7 @@ class Store:
         with self.database.writing() as session:
             row = session.get_one(MeasurementRow, number, with_for_update=True)
             row.measured_at, row.measured_at_source = measured_at, "sender"
+            touch_owners(session, key)
         return row
 
     def measurements_between(

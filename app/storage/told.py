@@ -34,12 +34,15 @@ class Told:
         moment.
     measured_at : datetime, optional
         When it was measured.
+    remembered_of : str
+        The asset of whose last file with the same columns the rest was said; empty where it is said of this one.
     """
 
     sample_rate_hz: float | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     profile: Mapping[str, Any] = field(default_factory=dict)
     measured_at: datetime | None = None
+    remembered_of: str = ""
 
     @classmethod
     def of(

@@ -5,6 +5,7 @@ A delivery is a row that is made in the transaction of the thing it tells of; wh
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import hmac
 import json
@@ -24,6 +25,9 @@ from jointplay.app.storage.database import ServiceDatabase, is_id
 from jointplay.app.storage.rows import Base, newest, now
 
 SIGNATURE = "Jointplay-Signature"
+SECRET = "whsec_"
+"""Beginning of a secret, by which receivers know that it is one."""
+
 LEASE = timedelta(seconds=120)
 """Longer than one attempt can take: a delivery that was taken by a server that died is free again after it."""
 
@@ -97,9 +101,8 @@ class Webhooks:
 
     def add(self, url: str, events: Sequence[str]) -> WebhookRow:
         """Store a webhook with a secret of its own."""
-        row = WebhookRow(
-            id=secrets.token_hex(16), url=url, events=list(events), secret=secrets.token_hex(32), created_at=now()
-        )
+        secret = SECRET + base64.b64encode(secrets.token_bytes(32)).decode()
+        row = WebhookRow(id=secrets.token_hex(16), url=url, events=list(events), secret=secret, created_at=now())
         with self._database.writing() as session:
             session.add(row)
         return row
@@ -215,8 +218,26 @@ def announce(session: Session, event: Event, members: Mapping[str, Any]) -> None
         )
 
 
+def standard_signature(secret: str, key: str, timestamp: int, body: bytes) -> str:
+    """Return the value of the header ``webhook-signature`` of Standard Webhooks.
+
+    Parameters
+    ----------
+    secret : str
+        As it was shown when the webhook was made: base64, with ``whsec_`` before it or, of older ones, without.
+    key : str
+        Id of the delivery.
+    timestamp : int
+        Seconds since 1970, UTC.
+    body : bytes
+    """
+    signed = f"{key}.{timestamp}.".encode() + body
+    found = hmac.new(base64.b64decode(secret.removeprefix(SECRET)), signed, hashlib.sha256).digest()
+    return f"v1,{base64.b64encode(found).decode()}"
+
+
 def signature(secret: str, timestamp: int, body: bytes) -> str:
-    """Return the value of the header that proves who sent a body, and when.
+    """Return the value of this program's own header that proves who sent a body, and when.
 
     Parameters
     ----------

@@ -181,7 +181,7 @@ def _tell(
         clearance_um=median,
         interval_um=(low, high),
         um_per_year=1e6 * YEAR * median_rate(belief),
-        limit_um=1e6 * bounds.limit,
+        limit_um=round(1e6 * bounds.limit, 6),
         limit_at=(early, likely, late),
         first_sure_at=first_sure_at,
         moved_by=moved_by,

@@ -18,6 +18,7 @@ from sqlalchemy import update
 from jointplay.app.errors import BusyError, DatabaseGoneError, KeyInUseError, TimeLimitError, WorkerDiedError
 from jointplay.app.http import examples
 from jointplay.app.http.gate import Gate
+from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.problems import MEDIA_TYPE
 from jointplay.app.settings import ServiceSettings
@@ -93,6 +94,7 @@ class ExampleService:
         self._stack = ExitStack()
         enter = self._stack.enter_context
         enter(mock.patch.object(WebhookSender, "step", return_value=False))  # nobody is told of examples
+        enter(mock.patch.object(StandingKeeper, "step", return_value=False))  # at some moment of its own
         self.client = enter(httpx.Client(base_url=enter(serving(ServiceSettings(**settings, keys="off"))), timeout=300))
         locked = ServiceSettings(**{**settings, "data": data / "locked"}, keys="required")
         self.locked = enter(httpx.Client(base_url=enter(serving(locked)), timeout=300))
@@ -276,7 +278,11 @@ def wrong(call: Call, operation: dict[str, Any]) -> Call:
     """A field that breaks a rule: of the body, of the query, of the path."""
     if "json" in call.sent:
         body = dict(call.sent["json"])
-        body.pop(next(name for name in ("machine", "catalogue", "links", "url", "at", "measured_at") if name in body))
+        body.pop(
+            next(
+                name for name in ("machine", "catalogue", "links", "url", "at", "measured_at", "state") if name in body
+            )
+        )
         return replace(call, sent={"json": body})
     if "files" in call.sent:
         return replace(call, sent={"files": {"sample_rate": (None, "10 kHz")}})

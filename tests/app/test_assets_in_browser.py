@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
+from http_answers import API
 from playwright.sync_api import Browser, Page, expect
 from real_browser import SCREENS, SECONDS, Visit, has_drawn, is_within_screen, serious, visiting
 
@@ -64,4 +67,65 @@ def test_an_asset_from_its_name_to_its_past(visit: Visit, worn: bytes, in_order:
     page.get_by_role("link", name="B worn").click()
     expect(page.locator(".verdict h2")).to_contain_text("Joint B is worn")
     page.get_by_role("link", name="Assets", exact=True).click()
-    expect(page.get_by_role("row", name=name)).to_contain_text("yes")
+    expect(page.get_by_role("row", name=name)).to_contain_text("slider-crank")
+
+
+COUNT = """(canvas, colour) => {
+  const probe = document.createElement("i");
+  probe.style.color = getComputedStyle(document.documentElement).getPropertyValue(colour);
+  document.body.append(probe);
+  const wanted = getComputedStyle(probe).color.match(/\\d+/g).map(Number);
+  probe.remove();
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let i = 0; i < data.length; i += 4) if (data[i + 3] && wanted.every((v, k) => v === data[i + k])) count += 1;
+  return count;
+}"""
+"""Pixels of a colour of the page's own on a canvas."""
+
+
+def wait_until_judged(client: httpx.Client, name: str) -> None:
+    deadline = time.monotonic() + SECONDS / 1000
+    while not client.get(f"{API}/assets/{name}").json()["standing"]["up_to_date"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_an_alarm_is_found_acknowledged_and_repaired(visit: Visit, client: httpx.Client, worn: bytes) -> None:
+    page = visit.page
+    name = f"crank-{page.viewport_size['width']}" if page.viewport_size else ""
+    wanted = {"machine": "slider-crank", "limits_um": {"B": 90}}
+    client.put(f"{API}/assets/{name}", json=wanted).raise_for_status()
+    form = {"catalogue": "slider-crank", "asset": name, "effort": "fast"}
+    client.post(f"{API}/diagnoses", files={"file": ("a.csv", worn)}, data=form).raise_for_status()
+    wait_until_judged(client, name)
+    page.get_by_role("link", name="Assets", exact=True).click()
+    page.get_by_label("Search").fill(name.upper())
+    page.get_by_role("button", name="Show").click()
+    rows = page.get_by_role("region", name="Assets").get_by_role("row")
+    expect(rows).to_have_count(2)
+    expect(rows.nth(1)).to_contain_text("Alarm")
+    expect(rows.nth(1)).to_contain_text("over: B")
+    assert is_within_screen(page) and serious(page) == []
+    rows.nth(1).get_by_role("link", name=name).click()
+    expect(page.get_by_role("heading", name="Alarm")).to_be_visible()
+    expect(page.get_by_text("Joint B is beyond its limit of 90 µm")).to_be_visible()
+    canvas = page.locator("#state canvas")
+    expect(canvas).to_have_count(1, timeout=SECONDS)
+    assert canvas.evaluate(COUNT, "--bad") > 100, "the limit is a line"
+    page.get_by_label("Note", exact=False).first.fill("bearing is ordered")
+    page.get_by_role("button", name="I have seen it").click()
+    expect(page.get_by_text("Seen by somebody")).to_contain_text("bearing is ordered")
+    page.get_by_role("link", name="Enter what was found or repaired").click()
+    page.get_by_role("button", name="Keep it").click()
+    expect(page.get_by_text("give joints with their clearance, or a text")).to_be_visible()
+    page.get_by_label("Joint B", exact=True).fill("150")
+    page.locator("#repaired-B").check()
+    assert is_within_screen(page) and serious(page) == []
+    page.get_by_role("button", name="Keep it").click()
+    expect(page.get_by_role("region", name="Found by inspections").last).to_contain_text("B 150 µm, repaired")
+    wait_until_judged(client, name)
+    page.reload()
+    expect(page.get_by_role("heading", name="Alarm")).to_have_count(0)
+    expect(page.get_by_text("Seen by somebody")).to_have_count(0)
+    assert is_within_screen(page) and serious(page) == []

@@ -20,11 +20,13 @@ from uploaded import SHA256, SIZE, uploaded
 
 from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
 from jointplay.app.rows import joint_rows
+from jointplay.app.schemas.assets import AssetIn
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.backup import TABLES
 from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
 from jointplay.app.storage.keys import Keys
-from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.rows import DiagnosisRow, now
+from jointplay.app.storage.standings import Standings
 from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.storage.database import Database
@@ -109,6 +111,23 @@ def test_tables_of_version_1_become_those_of_now(tmp_path: Path) -> None:
         with store.database.engine.connect() as found:
             assert revision_of(found) == REVISION
         assert differences(store) == []
+
+
+def test_assets_of_revision_2_are_due_to_be_judged(store: Store, url: str, tmp_path: Path) -> None:
+    Assets(store.database).put("press-7", AssetIn.model_validate({"machine": "m", "notes": "hall B"}))
+    added = "limits_um silent_after_days warn_within_days state need reasons known said acknowledged limit_at changes"
+    with closing(connected(url)) as database, database.transaction() as connection:
+        connection.execute(text("DROP INDEX ix_assets_due_at"))
+        for column in [*added.split(), "followed", "due_at"]:
+            connection.execute(text(f"ALTER TABLE assets DROP COLUMN {column}"))
+        connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '2'"))
+    with closing(Store(tmp_path, url)) as opened:
+        assert differences(opened) == []
+        row = Assets(opened.database).asset("press-7")
+        assert (row.notes, row.limits_um, row.silent_after_days, row.state) == ("hall B", {}, 30, "unknown")
+        due = Standings(opened.database).take(now())
+        assert due is not None and (due.external_id, due.known) == ("press-7", None)
+        assert Assets(opened.database).put("press-8", AssetIn.model_validate({"machine": "m"}))[1] is True
 
 
 def test_answers_of_version_1_are_read() -> None:

@@ -101,4 +101,5 @@ def test_every_link_leads_to_an_operation_that_takes_it(document: dict[str, Any]
     by_name = {key for key, (path, _) in operations.items() if "{" in path}
     known = {operations[key][0] for key in by_name - reached}
     # What is put has a name that its sender gives.
-    assert known == {"/api/v1/machines/{name}", "/api/v1/assets/{external_id}", ASSET_MEASUREMENT}
+    acknowledged = "/api/v1/assets/{external_id}/acknowledgement"
+    assert known == {"/api/v1/machines/{name}", "/api/v1/assets/{external_id}", acknowledged, ASSET_MEASUREMENT}

@@ -43,7 +43,8 @@ def attempt(listener: Listener, monkeypatch: pytest.MonkeyPatch, name: str) -> N
     """Send a delivery to a name that leads to the listener."""
     monkeypatch.setattr(webhook_sender, "address_of", lambda _host, _port, _private: "127.0.0.1")
     send(
-        Taken("d1", f"https://{name}:{listener.server_port}/hook", "secret", "finding.created", "{}", 1), private=False
+        Taken("d1", f"https://{name}:{listener.server_port}/hook", "whsec_c2VjcmV0", "finding.created", "{}", 1),
+        private=False,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import hmac
 import json
@@ -21,7 +22,7 @@ from jointplay.app.jobs.webhook_sender import NotDeliveredError, WebhookSender, 
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import Store
-from jointplay.app.storage.webhooks import LEASE, WAITS, Taken, Webhooks
+from jointplay.app.storage.webhooks import LEASE, WAITS, Taken, Webhooks, standard_signature
 
 API = "/api/v1"
 
@@ -45,12 +46,27 @@ def test_a_delivery_is_signed_over_time_and_body(webhooks: Webhooks, listener: L
     wanted = hmac.new(hook.secret.encode(), f"{stamp}.".encode() + told.body, hashlib.sha256).hexdigest()
     assert value == wanted
     assert abs(int(stamp) - now().timestamp()) < 300
+    assert told.headers["webhook-timestamp"] == stamp
     said = json.loads(told.body)
     assert (said["event"], said["data"]) == ("finding.created", {"finding": "f1"})
     assert told.headers["jointplay-delivery"] == said["id"]
     assert told.headers["jointplay-event"] == "finding.created"
+    key = base64.b64decode(hook.secret.removeprefix("whsec_"))
+    assert len(key) == 32
+    signed = f"{said['id']}.{stamp}.".encode() + told.body
+    standard = base64.b64encode(hmac.new(key, signed, hashlib.sha256).digest()).decode()
+    assert (told.headers["webhook-id"], told.headers["webhook-signature"]) == (said["id"], f"v1,{standard}")
     assert state(webhooks, hook) == ("delivered", 1, "")
     assert sender.step() is False
+
+
+def test_the_example_of_the_standard_is_signed_as_it_says() -> None:
+    body = b'{"test": 2432232314}'
+    secret, key = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw", "msg_p5jXN8AQM9LWM0D4loKWxJek"
+    wanted = "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
+    assert standard_signature(secret, key, 1614265330, body) == wanted
+    hexadecimal = "ab" * 32  # as secrets of version 1.0 are, which are base64 as well
+    assert standard_signature(hexadecimal, key, 1614265330, body).startswith("v1,")
 
 
 def test_only_what_was_asked_for_is_told(webhooks: Webhooks) -> None:
@@ -132,7 +148,9 @@ def test_whoever_answers_without_end_is_left(monkeypatch: pytest.MonkeyPatch) ->
 
         thread = threading.Thread(target=drip, daemon=True)
         thread.start()
-        taken = Taken("1", f"http://127.0.0.1:{listening.getsockname()[1]}/", "secret", "finding.created", "{}", 1)
+        taken = Taken(
+            "1", f"http://127.0.0.1:{listening.getsockname()[1]}/", "whsec_c2VjcmV0", "finding.created", "{}", 1
+        )
         try:
             # What ends it is the deadline: the header line would go on for ever, and no single wait is long.
             with pytest.raises(NotDeliveredError, match=r"took longer than 0\.3 s"):
@@ -242,7 +260,7 @@ def test_a_webhook_is_made_listed_and_forgotten(client: httpx.Client) -> None:
     answer = client.post(f"{API}/webhooks", json={**body, "events": ["finding.created"]})
     assert answer.status_code == 201, answer.text
     made = answer.json()
-    assert len(made.pop("secret")) == 64
+    assert made.pop("secret").startswith("whsec_")
     place = answer.headers["location"]
     read = client.get(place)
     assert read.json() == made

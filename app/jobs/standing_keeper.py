@@ -1,0 +1,83 @@
+"""Judging assets anew, one at a time: when something has changed, or time has passed; by each server of a database."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from datetime import timedelta
+
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.concurrency import run_in_threadpool
+
+from jointplay.app.errors import BusyError, NothingToFollowError, TimeLimitError, WorkerDiedError
+from jointplay.app.jobs import following
+from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
+from jointplay.app.storage.rows import now
+from jointplay.app.storage.standings import Due, Standings
+from jointplay.app.storage.store import Store
+from jointplay.catalogue.following.standing import JointKnown, Known
+from jointplay.catalogue.following.state import WearState
+
+log = logging.getLogger(__name__)
+
+PAUSE_S = 1.0
+BUSY = timedelta(seconds=10)
+
+
+class StandingKeeper:
+    """Keeps how assets stand up to date, in the background.
+
+    Parameters
+    ----------
+    store : Store
+    pool : WorkerPool
+        Follows their wear; half of the time of one of its workers at most.
+    """
+
+    def __init__(self, store: Store, pool: WorkerPool) -> None:
+        self._store = store
+        self._standings = Standings(store.database)
+        self._pool = pool
+
+    async def run(self) -> None:
+        """Judge what is due, and what will be, until this is cancelled."""
+        while True:
+            began = time.monotonic()
+            try:
+                busy = await self.step()
+            except SQLAlchemyError as error:
+                log.warning("standings of assets wait for the database: %s", type(error).__name__)
+                busy = False
+            except Exception:
+                # Whatever it is, it must not end this; the asset is due again after its lease.
+                log.exception("the standing of an asset could not be judged")
+                busy = False
+            await asyncio.sleep(time.monotonic() - began if busy else PAUSE_S)
+
+    async def step(self) -> bool:
+        """Judge the asset that is due for longest; return whether there was one."""
+        due = await run_in_threadpool(self._standings.take, now())
+        if due is None:
+            return False
+        try:
+            known = due.known or await self._learn(due)
+        except BusyError:
+            await run_in_threadpool(self._standings.postpone, due, now() + BUSY)
+            return False
+        await run_in_threadpool(self._standings.settle, due, known, now())
+        return True
+
+    async def _learn(self, due: Due) -> Known:
+        """Return what is known of an asset."""
+        heard, last, at = await run_in_threadpool(self._standings.last_heard, due.external_id)
+        told = Known(heard_at=heard)
+        if last is None:
+            return told
+        told = told.model_copy(update={"verdict": last.result["verdict"], "verdict_at": at, "diagnosis": last.id})
+        try:
+            life = await run_in_threadpool(following.gather, self._store, due.external_id)
+            state: WearState = await self._pool.run(following.follow_life, life)
+        except (NothingToFollowError, TaskFailedError, TimeLimitError, WorkerDiedError) as error:
+            return told.model_copy(update={"failure": str(error)[:200]})
+        return told.model_copy(update={"joints": {name: JointKnown.of(each) for name, each in state.joints.items()}})

@@ -1,0 +1,217 @@
+"""How assets stand: who is to be judged anew, what was judged, who has acknowledged it, and what is told of it.
+
+Whatever changes how an asset may stand makes it due in its own transaction, and what was judged is stored together with
+what is told of it. So a server that is killed loses nothing, and of two that judge the same one alone finds a change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from jointplay.app.errors import BadFieldError
+from jointplay.app.schemas.assets import Acknowledged, StandingOut
+from jointplay.app.storage.assets import NEEDED, AssetRow, diagnoses_of, measurements_of
+from jointplay.app.storage.database import ServiceDatabase
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
+from jointplay.app.storage.webhooks import announce
+from jointplay.catalogue.following.standing import (
+    RECORDINGS,
+    SEVERITY,
+    JointKnown,
+    Known,
+    Patience,
+    Reason,
+    find_due,
+    is_worse,
+    judge,
+    next_change,
+    state_of,
+)
+
+LEASE = timedelta(seconds=300)
+"""Longer than judging takes: an asset that was taken by a server that died is due again after it."""
+
+
+@dataclass(frozen=True)
+class Due:
+    """An asset that this server is to judge now.
+
+    Parameters
+    ----------
+    external_id : str
+    changes : int
+        How often it had changed when it was taken.
+    known : Known or None
+        What is known of it; None where that has to be learned anew.
+    patience : Patience
+    limits_um : dict
+        Its own limits by joint.
+    """
+
+    external_id: str
+    changes: int
+    known: Known | None
+    patience: Patience
+    limits_um: dict[str, float]
+
+
+class Standings:
+    """How the assets of a service stand.
+
+    Parameters
+    ----------
+    database : ServiceDatabase
+        Of the service's store.
+    """
+
+    def __init__(self, database: ServiceDatabase) -> None:
+        self._database = database
+
+    def take(self, moment: datetime) -> Due | None:
+        """Return the asset that is due for longest, taken for the time of a lease; ``None`` if none is."""
+        due = select(AssetRow).where(AssetRow.due_at <= moment).order_by(AssetRow.due_at).limit(1)
+        with self._database.reading() as session:  # most looks find nothing, and need no lock for that
+            if session.scalar(due) is None:
+                return None
+        with self._database.writing() as session:
+            row = session.scalar(due.with_for_update(key_share=True, skip_locked=True))
+            if row is None:
+                return None
+            row.due_at = moment + LEASE
+            known = Known.model_validate(row.known) if row.followed == row.changes else None
+            return Due(row.external_id, row.changes, known, row.patience, dict(row.limits_um))
+
+    def last_heard(self, external_id: str) -> tuple[datetime | None, DiagnosisRow | None, datetime | None]:
+        """Return when an asset was last recorded, and the answer to the last recording diagnosed and its time."""
+        with self._database.reading() as session:
+            of = MeasurementRow.measured_at.desc()
+            among = MeasurementRow.id.in_(measurements_of(external_id))
+            heard = session.scalar(select(MeasurementRow.measured_at).where(among).order_by(of).limit(1))
+            joined = select(DiagnosisRow, MeasurementRow.measured_at)
+            joined = joined.join(MeasurementRow, MeasurementRow.id == DiagnosisRow.measurement)
+            joined = joined.where(DiagnosisRow.id.in_(diagnoses_of(external_id)))
+            found = session.execute(joined.order_by(of, DiagnosisRow.number.desc()).limit(1)).first()
+        return (heard, None, None) if found is None else (heard, found[0], found[1])
+
+    def settle(self, due: Due, known: Known, moment: datetime) -> None:
+        """Store how an asset stands by what is known of it, with what is told of that.
+
+        What was learned before others learned more is left out; what has changed meanwhile is due again.
+        """
+        reasons = judge(known, moment, due.patience)
+        with self._database.writing() as session:
+            row = locked(session, due.external_id)
+            if row.followed > due.changes:
+                return
+            self._tell(session, row, known, reasons, due, moment)
+            row.state, row.reasons = state_of(reasons), [reason.model_dump() for reason in reasons]
+            row.known = known.model_dump(mode="json")
+            row.limit_at = None if known.limit_at is None else known.limit_at[1]
+            if row.acknowledged is not None and (not reasons or is_worse(reasons, acknowledged_of(row))):
+                row.acknowledged = None
+            row.need = need_of(row)
+            row.followed = due.changes
+            if row.changes == due.changes:
+                row.due_at = next_change(known, moment, due.patience)
+            else:
+                row.due_at = moment
+
+    def acknowledge(self, external_id: str, state: str, by: str, note: str) -> None:
+        """Note that somebody has seen how an asset stands.
+
+        Raises
+        ------
+        BadFieldError
+            When it is in order, or stands otherwise than they have seen.
+        """
+        with self._database.writing() as session:
+            row = locked(session, external_id)
+            if row.state != state:
+                raise BadFieldError(f"state: {state}: {external_id} is {row.state} now", field="state")
+            if not row.reasons:
+                rule = "there is nothing to acknowledge of what is in order"
+                raise BadFieldError(f"state: {state}: {rule}", field="state")
+            row.acknowledged = {"by": by, "at": now().isoformat(), "note": note, "reasons": list(row.reasons)}
+            row.need = need_of(row)
+
+    def forget_acknowledgement(self, external_id: str) -> None:
+        """Note that what was acknowledged needs somebody again."""
+        with self._database.writing() as session:
+            row = locked(session, external_id)
+            row.acknowledged = None
+            row.need = need_of(row)
+
+    def postpone(self, due: Due, moment: datetime) -> None:
+        """Give an asset back that could not be judged now."""
+        mine = (AssetRow.external_id == due.external_id, AssetRow.changes == due.changes)
+        with self._database.writing() as session:
+            session.execute(update(AssetRow).where(*mine).values(due_at=moment))
+
+    def _tell(
+        self, session: Session, row: AssetRow, known: Known, reasons: Sequence[Reason], due: Due, moment: datetime
+    ) -> None:
+        """Announce what has changed since the asset was judged last, each change once."""
+        named = {"asset": row.external_id, "machine": row.machine}
+        state = state_of(reasons)
+        if row.state != state or is_worse(reasons, row.judged):
+            said = {"state": state, "before": row.state, "diagnosis": known.diagnosis}
+            told = [reason.model_dump() for reason in reasons]
+            announce(session, "asset.state_changed", {**named, **said, "reasons": told})
+        holds = [f"limit {joint}" for joint in find_due(known, moment, due.patience)]
+        holds += ["silent" for reason in reasons if reason.about == RECORDINGS]
+        for each in holds:
+            if each not in row.said and each != "silent":
+                joint = each.removeprefix("limit ")
+                announce(session, "limit.predicted", {**named, "joint": joint, **limit_of(known.joints[joint])})
+            elif each not in row.said and known.heard_at is not None:
+                silence = {"heard_at": known.heard_at.isoformat(), "silent_after_days": due.patience.silent_after.days}
+                announce(session, "asset.silent", {**named, **silence})
+        row.said = holds
+
+
+def locked(session: Session, external_id: str) -> AssetRow:
+    """Return an asset that nobody else changes until the end of a transaction."""
+    query = select(AssetRow).where(AssetRow.external_id == external_id).with_for_update(key_share=True)
+    return session.scalars(query).one()
+
+
+def acknowledged_of(row: AssetRow) -> tuple[Reason, ...]:
+    """Return what somebody has acknowledged of an asset."""
+    return tuple(map(Reason.model_validate, (row.acknowledged or {}).get("reasons", ())))
+
+
+def need_of(row: AssetRow) -> int:
+    """Return how much an asset needs somebody: by its state, what nobody has acknowledged before all that is."""
+    severity = SEVERITY.index(row.state)
+    return severity + (NEEDED if severity and row.acknowledged is None else 0)
+
+
+def limit_of(joint: JointKnown) -> dict[str, object]:
+    """Return what is told of a joint and its limit, as JSON values."""
+    return joint.model_dump(mode="json", include={"limit_um", "limit_at", "clearance_um", "interval_um"})
+
+
+def standing_out(row: AssetRow) -> StandingOut:
+    """Return the outside shape of how an asset stands."""
+    known, at, within = Known.model_validate(row.known), now(), row.patience.warn_within
+    acknowledged = None
+    if row.acknowledged is not None:
+        acknowledged = Acknowledged(**{name: row.acknowledged[name] for name in Acknowledged.model_fields})
+    return StandingOut(
+        state=row.state,
+        reasons=list(row.judged),
+        acknowledged=acknowledged,
+        verdict=known.verdict,
+        verdict_at=known.verdict_at,
+        diagnosis=known.diagnosis,
+        heard_at=known.heard_at,
+        over_limit=[name for name, joint in known.joints.items() if joint.is_over(at)],
+        near_limit=[name for name, joint in known.joints.items() if joint.is_near(at, within)],
+        limit_at=known.limit_at,
+        up_to_date=row.followed == row.changes and (row.due_at is None or row.due_at > at),
+    )
