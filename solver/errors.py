@@ -43,6 +43,12 @@ class MachineError(SolverError):
 class AssemblyError(MachineError):
     """The machine cannot be assembled, or its constraints contradict each other, at the named drive angle."""
 
+    @property
+    def joint(self) -> str:
+        """The joint that stays open; empty where it is not one joint that is to blame."""
+        head, _, name = self.path.partition(".")
+        return name if head == "joints" and "." not in name else ""
+
 
 class SettingsError(SolverError):
     """Settings of a simulation that cannot be met (a negative duration, a step longer than a sample ...)."""

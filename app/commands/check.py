@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.argument("machine")
 @fault_option
 @click.option("--arrays", is_flag=True, help="Show the arrays that the paper derives from the mechanism matrix.")
-@click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png", help="Draw the machine.")
+@click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png|.pdf", help="Draw the machine.")
 @click.option(
     "--response",
     type=click.Path(path_type=Path),
@@ -36,7 +36,7 @@ def command(
 ) -> None:
     """Validate MACHINE (a shipped machine's name, or a file); show what it consists of, and what is implausible."""
     if drawing is not None:
-        from jointplay.app.figures.pictures import check_ending
+        from jointplay.app.figures.pictures import check_ending, save_drawing
 
         check_ending(drawing)
     if response is not None:
@@ -45,6 +45,7 @@ def command(
 
         plots.check_ending(response)
     from jointplay.solver.cases.remarks import find_remarks
+    from jointplay.solver.errors import AssemblyError
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.account import account
@@ -52,11 +53,15 @@ def command(
 
     found = load_machine(machine)
     state = parse_fault(fault, found)
-    sizes = account(found, state)
-    check_assembly(found)
+    try:
+        sizes = account(found, state)
+        check_assembly(found)
+    except AssemblyError as error:
+        if drawing is not None:
+            save_drawing(found, state.joints, drawing, error.joint)
+            click.echo(f"drawn as far as it goes: {drawing}", err=True)
+        raise
     if drawing is not None:
-        from jointplay.app.figures.pictures import save_drawing
-
         save_drawing(found, state.joints, drawing)
     if response is not None:
         if not found.has_response:

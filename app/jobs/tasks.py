@@ -157,6 +157,37 @@ def check_machine(text: str, name: str) -> str:
     return machine.canonical_json()
 
 
+def sketch_machine(text: str, name: str) -> dict[str, str]:
+    """Draw a machine file that is not stored, also one whose machine cannot be assembled: the gap in red then.
+
+    Parameters
+    ----------
+    text : str
+        YAML or JSON.
+    name : str
+        What messages call it.
+
+    Returns
+    -------
+    dict
+        ``svg``, and ``refusal``: why it cannot be assembled, in the words of :func:`check_machine`, or nothing.
+
+    Raises
+    ------
+    MachineError
+        For everything else that :func:`check_machine` refuses: there is nothing to draw then.
+    """
+    from jointplay.solver.errors import AssemblyError
+    from jointplay.solver.machines.drawing import machine_svg
+    from jointplay.solver.machines.machine import parse_machine
+
+    try:
+        check_machine(text, name)
+    except AssemblyError as error:
+        return {"svg": machine_svg(parse_machine(text, name), open_joint=error.joint), "refusal": str(error)}
+    return {"svg": machine_svg(parse_machine(text, name)), "refusal": ""}
+
+
 def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     """Load what diagnosing needs, and the models last fitted to some catalogues; return how many models those are.
 

@@ -11,7 +11,6 @@ from typing import Any
 from jointplay.app.jobs.tasks import open_catalogue, read
 from jointplay.app.storage.told import Told
 
-POSITIONS = 72
 RPM = 30.0 / math.pi
 
 
@@ -78,10 +77,8 @@ def motion(machine: str) -> Mapping[str, Any]:
     dict
         ``view_box`` and ``transforms``, see :class:`jointplay.solver.machines.drawing_motion.MovingDrawing`.
     """
-    from jointplay.solver.cases.positions import link_motion
     from jointplay.solver.machines.drawing_motion import moving_drawing
     from jointplay.solver.machines.machine import parse_machine
 
-    parsed = parse_machine(json.loads(machine))
-    moving = moving_drawing(parsed, link_motion(parsed, POSITIONS))
+    moving = moving_drawing(parse_machine(json.loads(machine)))
     return {"view_box": moving.view_box, "transforms": {name: list(steps) for name, steps in moving.transforms.items()}}

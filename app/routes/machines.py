@@ -68,6 +68,23 @@ def machines(request: Request, cursor: Cursor = None, limit: Limit = None) -> Ma
     return MachinePage(items=items, next_cursor=paging.encode(names[size - 1]) if len(names) > size else None)
 
 
+@router.post(
+    "/drawing.svg",
+    responses={**DRAWING, **problems(400, 413, 415, 422, 500, 503, 504)},
+    openapi_extra={"requestBody": BODY},
+    response_class=Response,
+)
+async def sketch(request: Request) -> Response:
+    """Draw a machine file (JSON or YAML) that is not stored.
+
+    A machine that cannot be assembled is drawn where it is open widest, as near to closed as it comes, the gap in red;
+    the description of the drawing says why. Everything else that `PUT` refuses is refused here, too.
+    """
+    text = file_text(media_type(request), await request.body())
+    found = await of_request(request).pool.run(tasks.sketch_machine, text, "machine")
+    return Response(found["svg"], media_type="image/svg+xml")
+
+
 @router.get("/{name}", responses={200: {"description": "The machine.", **SHOWN}, **problems(404)})
 def machine(request: Request, name: str) -> Response:
     """Return a machine as the JSON form of its file, everything left out filled in."""

@@ -48,6 +48,21 @@ def test_a_machine_is_stored_and_found(own: httpx.Client) -> None:
     assert (again.status_code, again.headers["etag"]) == (200, got.headers["etag"])
 
 
+def test_a_file_that_is_not_stored_is_drawn(own: httpx.Client) -> None:
+    drawn = own.post(f"{MACHINES}/drawing.svg", content=TEXT, headers=YAML)
+    assert (drawn.status_code, drawn.headers["content-type"]) == (200, "image/svg+xml")
+    assert drawn.text == own.get(f"{MACHINES}/slider-crank/drawing.svg").text
+    joints = changed()["joints"]
+    joints["A"]["at"] = [0.15, 0.05]  # a crank longer than the rod
+    drawn = own.post(f"{MACHINES}/drawing.svg", json=changed(joints=joints))
+    assert drawn.status_code == 200
+    assert drawn.text.count('class="gap ') == 1
+    assert "It cannot be assembled: at " in drawn.text
+    refused = own.post(f"{MACHINES}/drawing.svg", json=changed(gravity="fast"))
+    assert (refused.status_code, refused.json()["type"]) == (422, "urn:jointplay:problem:machine")
+    assert own.post(f"{MACHINES}/drawing.svg", content=TEXT).status_code == 415
+
+
 def test_conditions(own: httpx.Client) -> None:
     place = f"{MACHINES}/press-2"
     first = own.put(place, json=changed(), headers={"If-None-Match": "*"})
