@@ -41,16 +41,16 @@ class MachineStore:
         return sorted({*shipped_machine_names(), *(file.stem for file in files if NAME.fullmatch(file.stem))})
 
     def find(self, name: str) -> Machine:
-        """Return a machine.
+        """Return a machine; one that was put here before another of its name was shipped stays.
 
         Raises
         ------
         UnknownMachineError
             When there is none of this name.
         """
-        if name in shipped_machine_names():
-            return shipped_machine(name)
         found = self._read_stored(name) if NAME.fullmatch(name) else None
+        if found is None and name in shipped_machine_names():
+            return shipped_machine(name)
         if found is None:
             raise UnknownMachineError(f"machine: {name[:80]}: there is none of this name", field="machine")
         return found

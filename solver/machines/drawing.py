@@ -242,9 +242,10 @@ def _groups(sheet: Sheet, shapes: MachineShapes, colours: Mapping[str, str]) -> 
     # Pins on top of the blocks they sit in: a worn one must be seen.
     for joint in sorted(shapes.joints, key=_on_top):
         yield signs.joint_group(joint, sheet(joint.at), colours.get(joint.name, ""))
+    blocks = {joint.at for joint in shapes.joints if joint.kind == "sliding"}
     for joint in shapes.joints:
         if joint.sense:
-            yield signs.drive_group(joint, sheet(joint.at))
+            yield signs.drive_group(joint, sheet(joint.at), joint.at in blocks)
     if shapes.gap:
         first, second = shapes.gap.ends
         yield signs.gap_group(shapes.gap, (sheet(first), sheet(second)))

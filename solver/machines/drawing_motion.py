@@ -11,9 +11,10 @@ import numpy as np
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.course import course_of
 from jointplay.solver.machines.drawing import MARGIN, Sheet, draw_machine, svg_class
+from jointplay.solver.machines.labels import Pixel
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.marks import BLOCK
-from jointplay.solver.machines.shapes import JointMark, machine_shapes
+from jointplay.solver.machines.shapes import machine_shapes
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,17 @@ def moving_drawing(machine: Machine) -> MovingDrawing:
         corners += [_points(poses, link.cg, point) for point in (*link.points, link.cg)]
     for joint in shapes.joints:
         carrier, other = joint.links
+        shifts = _shifts(sheet, machine.links[carrier].cg, joint.at, motion[carrier])
+        transforms[_own_class("joint", joint.name)] = shifts
         if joint.kind == "sliding":  # the first link is the block, the line belongs to the second
             transforms[_own_class("joint", joint.name)] = _transforms(sheet, machine.links[carrier].cg, motion[carrier])
             transforms[_own_class("guide", joint.name)] = _transforms(sheet, machine.links[other].cg, motion[other])
-        else:
-            transforms[_own_class("joint", joint.name)] = _shifts(sheet, machine, joint, motion)
-        transforms[_own_class("label-joint", joint.name)] = _shifts(sheet, machine, joint, motion)
+        if joint.sense:
+            transforms[_own_class("drive", joint.name)] = shifts
+        transforms[_own_class("label-joint", joint.name)] = shifts
+    for load in shapes.loads:
+        cg = machine.links[load.name].cg
+        transforms[_own_class("load", load.name)] = _shifts(sheet, cg, load.at, motion[load.name])
     moving = {name: steps for name, steps in transforms.items() if len(set(steps)) > 1}
     return MovingDrawing(_view_box(sheet, draw_machine(machine).box, np.concatenate(corners)), moving)
 
@@ -74,13 +80,11 @@ def _transforms(sheet: Sheet, cg: tuple[float, float], poses: FloatArray) -> tup
     )
 
 
-def _shifts(sheet: Sheet, machine: Machine, joint: JointMark, motion: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    """Pins and names stay upright: they are moved and not turned."""
-    carrier = joint.links[0]
-    points = _points(motion[carrier], machine.links[carrier].cg, joint.at)
+def _shifts(sheet: Sheet, cg: Pixel, at: Pixel, poses: FloatArray) -> tuple[str, ...]:
+    """Pins, names and forces stay upright: they are moved with a point of a link and not turned."""
     return tuple(
-        f"translate({_number((x - joint.at[0]) * sheet.scale)} {_number((joint.at[1] - y) * sheet.scale)})"
-        for x, y in points
+        f"translate({_number((x - at[0]) * sheet.scale)} {_number((at[1] - y) * sheet.scale)})"
+        for x, y in _points(poses, cg, at)
     )
 
 

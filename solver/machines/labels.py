@@ -48,7 +48,7 @@ def place_labels(
     segments : sequence of (pixel, pixel, width)
         Lines that a label should not cross.
     sheet : (left, top, right, bottom)
-        Labels stay inside if there is room.
+        Labels stay inside where it costs them little.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def _cost(label: Label, places: FloatArray, lines: FloatArray, sheet: tuple[floa
     half = np.array(label.half)
     low, high = np.array(sheet[:2]), np.array(sheet[2:])
     outside = np.maximum(low - (places - half), 0) + np.maximum(places + half - high, 0)
-    cost: FloatArray = 0.15 * np.linalg.norm(places - label.at, axis=1) + outside.sum(axis=1)
+    cost: FloatArray = 0.15 * np.linalg.norm(places - label.at, axis=1) + 0.2 * outside.sum(axis=1)
     if not len(lines):
         return cost
     parts = np.linspace(-1, 1, max(3, round(half[0] / 4)))

@@ -142,13 +142,13 @@ def joint_group(joint: JointMark, at: Pixel, colour: str) -> Group:
     return Group("joint", joint.name, what + (", driven" if joint.sense else ""), tuple(marks))
 
 
-def drive_group(joint: JointMark, at: Pixel) -> Group:
-    """The sense in which a joint is driven: an arc around a pin, an arrow beside a block."""
+def drive_group(joint: JointMark, at: Pixel, in_block: bool) -> Group:
+    """The sense in which a joint is driven: an arc around a pin (and the block it sits in), an arrow beside a block."""
     if joint.kind == "sliding":
         start, end = along(at, joint.direction, -14, 17), along(at, joint.direction, 14, 17)
         marks = arrow("thin", *((start, end) if joint.sense > 0 else (end, start)))
-        return Group("drive", "", f"drive of {joint.name}", marks)
-    r, steps = 15.0, 14
+        return Group("drive", joint.name, f"drive of {joint.name}", marks)
+    r, steps = 20.0 if in_block else 15.0, 14
     # Three quarters of a turn from the lower right; y is down, so that counter-clockwise is the falling angle.
     angles = [math.radians(40 - 260 * k / steps) for k in range(steps + 1)]
     if joint.sense < 0:
@@ -158,7 +158,9 @@ def drive_group(joint: JointMark, at: Pixel) -> Group:
     direction = _direction(arc[-2], arc[-1])
     tilt = 0.2 * joint.sense  # the head of an arrow on an arc looks outwards otherwise
     inward = (direction[0] - tilt * direction[1], direction[1] + tilt * direction[0])
-    return Group("drive", "", f"drive of {joint.name}, {turns}", (line("thin", *arc), head("thin", arc[-1], inward)))
+    return Group(
+        "drive", joint.name, f"drive of {joint.name}, {turns}", (line("thin", *arc), head("thin", arc[-1], inward))
+    )
 
 
 def arrow_group(shape: Arrow, kind: str, at: Pixel) -> Group:

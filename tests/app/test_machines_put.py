@@ -63,6 +63,13 @@ def test_a_file_that_is_not_stored_is_drawn(own: httpx.Client) -> None:
     assert own.post(f"{MACHINES}/drawing.svg", content=TEXT).status_code == 415
 
 
+def test_a_machine_stored_before_another_of_its_name_was_shipped_stays(tmp_path: Path) -> None:
+    kept = parse_machine(changed(gravity=1.0))
+    (tmp_path / "toggle-press.json").write_text(kept.canonical_json())
+    assert MachineStore(tmp_path).find("toggle-press") == kept
+    assert MachineStore(tmp_path).find("v-twin") == shipped_machine("v-twin")
+
+
 def test_conditions(own: httpx.Client) -> None:
     place = f"{MACHINES}/press-2"
     first = own.put(place, json=changed(), headers={"If-None-Match": "*"})

@@ -18,7 +18,7 @@ from jointplay.solver.equations.links import link_motion
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import Fault
-from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import check_assembly, simulate
 
 CRANK, COUPLER, ROCKER, BASE = 0.06, 0.12, 0.14, 0.20
@@ -175,7 +175,7 @@ def test_a_link_that_swings_freely_does_not_hide_it() -> None:
                 check_assembly(parse_machine(tree))
 
 
-@pytest.mark.parametrize("name", shipped_machine_names())
+@pytest.mark.parametrize("name", ["four-bar", "quick-return", "slider-crank"])
 def test_machines_that_ship_come_near_none(name: str) -> None:
     machine = shipped_machine(name)
     for worn in ((), machine.turning_joints[:1], machine.turning_joints):

@@ -51,8 +51,10 @@ def test_what_moves_is_in_the_drawing_and_what_stands_does_not(name: str) -> Non
     classes = {part for element in drawing.iter() for part in element.get("class", "").split()}
     assert set(moving.transforms) <= classes
     assert f"link-{machine.frame}" not in moving.transforms
-    driven = machine.drive.joint if machine.drive else ""
-    assert f"joint-{driven}" not in moving.transforms
+    driven = machine.joints[machine.driven_joint]
+    assert (f"joint-{machine.driven_joint}" in moving.transforms) == (machine.frame not in driven.links)
+    for load in machine.loads:  # what pushes goes with what it pushes
+        assert f"load-{load.link}" in moving.transforms
     number = r"-?\d+\.\d+"
     for steps in moving.transforms.values():
         assert len(steps) == POSITIONS
