@@ -15,15 +15,20 @@ from jointplay.app.http import paging
 from jointplay.app.http.openapi import DRAWING, problems
 from jointplay.app.http.uploads import media_type
 from jointplay.app.jobs import tasks
-from jointplay.app.schemas.resources import MachineItem, MachinePage
+from jointplay.app.pages import understanding
+from jointplay.app.schemas.resources import MachineItem, MachinePage, Motion
 from jointplay.app.service import of_request
 from jointplay.app.storage.machine_store import check_name
 from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.fault import parse_fault
 from jointplay.solver.machines.machine import Machine, shipped_machine_names
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
 Cursor = Annotated[str | None, Query(max_length=200, description="`next_cursor` of the page before.")]
+Clearances = Annotated[
+    str, Query(max_length=400, examples=["healthy"], description="Radial clearances by joint, as in `A=0.2mm,F=50um`.")
+]
 Limit = Annotated[int | None, Query(ge=1, le=500, examples=[20], description="Number of items in the page.")]
 
 JSON_TYPE = "application/json"
@@ -121,6 +126,19 @@ def drawing(request: Request, name: str) -> Response:
     """Return the drawing of a machine in its drawn pose."""
     found = of_request(request).machines.find(name)
     return respond(request, Response(machine_svg(found), media_type="image/svg+xml"), f"drawing-{found.content_key}")
+
+
+@router.get("/{name}/motion", responses=problems(404, 422, 500, 503, 504))
+async def motion(request: Request, name: str, fault: Clearances = "") -> Motion:
+    """Return how the drawing of a machine moves in one period of its drive, and worn pins in their sockets.
+
+    With a fault the machine is simulated until it has settled; a machine that is not turned at a constant speed has no
+    pins then.
+    """
+    service = of_request(request)
+    found = await run_in_threadpool(service.machines.find, name)
+    worn = tuple(parse_fault(fault, found).items())
+    return Motion(**await service.pool.run(understanding.motion, found.canonical_json(), worn))
 
 
 def document(found: Machine) -> Response:

@@ -125,10 +125,12 @@ async def diagnosis(request: Request, key: str) -> Response:
 
 @router.get("/diagnoses/{key}/motion")
 async def motion(request: Request, key: str) -> Response:
-    """Return how the drawing of a result moves in one revolution, for the script that shows it."""
+    """Return how the drawing of a result moves in one revolution, and the first hypothesis' pins in their sockets."""
     service = of_request(request)
     row = await run_in_threadpool(service.store.diagnosis, key)
-    moving = await service.pool.run(understanding.motion, json.dumps(row.machine))
+    sizes = row.answer.hypotheses[0].joints if row.answer.verdict == "worn" else {}
+    worn = tuple((name, size.clearance_um * 1e-6) for name, size in sizes.items())
+    moving = await service.pool.run(understanding.motion, json.dumps(row.machine), worn)
     return respond(request, Response(json.dumps(moving), media_type="application/json"), f"motion-{row.id}")
 
 

@@ -50,6 +50,28 @@ class MachineItem(Shape):
     sensors: list[str]
 
 
+class PinOrbit(Shape):
+    """Where the pin of a worn joint is in its socket over one revolution."""
+
+    joint: str
+    clearance_um: float = Field(description="Radial.")
+    at: list[tuple[float, float]] = Field(
+        description="x, y of the pin's middle from the socket's, in parts of the clearance: at 1 it touches. Evenly"
+        " over the revolution of the drive, the drawn position first."
+    )
+
+
+class Motion(Shape):
+    """How the drawing of a machine moves in one period of its drive."""
+
+    view_box: str = Field(description="Of the drawing, so that nothing leaves it.")
+    transforms: dict[str, list[str]] = Field(
+        description="By the class of an element of the drawing: its `transform` at each position, evenly over a period,"
+        " the drawn one first. What is not there stands still."
+    )
+    pins: list[PinOrbit] = Field(description="Of the joints with clearance that were asked for; simulated.")
+
+
 class Page(Shape):
     """What all lists have."""
 

@@ -17,7 +17,7 @@ from jointplay.solver.machines.fields import nearest
 from jointplay.solver.machines.labels import Label, Pixel, distance_to_box, place_labels
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.marks import LOOKS, RED, Group, Mark
-from jointplay.solver.machines.shapes import JointMark, MachineShapes, SupportMark, machine_shapes
+from jointplay.solver.machines.shapes import MachineShapes, SupportMark, machine_shapes
 
 #: Room for the machine, pixels: small, so that letters are legible where a screen is 360 pixels wide.
 WIDEST, HIGHEST = 340.0, 260.0
@@ -236,12 +236,14 @@ def _groups(sheet: Sheet, shapes: MachineShapes, colours: Mapping[str, str]) -> 
         yield signs.support_group(support, start, end)
         if support.motion is not None:
             yield signs.motion_group(support.motion, end)
-    for kind, arrows in (("sensor", shapes.sensors), ("load", shapes.loads), ("drive", shapes.drives)):
+    for sensor in shapes.sensors:
+        yield signs.arrow_group(sensor, "sensor", sheet(sensor.at))
+    # Pins on top of the blocks they sit in, coloured ones on others in the same place: what is worn must be seen.
+    for joint in sorted(shapes.joints, key=lambda joint: (joint.kind == "turning", joint.name in colours)):
+        yield signs.joint_group(joint, sheet(joint.at), colours.get(joint.name, ""))
+    for kind, arrows in (("load", shapes.loads), ("drive", shapes.drives)):
         for arrow in arrows:
             yield signs.arrow_group(arrow, kind, sheet(arrow.at))
-    # Pins on top of the blocks they sit in: a worn one must be seen.
-    for joint in sorted(shapes.joints, key=_on_top):
-        yield signs.joint_group(joint, sheet(joint.at), colours.get(joint.name, ""))
     blocks = {joint.at for joint in shapes.joints if joint.kind == "sliding"}
     for joint in shapes.joints:
         if joint.sense:
@@ -249,10 +251,6 @@ def _groups(sheet: Sheet, shapes: MachineShapes, colours: Mapping[str, str]) -> 
     if shapes.gap:
         first, second = shapes.gap.ends
         yield signs.gap_group(shapes.gap, (sheet(first), sheet(second)))
-
-
-def _on_top(joint: JointMark) -> bool:
-    return joint.kind == "turning"
 
 
 def _ends(sheet: Sheet, support: SupportMark) -> tuple[Pixel, Pixel]:

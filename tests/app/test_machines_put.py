@@ -63,6 +63,16 @@ def test_a_file_that_is_not_stored_is_drawn(own: httpx.Client) -> None:
     assert own.post(f"{MACHINES}/drawing.svg", content=TEXT).status_code == 415
 
 
+def test_machines_move(own: httpx.Client) -> None:
+    still = own.get(f"{MACHINES}/slider-crank/motion").json()
+    assert still["pins"] == []
+    assert len(still["transforms"]["link-rod"]) == 72
+    (pin,) = own.get(f"{MACHINES}/slider-crank/motion", params={"fault": "A=0.2mm"}).json()["pins"]
+    assert (pin["joint"], pin["clearance_um"], len(pin["at"])) == ("A", pytest.approx(200), 360)
+    refused = own.get(f"{MACHINES}/slider-crank/motion", params={"fault": "Z=0.2mm"})
+    assert (refused.status_code, "no such joint" in refused.json()["detail"]) == (422, True)
+
+
 def test_a_machine_stored_before_another_of_its_name_was_shipped_stays(tmp_path: Path) -> None:
     kept = parse_machine(changed(gravity=1.0))
     (tmp_path / "toggle-press.json").write_text(kept.canonical_json())

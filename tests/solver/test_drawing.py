@@ -327,6 +327,11 @@ def test_pins_are_drawn_over_the_blocks_they_sit_in() -> None:
     assert svg.index("joint-G1") < svg.index("joint-A")
 
 
+def test_of_two_pins_in_one_place_the_coloured_one_is_on_top() -> None:
+    svg = machine_svg(shipped_machine("v-twin"), {"A1": "#c00"})
+    assert svg.index('class="joint joint-A2"') < svg.index('class="joint joint-A1"')
+
+
 def test_a_driven_link_and_moving_ground_have_arrows() -> None:
     tree = shipped_machine("slider-crank").model_dump()
     belt = {"kind": "spring", "link": "frame", "at": [0, 0], "anchor": [0.4, 0.2], "stiffness": 10}
