@@ -18,6 +18,8 @@ from jointplay.solver.machines.parts import ForceDrive, PositionDrive, RotationD
 
 #: Evenly over the period, the drawn one first.
 POSITIONS = 72
+#: Machines of more links are drawn as they stand: a drawing is made while somebody waits.
+MOST_LINKS = 60
 #: Joints count as closed below this part of the machine's size.
 CLOSED = 1e-6
 #: How much more the other joints count than the one that is to stay open.
@@ -79,7 +81,7 @@ def course_of(machine: Machine, open_joint: str = "") -> Course:
         The joint that stays open where not all can be closed; without it, all share.
     """
     closures = _Closures(machine, open_joint)
-    drive = _drive_positions(machine)
+    drive = _drive_positions(machine)[: POSITIONS if len(machine.links) <= MOST_LINKS else 1]
     poses: list[FloatArray] = []
     last = previous = np.zeros(closures.count)
     for position in drive:
@@ -218,13 +220,12 @@ class _Closures:
             worth = float(residual @ residual)
             if worth < _EXACT**2 or not self.free or damping > 1e9:
                 break
-            system = np.vstack([rows, math.sqrt(damping) * np.eye(len(self.free))])
-            step = np.linalg.lstsq(system, np.concatenate([-residual, np.zeros(len(self.free))]), rcond=None)[0]
+            step = -np.linalg.solve(rows.T @ rows + damping * np.eye(len(self.free)), rows.T @ residual)
             trial = x.copy()
             trial[self.free] += step
             tried, rows_there = self.residual(trial, position)
             if tried @ tried < worth:
-                x, residual, rows, damping = trial, tried, rows_there, max(0.1 * damping, 1e-14)
+                x, residual, rows, damping = trial, tried, rows_there, max(0.1 * damping, 1e-12)
                 if np.abs(step).max() < 1e-10:
                     break
             else:
