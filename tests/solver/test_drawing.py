@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointplay.solver.errors import MachineError
-from jointplay.solver.machines.course import course_of
+from jointplay.solver.machines.course import MOST_LINKS, course_of
 from jointplay.solver.machines.drawing import LETTERS, Picture, Sheet, draw_machine, machine_svg
 from jointplay.solver.machines.labels import Label, distance_to_box, place_labels
 from jointplay.solver.machines.machine import (
@@ -290,6 +290,17 @@ def test_all_other_joints_stay_closed_there() -> None:
         assert course.gaps[name].max() < 1e-6
     shared = course_of(stuck())
     assert sum(gap.max() > 1e-3 for gap in shared.gaps.values()) > 1
+
+
+@pytest.mark.parametrize(("links", "positions"), [(5, 72), (MOST_LINKS, 1)])
+def test_machines_of_many_links_are_drawn_as_they_stand(links: int, positions: int) -> None:
+    body = {"mass": 1, "inertia": 0.1}
+    tree: dict[str, dict[str, object]] = {"links": {"wall": {"fixed": True}}, "joints": {}}
+    for k in range(links):
+        tree["links"][f"L{k}"] = {**body, "cg": [k + 0.5, 0]}
+        tree["joints"][f"J{k}"] = {"kind": "turning", "links": [f"L{k}", f"L{k - 1}" if k else "wall"], "at": [k, 0]}
+    machine = parse_machine({"name": "chain", **tree, "drive": {"kind": "rotation", "joint": "J0", "speed": 1}})
+    assert len(course_of(machine).drive) == positions
 
 
 def test_nothing_is_open_in_a_machine_that_can_be_assembled() -> None:
