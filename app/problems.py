@@ -54,7 +54,7 @@ class Problem:
     type: str
     title: str
     detail: str
-    errors: tuple[Mapping[str, str], ...] = ()
+    errors: tuple[Mapping[str, Any], ...] = ()
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def document(self, instance: str) -> dict[str, Any]:
@@ -171,7 +171,9 @@ def problem_of(error: Exception) -> Problem:
     headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}
     headers |= getattr(error, "headers", {})
     named = error.path if isinstance(error, solver_errors.MachineError) else getattr(error, "field", "")
-    entries = ({"field": named, "message": one_line(str(error))},) if named else ()
+    line = getattr(error, "line", None)
+    place = {"field": named} | ({} if line is None else {"line": line})
+    entries = ({**place, "message": one_line(str(error))},) if named or line else ()
     return Problem(kind.status, type_of(kind.slug), kind.title, one_line(str(error)), entries, headers)
 
 

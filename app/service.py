@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -14,12 +15,14 @@ from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, TimeLimitError, UnknownMeasurementError, WorkerDiedError
 from jointplay.app.figures.pictures import response_picture
-from jointplay.app.jobs import following, tasks
+from jointplay.app.jobs import following, tasks, virtual
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
 from jointplay.app.schemas.resources import DiagnosisRequest
+from jointplay.app.schemas.virtual import VirtualRequest
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.shelves import built_in
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
@@ -89,6 +92,33 @@ class Service:
         note = None if asset is None else await run_in_threadpool(self.noting, asset)
         summary = await self.pool.run(tasks.summarise, str(upload.path), name, told)
         return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
+
+    async def add_virtual(self, wanted: VirtualRequest) -> MeasurementRow:
+        """Simulate a recording of a catalogue's machine in a worker and store it as any other."""
+        offer = await run_in_threadpool(self.shelf.find, wanted.catalogue)
+        task = virtual.VirtualTask(
+            offer.machine.canonical_json(),
+            wanted.clearances_um,
+            wanted.drive_speed_rpm,
+            wanted.sensor_noise_m_s2,
+            wanted.revolutions,
+            wanted.seed,
+        )
+        content, name, summary = await self.pool.run(virtual.make_recording, task)
+        upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
+        try:
+            return await run_in_threadpool(self.store.add_measurement, upload, name, None, summary)
+        finally:
+            self.store.settle(upload)
+
+    async def add_built_in(self, name: str) -> MeasurementRow:
+        """Store a recording that ships with the program."""
+        content = await run_in_threadpool(built_in.content_of, name)
+        upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
+        try:
+            return await self.add_measurement(upload, built_in.file_name(name), Told())
+        finally:
+            self.store.settle(upload)
 
     async def follow(self, external_id: str) -> WearState:
         """Return the state of wear of an asset.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from math import pi
 from typing import TYPE_CHECKING
 
 import click
 
 from jointplay.app.commands.parameters import json_option, print_json
+from jointplay.app.figures.machine_account import drive_of
 from jointplay.app.tables import table
 
 if TYPE_CHECKING:
@@ -58,21 +58,3 @@ def brief(name: str, machine: Machine) -> dict[str, object]:
         "sliding_joints": list(machine.sliding_joints),
         "sensors": [sensor.name for sensor in machine.sensors],
     }
-
-
-def drive_of(machine: Machine) -> str:
-    """Return the drive in a few words."""
-    drive = machine.drive
-    if drive is None:
-        return "none"
-    speed = getattr(drive, "speed", None)
-    if drive.kind == "position":
-        x, y = drive.direction
-        way = {(1.0, 0.0): "x", (0.0, 1.0): "y"}.get((x, y), f"({x:g}, {y:g})")
-        how = f"at {speed:.6g} m/s" if isinstance(speed, float) and speed else "by position"
-        return f"{drive.link} along {way} {how}"
-    if drive.kind == "rotation" and isinstance(speed, float):
-        return f"{drive.joint} at {speed * 30 / pi:.6g} rpm"
-    if drive.kind == "translation" and isinstance(speed, float):
-        return f"{drive.joint} at {speed:.6g} m/s"
-    return f"{drive.joint} by {drive.kind}"

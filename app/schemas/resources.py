@@ -24,6 +24,7 @@ class FieldError(Shape):
     """One field that breaks a rule."""
 
     field: str
+    line: int | None = Field(default=None, description="Of the machine file that was sent, where it is about one.")
     message: str
 
 
@@ -154,6 +155,9 @@ class MeasurementOut(Shape):
     measured_at: datetime = Field(description="When it was measured; when it was received where nobody says that.")
     measured_at_source: Literal["sender", "file", "received"] = Field(description="Who says so; received: nobody does.")
     kind: Literal["recording", "spectrum"] = "recording"
+    virtual: dict[str, Any] | None = Field(
+        default=None, description="What a simulated recording was made with; null for what was measured."
+    )
     told: dict[str, Any] = Field(
         description="What its sender said of the file: `sample_rate_hz`, `units`, `profile`, as far as they were given."
         " When it was measured stands by itself."
