@@ -33,11 +33,13 @@ from jointplay.app.routes import (
     entries,
     findings,
     health,
+    machine_pages,
     machines,
     measurements,
     pages,
     reports,
     signin,
+    try_pages,
     webhooks,
 )
 from jointplay.app.scopes import API
@@ -113,7 +115,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             True,
         ),
         ((health,), "", True),
-        ((pages, browser_pages, build_pages, asset_pages, signin), "", False),
+        ((pages, machine_pages, browser_pages, build_pages, asset_pages, try_pages, signin), "", False),
     ):
         for module in modules:
             application.include_router(

@@ -112,13 +112,10 @@ def machine(request: Request, name: str) -> Response:
     openapi_extra={"requestBody": BODY},
 )
 async def check(request: Request) -> MachineCheck:
-    """Check a machine file (JSON or YAML) as `jointplay check` does and draw it; nothing is stored.
-
-    A machine that cannot be assembled is drawn, too.
-    """
+    """Check a machine file (JSON or YAML) as `jointplay check` does; nothing is stored."""
     text = file_text(media_type(request), await request.body())
     look = await of_request(request).pool.run(tasks.look_at_machine, text, "machine")
-    return MachineCheck(refusal=refusal_of(look.refusal), drawing_svg=look.drawing or None, account=look.account)
+    return MachineCheck(refusal=refusal_of(look.refusal), account=look.account)
 
 
 @router.get("/{name}/versions", responses=problems(400, 404, 422))

@@ -22,6 +22,7 @@ from jointplay.app.http.handlers import is_fragment, note, problem_from, templat
 from jointplay.app.http.uploads import receive_form
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding
+from jointplay.app.pages.build_view import build_view
 from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, read_form
 from jointplay.app.pages.understood import confirmation
 from jointplay.app.pages.views import view
@@ -33,9 +34,11 @@ from jointplay.app.storage.told import FILE_FIELDS, PROFILE, read_told
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.machine import shipped_machine_names
 
 router = APIRouter()
 
+NEWEST = 5
 KNOWN_ASSETS = 500  # that a field offers; others can be typed
 REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValidationError, HTTPException)
 
@@ -206,10 +209,12 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
     offers = await run_in_threadpool(service.shelf.offers)
     known = await run_in_threadpool(Assets(service.store.database).page, None, KNOWN_ASSETS)
     settings = service.settings
+    steps = {} if offers else await run_in_threadpool(first_steps, service)
     page: dict[str, Any] = {
         "title": "jointplay",
         "catalogues": [offer.description for offer in offers],
         "known_assets": [(asset.external_id, asset.machine) for asset in known],
+        "steps": steps,
         "chosen": {},
         "messages": {},
         "told_open": False,
@@ -223,6 +228,13 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
         "timeout_ms": int(3 * settings.time_limit_s * 1000),
     }
     return {**page, **more}
+
+
+def first_steps(service: Service) -> dict[str, Any]:
+    """Return how far somebody is who has no catalogue yet: machines that were put there, builds that go on."""
+    own = [name for name in service.machines.names() if name not in shipped_machine_names()]
+    builds = [build_view(row) for row in service.builds.list_builds(None, NEWEST)]
+    return {"own": own, "builds": [each for each in builds if each["open"]]}
 
 
 def result_of(service: Service, row: DiagnosisRow) -> dict[str, Any]:

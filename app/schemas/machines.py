@@ -28,7 +28,6 @@ class MachineCheck(Shape):
     """What a machine file is, right or wrong."""
 
     refusal: FieldError | None = Field(description="Why it would be refused; null for one that is right.")
-    drawing_svg: str | None = Field(description="Null where it is not even a machine.")
     account: dict[str, Any] | None = Field(
         description="What `jointplay check --json` prints: joints, degrees of freedom, what the model holds and leaves"
         " out, suspension modes, notes on what is implausible. Null for a file that would be refused."

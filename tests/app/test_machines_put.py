@@ -164,4 +164,5 @@ def test_of_many_first_writers_one_wins(tmp_path: Path) -> None:
         won = list(pool.map(first, contents))
     assert sum(won) == 1
     assert MachineStore(tmp_path).find("press") == parse_machine(contents[won.index(True)])
-    assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", "press.json"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", "press.json", "versions"]
+    assert MachineStore(tmp_path).versions("press") == [1]
