@@ -114,7 +114,7 @@ def all_clearances(machine: Machine, asked: Mapping[str, float]) -> dict[str, fl
                 f"clearances_um.{joint[:80]}: is no joint that can wear; those are {known}", field="clearances_um"
             )
     return {
-        joint: asked.get(joint, 1e6 * math.sqrt(math.prod(machine.joints[joint].play_as_new)))
+        joint: asked.get(joint, round(1e6 * math.sqrt(math.prod(machine.joints[joint].play_as_new)), 3))
         for joint in machine.wearing_joints
     }
 

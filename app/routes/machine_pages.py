@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -77,9 +78,11 @@ async def machine(request: Request, name: str) -> Response:
     """Show a machine: its text, its drawing, what is made of it, its versions."""
     number = request.query_params.get("version")
     try:
-        if number is not None and not number.isdecimal():
+        if number is not None and not re.fullmatch(r"[0-9]{1,9}", number):
             raise UnknownMachineError(f"version: {number[:80]}: machine {name[:80]} has none of this number")
-        found = await run_in_threadpool(of_request(request).machines.version, name, number and int(number))
+        found = await run_in_threadpool(
+            of_request(request).machines.version, name, None if number is None else int(number)
+        )
     except REFUSALS as error:
         return await refuse_list(request, problem_from(error))
     return await show(request, name, {"text": found.text, "version": number or ""})

@@ -17,7 +17,9 @@
     });
     gutter().replaceChildren(...lines);
     gutter().scrollTop = text().scrollTop;
-    document.querySelector(".workbench .seen").classList.toggle("old", Boolean(document.querySelector("#told .refused")));
+    const told = document.querySelector("#told .refused");
+    document.getElementById("drawing").classList.toggle("old", told?.dataset.drawn === "no");
+    document.getElementById("account").classList.toggle("old", Boolean(told));
   };
 
   // Who clicks on the message is led to its line.
