@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from jointplay.app.jobs.summaries import summary_of
 from jointplay.app.jobs.workers import WorkerOutcome, attempt
-from jointplay.app.problems import Problem
+from jointplay.app.problems import Problem, problem_of
 from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ class MachineLook:
     Parameters
     ----------
     drawing : str
-        SVG; empty where the file is not even a machine.
+        SVG; empty where the file is not even a machine. Of one that cannot be assembled with its gap.
     account : dict or None
         As ``jointplay check --json`` prints it; None for a file that would be refused.
     refusal : Problem or None
@@ -180,13 +180,18 @@ class MachineLook:
 
 def look_at_machine(text: str, name: str) -> MachineLook:
     """Read a machine file as :func:`check_machine` does, draw it, and tell what the program makes of it."""
+    from jointplay.solver.errors import AssemblyError, SolverError
     from jointplay.solver.machines.drawing import machine_svg
 
-    read = attempt(parse_lines, (text, name))
-    if read.problem is not None:
-        return MachineLook("", None, read.problem)
-    account = attempt(account_for, (read.value, text))
-    return MachineLook(machine_svg(read.value), account.value, account.problem)
+    try:
+        machine = parse_lines(text, name)
+    except SolverError as error:
+        return MachineLook("", None, problem_of(error))
+    try:
+        return MachineLook(machine_svg(machine), account_for(machine, text), None)
+    except SolverError as error:
+        gap = error.joint if isinstance(error, AssemblyError) else None
+        return MachineLook(machine_svg(machine, open_joint=gap), None, problem_of(error))
 
 
 def account_for(machine: Machine, text: str) -> dict[str, Any]:
@@ -228,37 +233,6 @@ def lines_of(text: str) -> Iterator[None]:
     except MachineError as error:
         error.line = line_of(text, error.path)
         raise
-
-
-def sketch_machine(text: str, name: str) -> dict[str, str]:
-    """Draw a machine file that is not stored, also one whose machine cannot be assembled: the gap in red then.
-
-    Parameters
-    ----------
-    text : str
-        YAML or JSON.
-    name : str
-        What messages call it.
-
-    Returns
-    -------
-    dict
-        ``svg``, and ``refusal``: why it cannot be assembled, in the words of :func:`check_machine`, or nothing.
-
-    Raises
-    ------
-    MachineError
-        For everything else that :func:`check_machine` refuses: there is nothing to draw then.
-    """
-    from jointplay.solver.errors import AssemblyError
-    from jointplay.solver.machines.drawing import machine_svg
-    from jointplay.solver.machines.machine import parse_machine
-
-    try:
-        check_machine(text, name)
-    except AssemblyError as error:
-        return {"svg": machine_svg(parse_machine(text, name), open_joint=error.joint), "refusal": str(error)}
-    return {"svg": machine_svg(parse_machine(text, name)), "refusal": ""}
 
 
 def warm(catalogues: Sequence[tuple[str, str]]) -> int:

@@ -17,6 +17,7 @@ from jointplay.app.http import paging
 from jointplay.app.http.openapi import DRAWING, problems
 from jointplay.app.http.uploads import media_type
 from jointplay.app.jobs import tasks
+from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.machines import MachineCheck, MachineVersionItem, MachineVersionPage
@@ -92,11 +93,13 @@ async def sketch(request: Request) -> Response:
     """Draw a machine file (JSON or YAML) that is not stored.
 
     A machine that cannot be assembled is drawn where it is open widest, as near to closed as it comes, the gap in red;
-    the description of the drawing says why. Everything else that `PUT` refuses is refused here, too.
+    the description of the drawing says why. What is not even a machine is refused, as by `PUT`.
     """
     text = file_text(media_type(request), await request.body())
-    found = await of_request(request).pool.run(tasks.sketch_machine, text, "machine")
-    return Response(found["svg"], media_type="image/svg+xml")
+    look = await of_request(request).pool.run(tasks.look_at_machine, text, "machine")
+    if not look.drawing and look.refusal is not None:
+        raise TaskFailedError(look.refusal)
+    return Response(look.drawing, media_type="image/svg+xml")
 
 
 @router.get("/{name}", responses={200: {"description": "The machine.", **SHOWN}, **problems(404)})
