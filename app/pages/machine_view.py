@@ -15,6 +15,9 @@ from jointplay.app.words import spell_moment
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.machine import Machine, shipped_machine_names
 
+SOURCE = "machine"
+"""What messages call the text on the page; it need not be said there."""
+
 START = """name: my machine
 links:                                  # the first link is the frame, which carries the sensors
   bed:   {mass: 40, inertia: 1.5, cg: [0.1, 0]}        # kg, kg m2 about cg, m
@@ -78,10 +81,11 @@ def look_view(look: MachineLook) -> dict[str, Any]:
     """Return what stands beside the text of a machine file: its drawing, why it is refused, what is made of it."""
     problem = look.refusal
     place: Mapping[str, Any] = next(iter(problem.errors), {}) if problem is not None else {}
+    line, said = place.get("line"), "" if problem is None else problem.detail
     return {
         "drawing": look.drawing,
-        "line": place.get("line"),
-        "refusal": "" if problem is None else problem.detail,
+        "line": line,
+        "refusal": said.removeprefix(f"{SOURCE}: ").removeprefix(f"line {line}: "),
         "account": None if look.account is None else account_view(look.account),
     }
 

@@ -14,7 +14,7 @@ from jointplay.app.etags import Conditions, tag
 from jointplay.app.http import paging
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.jobs import tasks
-from jointplay.app.pages.machine_view import START, card, look_view, users_of, version_row
+from jointplay.app.pages.machine_view import SOURCE, START, card, look_view, users_of, version_row
 from jointplay.app.pages.page_forms import messages_of, plain_form
 from jointplay.app.problems import Problem
 from jointplay.app.routes.build_pages import may_build
@@ -64,12 +64,12 @@ async def add(request: Request) -> Response:
 async def check(request: Request) -> Response:
     """Show what is made of a text: for the script beside the text alone, else the whole page again."""
     try:
-        given = await plain_form(request)
+        given = await plain_form(request, "text")
     except REFUSALS as error:
         return await refuse_list(request, problem_from(error))
     if not is_fragment(request):
         return await show(request, given.get("known"), given)
-    look = await of_request(request).pool.run(tasks.look_at_machine, given.get("text", ""), "machine")
+    look = await of_request(request).pool.run(tasks.look_at_machine, given.get("text", ""), SOURCE)
     return templates.TemplateResponse(request, "_machine_look.html", {"look": look_view(look), "live": True})
 
 
@@ -99,17 +99,16 @@ async def save(request: Request, name: str | None) -> Response:
     service = of_request(request)
     given: dict[str, str] = {}
     try:
-        given.update(await plain_form(request))
+        given.update(await plain_form(request, "text"))
         if name is None and "name" not in given:
             raise BadFieldError("give it a name", field="name")
         if "text" not in given:
             raise BadFieldError("write or load a machine file", field="text")
         target = given["name"] if name is None else name
         check_name(target)
-        text = given["text"].replace("\r\n", "\n") + "\n"
-        content = await service.pool.run(tasks.check_machine, text, target)
+        content = await service.pool.run(tasks.check_machine, given["text"], SOURCE)
         known = Conditions(none_match=("*",)) if name is None else Conditions(match=(given.get("etag", ""),))
-        await run_in_threadpool(service.machines.put, target, content, known, text)
+        await run_in_threadpool(service.machines.put, target, content, known, given["text"])
     except PreconditionError as error:
         problem = problem_from(error)
         field = "name" if name is None else "text"
@@ -138,7 +137,7 @@ async def show(
     service = of_request(request)
     try:
         stored = None if name is None else await run_in_threadpool(service.machines.find, name)
-        look = look_view(await service.pool.run(tasks.look_at_machine, given.get("text", ""), "machine"))
+        look = look_view(await service.pool.run(tasks.look_at_machine, given.get("text", ""), SOURCE))
     except REFUSALS as error:
         return await refuse_list(request, problem_from(error))
     members: dict[str, Any] = {

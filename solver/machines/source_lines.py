@@ -41,13 +41,12 @@ def line_of(text: str, path: str) -> int | None:
     doubled = None if "." in path else _find_doubled(node, path)
     if doubled is not None:
         return doubled
-    steps, line = path.split("."), 1 if node is not None else None
-    while steps:
-        found = _step(node, steps)
+    line = 1 if node is not None else None
+    for step in path.split("."):
+        found = _step(node, step)
         if found is None:
             break
-        node, line, used = found
-        steps = steps[used:]
+        node, line = found
     return line
 
 
@@ -62,16 +61,11 @@ def _find_doubled(node: Any, key: str) -> int | None:
     return next((line for each in inside if (line := _find_doubled(each, key)) is not None), None)
 
 
-def _step(node: Any, steps: list[str]) -> tuple[Any, int, int] | None:
-    """Return the node that the next steps lead to, its line, and how many steps that were: a key may hold a dot."""
-    if getattr(node, "id", "") == "sequence":
-        place = int(steps[0]) if steps[0].isdecimal() else len(node.value)
-        return (node.value[place], node.value[place].start_mark.line + 1, 1) if place < len(node.value) else None
-    if getattr(node, "id", "") != "mapping":
-        return None
-    for used in range(len(steps), 0, -1):
-        named = [pair for pair in node.value if str(pair[0].value) == ".".join(steps[:used])]
-        if named:
-            key, value = named[-1]  # of a key that is given twice, the second
-            return value, key.start_mark.line + 1, used
+def _step(node: Any, step: str) -> tuple[Any, int] | None:
+    """Return the node that a step of a path leads to, and its line."""
+    kind = getattr(node, "id", "")
+    if kind == "mapping":
+        return next(((value, key.start_mark.line + 1) for key, value in node.value if str(key.value) == step), None)
+    if kind == "sequence" and step.isdecimal() and int(step) < len(node.value):
+        return node.value[int(step)], node.value[int(step)].start_mark.line + 1
     return None
