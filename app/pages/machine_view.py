@@ -13,7 +13,7 @@ from jointplay.app.storage.assets import AssetRow
 from jointplay.app.storage.machine_store import MachineVersion
 from jointplay.app.words import spell_moment
 from jointplay.solver.machines.drawing import machine_svg
-from jointplay.solver.machines.machine import Machine, shipped_machine_names
+from jointplay.solver.machines.machine import Machine
 
 SOURCE = "machine"
 """What messages call the text on the page; it need not be said there."""
@@ -41,12 +41,14 @@ def drawing_of(machine: Machine) -> str:
     return machine_svg(machine)
 
 
-def card(name: str, machine: Machine, offers: Sequence[Offer], assets: Sequence[AssetRow]) -> dict[str, Any]:
+def card(
+    name: str, machine: Machine, shipped: bool, offers: Sequence[Offer], assets: Sequence[AssetRow]
+) -> dict[str, Any]:
     """Return what the list shows of a machine."""
     return {
         "name": name,
         "title": machine.name,
-        "shipped": name in shipped_machine_names(),
+        "shipped": shipped,
         "drawing": drawing_of(machine),
         "links": len(machine.links),
         "joints": ", ".join(machine.joints),

@@ -135,6 +135,7 @@ async def show(
 ) -> Response:
     """Return the page of a machine, or of one that is to be, with what was wrong."""
     service = of_request(request)
+    shipped = name is not None and service.machines.ships(name)
     try:
         stored = None if name is None else await run_in_threadpool(service.machines.find, name)
         look = look_view(await service.pool.run(tasks.look_at_machine, given.get("text", ""), SOURCE))
@@ -144,8 +145,8 @@ async def show(
         "name": name,
         "given": given,
         "look": look,
-        "shipped": name in shipped_machine_names(),
-        "editable": may_build(request) and name not in shipped_machine_names(),
+        "shipped": shipped,
+        "editable": may_build(request) and (name is None or name not in shipped_machine_names()),
         "may_build": may_build(request),
         "title": f"{name or 'New machine'}: jointplay",
     }
@@ -180,20 +181,15 @@ def about(service: Service, name: str, stored: Machine) -> dict[str, Any]:
 def cards(service: Service, cursor: str | None) -> dict[str, Any]:
     """Return one page of the list of machines: those that were put there first."""
     after = paging.decode(cursor) if cursor is not None else ""
-    shipped = shipped_machine_names()
-    names = sorted(service.machines.names(), key=lambda each: order_of(each, shipped))
-    left = [each for each in names if order_of(each, shipped) > after]
+    places = {f"{int(service.machines.ships(name))}{name}": name for name in service.machines.names()}
+    left = sorted(place for place in places if place > after)
     size = service.settings.page_size
     offers, assets = service.shelf.offers(), known_assets(service)
+    shown = [(places[place], place.startswith("1")) for place in left[:size]]
     return {
-        "cards": [card(each, service.machines.find(each), offers, assets) for each in left[:size]],
-        "following": paging.encode(order_of(left[size - 1], shipped)) if len(left) > size else None,
+        "cards": [card(name, service.machines.find(name), ships, offers, assets) for name, ships in shown],
+        "following": paging.encode(left[size - 1]) if len(left) > size else None,
     }
-
-
-def order_of(name: str, shipped: tuple[str, ...]) -> str:
-    """Return by what machines are sorted: their own before those that ship with the program."""
-    return f"{int(name in shipped)}{name}"
 
 
 def known_assets(service: Service) -> list[AssetRow]:

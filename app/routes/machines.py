@@ -26,7 +26,7 @@ from jointplay.app.service import of_request
 from jointplay.app.storage.machine_store import MachineVersion, check_name
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.fault import parse_fault
-from jointplay.solver.machines.machine import Machine, shipped_machine_names
+from jointplay.solver.machines.machine import Machine
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
@@ -79,7 +79,7 @@ def machines(request: Request, cursor: Cursor = None, limit: Limit = None) -> Ma
     after = paging.decode(cursor) if cursor is not None else ""
     size = limit or service.settings.page_size
     names = [name for name in service.machines.names() if name > after]
-    items = [item(name, service.machines.find(name)) for name in names[:size]]
+    items = [item(name, service.machines.find(name), service.machines.ships(name)) for name in names[:size]]
     return MachinePage(items=items, next_cursor=paging.encode(names[size - 1]) if len(names) > size else None)
 
 
@@ -232,7 +232,7 @@ def version_item(found: MachineVersion) -> MachineVersionItem:
     return MachineVersionItem(number=found.number, content_key=found.content_key, saved_at=found.saved_at)
 
 
-def item(name: str, found: Machine) -> MachineItem:
+def item(name: str, found: Machine, ships: bool) -> MachineItem:
     """Return what a list says about a machine."""
     return MachineItem(
         name=name,
@@ -240,6 +240,6 @@ def item(name: str, found: Machine) -> MachineItem:
         links=len(found.links),
         turning_joints=list(found.turning_joints),
         sliding_joints=list(found.sliding_joints),
-        shipped=name in shipped_machine_names(),
+        shipped=ships,
         sensors=[sensor.name for sensor in found.sensors],
     )

@@ -232,7 +232,7 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
 
 def first_steps(service: Service) -> dict[str, Any]:
     """Return how far somebody is who has no catalogue yet: machines that were put there, builds that go on."""
-    own = [name for name in service.machines.names() if name not in shipped_machine_names()]
+    own = [name for name in service.machines.names() if not service.machines.ships(name)]
     builds = [build_view(row) for row in service.builds.list_builds(None, NEWEST)]
     return {"own": own, "builds": [each for each in builds if each["open"]]}
 

@@ -86,6 +86,10 @@ class MachineStore:
             raise UnknownMachineError(f"machine: {name[:80]}: there is none of this name", field="machine")
         return found
 
+    def ships(self, name: str) -> bool:
+        """Return whether a machine is the one that ships with the program."""
+        return name in shipped_machine_names() and not self._file(name).is_file()
+
     def versions(self, name: str) -> list[int]:
         """Return the numbers of the versions of a machine that was put there, the newest first.
 
@@ -109,9 +113,9 @@ class MachineStore:
         UnknownMachineError
             When there is no machine of this name, or no such version.
         """
-        if name in shipped_machine_names() and number in (None, 1):
-            return MachineVersion(1, shipped_machine(name).content_key, None, shipped_machine_text(name))
         found = self.find(name)
+        if self.ships(name) and number in (None, 1):
+            return MachineVersion(1, found.content_key, None, shipped_machine_text(name))
         if number is None:
             number = self.versions(name)[0]
         try:

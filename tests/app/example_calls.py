@@ -260,7 +260,8 @@ def unknown(call: Call, _operation: dict[str, Any]) -> Call:
         return replace(call, where={**call.where, last: "unknown"})
     if "files" in call.sent:
         return replace(call, sent={"files": {**call.sent["files"], "asset": (None, "unknown")}})
-    return replace(call, sent={"json": {**call.sent["json"], "measurement": "unknown"}})
+    named = "catalogue" if call.path.endswith("/virtual") else "measurement"
+    return replace(call, sent={"json": {**call.sent["json"], named: "unknown"}})
 
 
 def too_large(call: Call, _operation: dict[str, Any]) -> Call:
@@ -274,7 +275,7 @@ def wrong(call: Call, operation: dict[str, Any]) -> Call:
     """A field that breaks a rule: of the body, of the query, of the path."""
     if "json" in call.sent:
         body = dict(call.sent["json"])
-        body.pop(next(name for name in ("machine", "catalogue", "links", "url", "at", "measured_at") if name in body))
+        body.pop(next(name for name in ("machine", "catalogue", "links", "url", "at", "measured_at", "name") if name in body))
         return replace(call, sent={"json": body})
     if "files" in call.sent:
         return replace(call, sent={"files": {"sample_rate": (None, "10 kHz")}})
