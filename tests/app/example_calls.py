@@ -275,7 +275,9 @@ def wrong(call: Call, operation: dict[str, Any]) -> Call:
     """A field that breaks a rule: of the body, of the query, of the path."""
     if "json" in call.sent:
         body = dict(call.sent["json"])
-        body.pop(next(name for name in ("machine", "catalogue", "links", "url", "at", "measured_at", "name") if name in body))
+        body.pop(
+            next(name for name in ("machine", "catalogue", "links", "url", "at", "measured_at", "name") if name in body)
+        )
         return replace(call, sent={"json": body})
     if "files" in call.sent:
         return replace(call, sent={"files": {"sample_rate": (None, "10 kHz")}})
