@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, expect
-from real_browser import SCREENS, Visit, is_within_screen, serious, visiting
+from real_browser import SCREENS, SECONDS, Visit, is_within_screen, serious, visiting
 from small_service import serving
 
 from jointplay.app.settings import ServiceSettings
@@ -31,11 +31,11 @@ def test_a_text_is_edited_beside_its_drawing(visit: Visit, tmp_path: Path) -> No
     assert is_within_screen(page) and serious(page) == []
     page.get_by_role("link", name="Use as a start: slider-crank").click()
     text, told, drawing = page.get_by_label("Machine file"), page.locator("#told"), page.locator("#drawing")
-    expect(told).to_have_text("A valid machine.")
+    expect(told).to_have_text("A valid machine.", timeout=SECONDS)
     assert is_within_screen(page) and serious(page) == []
     line = WRONG.splitlines().index(next(each for each in WRONG.splitlines() if "rotatoin" in each)) + 1
     text.fill(WRONG)
-    expect(page.locator(".gutter .wrong")).to_have_text(str(line))
+    expect(page.locator(".gutter .wrong")).to_have_text(str(line), timeout=SECONDS)
     expect(told).to_contain_text(f'Line {line}: drive.kind: rotatoin: is not a known kind; did you mean "rotation"?')
     expect(drawing.locator(".link-rod").first).to_be_visible()  # as it could be drawn last
     assert is_within_screen(page) and serious(page) == []
@@ -43,13 +43,13 @@ def test_a_text_is_edited_beside_its_drawing(visit: Visit, tmp_path: Path) -> No
     chosen = "document.getElementById('text')"
     assert "rotatoin" in page.evaluate(f"{chosen}.value.slice({chosen}.selectionStart, {chosen}.selectionEnd)")
     text.fill(OPEN)
-    expect(told).to_contain_text("cannot be assembled")
+    expect(told).to_contain_text("cannot be assembled", timeout=SECONDS)
     expect(drawing).to_contain_text("mm open")
     assert serious(page) == []
     file = tmp_path / "mine.yaml"
     file.write_text(shipped_machine_text("four-bar"))
     page.get_by_label("Load a file into the text").set_input_files(file)
-    expect(told).to_have_text("A valid machine.")
+    expect(told).to_have_text("A valid machine.", timeout=SECONDS)
     expect(drawing.locator(".joint-D").first).to_be_visible()
     expect(page.locator("#account")).to_contain_text("4, of which 3 are integrated")
     page.get_by_label("Name", exact=True).fill("mine")
