@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from jointplay.app.errors import BadFieldError, SimulationFailedError
+from jointplay.app.errors import BadFieldError
 from jointplay.app.jobs.summaries import summary_of
 from jointplay.solver.machines.machine import Machine, parse_machine
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 SAMPLE_RATE = 10_000.0
 RPM = 30.0 / math.pi
+FARTHEST = 5.0
+"""Times its own speed, or by so much slower, that a machine may turn: no catalogue reaches farther."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +68,7 @@ def make_recording(task: VirtualTask) -> tuple[bytes, str, dict[str, Any]]:
     Raises
     ------
     BadFieldError
-        A joint that cannot wear, a clearance or a speed that the machine cannot have.
-    SimulationFailedError
-        It does not come to an end.
+        A joint that cannot wear, a speed or clearances that the machine cannot have.
     """
     from jointplay.catalogue.measurements.measured_spectrum import read_recording
     from jointplay.catalogue.plans.driving import at_speed, nominal_drive_speed
@@ -85,12 +85,16 @@ def make_recording(task: VirtualTask) -> tuple[bytes, str, dict[str, Any]]:
     if task.drive_speed_rpm is not None and not at_speed(machine, speed):
         rule = "the load of its motor says how fast this machine turns; leave it out"
         raise BadFieldError(f"drive_speed_rpm: {task.drive_speed_rpm:g}: {rule}", field="drive_speed_rpm")
+    if abs(math.log(abs(speed / nominal))) > math.log(FARTHEST) + 1e-9:
+        low, high = (abs(nominal) * RPM * factor for factor in (1 / FARTHEST, FARTHEST))
+        rule = f"must be {low:.4g} to {high:.4g}, a {FARTHEST:g}th to {FARTHEST:g} times the machine's own"
+        raise BadFieldError(f"drive_speed_rpm: {task.drive_speed_rpm:g}: {rule}", field="drive_speed_rpm")
     case = Case(Fault({joint: size * 1e-6 for joint, size in clearances.items()}), at_speed(machine, speed))
     history = simulate(machine, case, Settings(sample_rate=SAMPLE_RATE, revolutions=task.revolutions + 0.1))
     if history.status is not Status.OK:
-        raise SimulationFailedError(f"{machine.name}: {history.status}: {history.message}")
+        raise refusal(clearances, f"{history.status}: {history.message}")
     if history.turning is not None and not history.turning.is_steady:
-        raise SimulationFailedError(f"{machine.name}: its drive does not come to a steady speed with this wear")
+        raise refusal(clearances, "its drive does not come to a steady speed")
     turned = abs(history.drive_speed) * RPM
     worn = {joint: size for joint, size in sorted(task.clearances_um.items()) if size > 0}
     truth = {
@@ -103,6 +107,12 @@ def make_recording(task: VirtualTask) -> tuple[bytes, str, dict[str, Any]]:
     name = f"virtual {said} {turned:.4g}rpm.csv"
     content = csv_of(machine, sensed(machine, history, task))
     return content, name, {**summary_of(read_recording(content, name=name)), "virtual": truth}
+
+
+def refusal(clearances: Mapping[str, float], why: str) -> BadFieldError:
+    """Return the error for a machine that does not run with some clearances."""
+    said = ", ".join(f"{joint}={size:g}" for joint, size in clearances.items())
+    return BadFieldError(f"clearances_um: {said}: cannot be simulated: {why}", field="clearances_um")
 
 
 def all_clearances(machine: Machine, asked: Mapping[str, float]) -> dict[str, float]:

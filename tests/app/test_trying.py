@@ -63,6 +63,7 @@ def test_speed_noise_length_and_seed_are_those_asked_for(client: httpx.Client) -
         ({"clearances_um": {"B": -1.0}}, 422, "greater than or equal to 0"),
         ({"clearances_um": {"B": 1e6}}, 422, "less than or equal to 10000"),
         ({"drive_speed_rpm": 0.0}, 422, "greater than 0"),
+        ({"drive_speed_rpm": 0.01}, 422, "drive_speed_rpm: 0.01: must be 120 to 3000"),
         ({"revolutions": 5}, 422, "greater than or equal to 6"),
         ({"sensor_noise_m_s2": "loud"}, 422, "valid number"),
         ({"asset": "press-7"}, 422, "Extra inputs are not permitted"),
