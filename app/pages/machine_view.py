@@ -101,7 +101,7 @@ def account_view(account: Mapping[str, Any]) -> dict[str, Any]:
             ("Links", ", ".join(account["links"])),
             ("Joints", ", ".join([*account["turning_joints"], *account["sliding_joints"]])),
             ("Degrees of freedom", f"{freedoms}, of which {integrated} are integrated"),
-            ("Modelled", f"{len(held)} of {account['unknowns_3n_2j']} unknowns: {', '.join(held)}"),
+            ("Modelled", f"{len(held)} of {account['unknowns_3n_2j']} unknowns{': ' if held else ''}{', '.join(held)}"),
         ],
         "joints": [
             {

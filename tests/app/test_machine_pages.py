@@ -148,7 +148,7 @@ def test_a_text_is_checked_without_being_stored(site: httpx.Client) -> None:
     open_one = site.post("/machines/check", data={"text": OPEN}, headers={"HX-Request": "true"}).text
     assert "cannot be assembled" in open_one and " open<" in open_one and 'id="account"' not in open_one
     right = site.post("/machines/check", data={"text": MACHINE_YAML}, headers={"HX-Request": "true"}).text
-    assert "A valid machine." in right and "svg" in right and "3 of 8 unknowns" in right
+    assert "A valid machine." in right and "svg" in right and "0 of 8 unknowns" in right
     whole = site.post("/machines/check", data={"text": wrong, "name": "mine"}).text
     assert "<strong>Line 7:</strong>" in whole and text_of(whole) == wrong and 'value="mine"' in whole
     said = site.post(f"{API}/check", content=wrong, headers=YAML).json()
