@@ -34,7 +34,6 @@ from jointplay.app.storage.told import FILE_FIELDS, PROFILE, read_told
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.drawing import machine_svg
-from jointplay.solver.machines.machine import shipped_machine_names
 
 router = APIRouter()
 
