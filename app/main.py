@@ -36,6 +36,7 @@ from jointplay.app.routes import (
     findings,
     forecasts,
     health,
+    machine_pages,
     machines,
     measurements,
     pages,
@@ -43,6 +44,7 @@ from jointplay.app.routes import (
     signal_pages,
     signals,
     signin,
+    try_pages,
     webhooks,
 )
 from jointplay.app.scopes import API
@@ -134,7 +136,21 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             True,
         ),
         ((health,), "", True),
-        ((pages, browser_pages, build_pages, asset_pages, finding_pages, signal_pages, signin), "", False),
+        (
+            (
+                pages,
+                machine_pages,
+                browser_pages,
+                build_pages,
+                asset_pages,
+                finding_pages,
+                signal_pages,
+                try_pages,
+                signin,
+            ),
+            "",
+            False,
+        ),
     ):
         for module in modules:
             application.include_router(

@@ -55,7 +55,7 @@ class Problem:
     type: str
     title: str
     detail: str
-    errors: tuple[Mapping[str, str], ...] = ()
+    errors: tuple[Mapping[str, Any], ...] = ()
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def document(self, instance: str) -> dict[str, Any]:
@@ -173,8 +173,9 @@ def problem_of(error: Exception) -> Problem:
     headers = {"Retry-After": "5"} if kind.status == HTTPStatus.SERVICE_UNAVAILABLE else {}
     headers |= getattr(error, "headers", {})
     named = error.path if isinstance(error, solver_errors.MachineError) else getattr(error, "field", "")
-    said = one_line(say(error))
-    entries = ({"field": named, "message": said},) if named else ()
+    line = getattr(error, "line", None)
+    said, place = one_line(say(error)), {"field": named} | ({} if line is None else {"line": line})
+    entries = ({**place, "message": said},) if named or line else ()
     return Problem(kind.status, type_of(kind.slug), kind.title, said, entries, headers)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -17,14 +18,16 @@ from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, TimeLimitError, UnknownMeasurementError, WorkerDiedError
 from jointplay.app.figures.pictures import response_picture
-from jointplay.app.jobs import following, forecasts, tasks
+from jointplay.app.jobs import following, forecasts, tasks, virtual
 from jointplay.app.jobs.build_orders import machine_of, plan_of
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.samples import StoredRecording
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
 from jointplay.app.schemas.resources import BuildRequest, DiagnosisRequest
+from jointplay.app.schemas.virtual import VirtualRequest
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.shelves import built_in
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
@@ -113,6 +116,33 @@ class Service:
         summary = await self.pool.run(tasks.summarise, *recording, kept)
         note = None if known is None else self.noting(known.external_id, columns_of(summary), told)
         return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
+
+    async def add_virtual(self, wanted: VirtualRequest) -> MeasurementRow:
+        """Simulate a recording of a catalogue's machine in a worker and store it as any other."""
+        offer = await run_in_threadpool(self.shelf.find, wanted.catalogue)
+        task = virtual.VirtualTask(
+            offer.machine.canonical_json(),
+            wanted.clearances_um,
+            wanted.drive_speed_rpm,
+            wanted.sensor_noise_m_s2,
+            wanted.revolutions,
+            wanted.seed,
+        )
+        content, name, summary = await self.pool.run(virtual.make_recording, task)
+        upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
+        try:
+            return await run_in_threadpool(self.store.add_measurement, upload, name, None, summary)
+        finally:
+            self.store.settle(upload)
+
+    async def add_built_in(self, name: str) -> MeasurementRow:
+        """Store a recording that ships with the program."""
+        content = await run_in_threadpool(built_in.content_of, name)
+        upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
+        try:
+            return await self.add_measurement(upload, built_in.file_name(name), Told())
+        finally:
+            self.store.settle(upload)
 
     async def follow(self, external_id: str) -> WearState:
         """Return the state of wear of an asset.

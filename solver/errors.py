@@ -22,7 +22,15 @@ class MachineError(SolverError):
         The offending value as the user wrote it; ``None`` when something is missing.
     rule : str
         The rule it breaks, as a phrase: "must be greater than 0".
+
+    Attributes
+    ----------
+    line : int or None
+        Line of the file that it is about, where whoever holds its text has looked
+        (:func:`jointplay.solver.machines.source_lines.line_of`).
     """
+
+    line: int | None = None
 
     def __init__(self, source: str, path: str, value: object, rule: str) -> None:
         self.source = source
@@ -42,6 +50,12 @@ class MachineError(SolverError):
 
 class AssemblyError(MachineError):
     """The machine cannot be assembled, or its constraints contradict each other, at the named drive angle."""
+
+    @property
+    def joint(self) -> str:
+        """The joint that stays open; empty where it is not one joint that is to blame."""
+        head, _, name = self.path.partition(".")
+        return name if head == "joints" and "." not in name else ""
 
 
 class SettingsError(SolverError):

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import fault_option, json_option, print_json
 from jointplay.app.errors import OutputError
+from jointplay.app.figures.machine_account import account_of, drive_of, ground_of, matrix_of
 from jointplay.app.tables import indent, table
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 @click.argument("machine")
 @fault_option
 @click.option("--arrays", is_flag=True, help="Show the arrays that the paper derives from the mechanism matrix.")
-@click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png", help="Draw the machine.")
+@click.option("--drawing", type=click.Path(path_type=Path), metavar="FILE.svg|.png|.pdf", help="Draw the machine.")
 @click.option(
     "--response",
     type=click.Path(path_type=Path),
@@ -36,7 +37,7 @@ def command(
 ) -> None:
     """Validate MACHINE (a shipped machine's name, or a file); show what it consists of, and what is implausible."""
     if drawing is not None:
-        from jointplay.app.figures.pictures import check_ending
+        from jointplay.app.figures.pictures import check_ending, save_drawing
 
         check_ending(drawing)
     if response is not None:
@@ -44,7 +45,7 @@ def command(
         from jointplay.app.figures.responses import draw_response
 
         plots.check_ending(response)
-    from jointplay.solver.cases.remarks import find_remarks
+    from jointplay.solver.errors import AssemblyError
     from jointplay.solver.machines.fault import parse_fault
     from jointplay.solver.machines.machine import load_machine
     from jointplay.solver.simulation.account import account
@@ -52,11 +53,15 @@ def command(
 
     found = load_machine(machine)
     state = parse_fault(fault, found)
-    sizes = account(found, state)
-    check_assembly(found)
+    try:
+        sizes = account(found, state)
+        check_assembly(found)
+    except AssemblyError as error:
+        if drawing is not None:
+            save_drawing(found, state.joints, drawing, error.joint)
+            click.echo(f"drawn as far as it goes: {drawing}", err=True)
+        raise
     if drawing is not None:
-        from jointplay.app.figures.pictures import save_drawing
-
         save_drawing(found, state.joints, drawing)
     if response is not None:
         if not found.has_response:
@@ -65,94 +70,24 @@ def command(
             )
             raise OutputError(f"--response: {found.name}: {rule}")
         plots.save(draw_response(found), response)
-    matrix = matrix_of(found, state)
-    notes = find_remarks(found, state)
+    content = account_of(found, state, sizes, arrays)
     if as_json:
-        drawn = {"response_drawing": response and str(response)}
-        print_json(document(found, state, sizes, matrix, arrays, drawing) | {"notes": notes} | drawn)
+        drawn = {"drawing": drawing and str(drawing), "response_drawing": response and str(response)}
+        print_json(content | drawn)
     else:
-        click.echo(report(found, state, sizes, matrix, arrays))
-        for note in notes:
+        click.echo(report(found, state, sizes, content, arrays))
+        for note in content["notes"]:
             click.echo(f"note: {note}")
         if drawing or response:
             click.echo(f"\ndrawn: {', '.join(str(each) for each in (drawing, response) if each)}")
 
 
-def ground_of(machine: Machine) -> list[str]:
-    """Return how the ground moves under supports, a line for each part of it."""
-    lines = []
-    for i, support in enumerate(machine.supports):
-        for part in support.motion:
-            x, y = (1e6 * size for size in part.displacement)
-            often = f"order {part.order or 0:g}" if part.frequency is None else f"{part.frequency:g} Hz"
-            how = "by a table" if part.over_time is not None else f"({x:.3g}, {y:.3g}) um at {often}"
-            lines.append(f"supports.{i}, {support.kind} on {support.link}: {how}")
-    return lines
-
-
-def matrix_of(machine: Machine, fault: Fault) -> MechanismMatrix | str:
-    """Return the mechanism matrix, or why it cannot say this machine."""
-    from jointplay.solver.errors import MachineError
-    from jointplay.solver.machines.matrix import MechanismMatrix
-
-    try:
-        return MechanismMatrix.from_machine(machine, fault.joints)
-    except MachineError as error:
-        return error.rule
-
-
-def document(
-    machine: Machine,
-    fault: Fault,
-    sizes: Account,
-    matrix: MechanismMatrix | str,
-    arrays: bool,
-    drawing: Path | None,
-) -> dict[str, object]:
-    """Return everything as JSON values."""
-    from jointplay.solver.cases.answers import say_band
-    from jointplay.solver.machines.matrix import MechanismMatrix
-
-    content = {
-        "name": machine.name,
-        "content_key": machine.content_key,
-        "frame": machine.frame,
-        "links": list(machine.links),
-        "turning_joints": list(machine.turning_joints),
-        "sliding_joints": list(machine.sliding_joints),
-        "sensors": [sensor.name for sensor in machine.sensors],
-        "joints": fits_document(machine),
-        "ground_motion": ground_of(machine),
-        "fault_um": {joint: clearance * 1e6 for joint, clearance in fault.items()},
-        "degrees_of_freedom": sizes.freedoms,
-        "integrated_degrees_of_freedom": sizes.integrated,
-        "unknowns_3n_2j": sizes.full_unknowns,
-        "coordinates": list(sizes.coordinates),
-        "closures": list(sizes.closures),
-        "operations": sizes.operations,
-        "left_out": [{"what": out.what, "why": out.why, "unknowns": out.unknowns} for out in sizes.left_out],
-        "added": list(sizes.added),
-        "open_reactions": list(sizes.open_reactions),
-        "decoupled": sizes.decoupled,
-        "frequency_response": None if machine.response is None else say_band(machine),
-        "decoupling": sizes.decoupling and {"inertia_ratio": sizes.decoupling.ratio, "change": sizes.decoupling.change},
-        "mechanism_matrix": None,
-        "drawing": None if drawing is None else str(drawing),
-    }
-    if isinstance(matrix, MechanismMatrix):
-        content["mechanism_matrix"] = {
-            "links": list(matrix.links),
-            "rows": [list(row) for row in matrix.rows],
-            **({"arrays": arrays_document(matrix)} if arrays else {}),
-        }
-    return content
-
-
-def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatrix | str, arrays: bool) -> str:
+def report(machine: Machine, fault: Fault, sizes: Account, content: dict[str, Any], arrays: bool) -> str:
     """Return everything as plain text."""
     from jointplay.solver.cases.answers import say_band
     from jointplay.solver.machines.matrix import MechanismMatrix
 
+    matrix = matrix_of(machine, fault)
     size = len(sizes.coordinates) + len(sizes.closures)
     filed = ", as the file gives it" if fault and dict(fault) == machine.clearances else ""
     parts = [
@@ -179,6 +114,7 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
         ),
         *([f"frequency {say_band(machine)}"] if machine.response else []),
         *([f"{decoupled_of(sizes)}: {sizes.decoupling.say()}"] if sizes.decoupling else []),
+        *modes_of(content["suspension_modes"]),
         "",
         "mechanism matrix:",
     ]
@@ -190,6 +126,14 @@ def report(machine: Machine, fault: Fault, sizes: Account, matrix: MechanismMatr
     else:
         parts.append(f"  none: {matrix}")
     return "\n".join(parts)
+
+
+def modes_of(modes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return how the frame swings on its supports, a line for each mode."""
+    return [
+        f"suspension mode in {mode['motion']}: {mode['frequency_hz']:.3g} Hz, damping ratio {mode['damping_ratio']:.2g}"
+        for mode in modes
+    ]
 
 
 def decoupled_of(sizes: Account) -> str:
@@ -225,20 +169,6 @@ def joints_of(machine: Machine, fault: Fault) -> str:
     return table(("joint", "kind", "links", "at", "radial play as new", "worn out from", "radial clearance"), rows)
 
 
-def fits_document(machine: Machine) -> dict[str, object]:
-    """Return what play each joint that can wear has as new and from which it is worn out, as JSON values."""
-    return {
-        name: {
-            "fit": joint.new_fit.text,
-            "play_as_new_um": [round(end * 1e6, 6) for end in joint.play_as_new],
-            "limit": "default" if joint.limit is None else "given",
-            "worn_out_from_um": round(joint.worn_out_from * 1e6, 6),
-        }
-        for name, joint in machine.joints.items()
-        if name in machine.wearing_joints
-    }
-
-
 def arrays_of(matrix: MechanismMatrix) -> str:
     """Return the paper's arrays as tables: counts, neighbour lists (without the zeros that fill them up), factors."""
     from jointplay.solver.machines.matrix import matrix_arrays
@@ -268,14 +198,3 @@ def arrays_of(matrix: MechanismMatrix) -> str:
         table(("i", "j", "xi", "n", "s"), factors),
     ]
     return "\n".join([parts[0], *(indent(part) for part in parts[1:])])
-
-
-def arrays_document(matrix: MechanismMatrix) -> dict[str, object]:
-    """Return the paper's arrays as JSON values, links counted from 1."""
-    from jointplay.solver.machines.matrix import matrix_arrays
-
-    arrays = matrix_arrays(matrix)
-    return {
-        "N": len(arrays.links), "NSP": arrays.springs, "NDP": arrays.dampers,
-        "xi": arrays.xi, "n": arrays.n, "s": arrays.s, **arrays.counts, **arrays.neighbours,
-    }  # fmt: skip

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import (
     Names,
     QuantityOption,
@@ -17,6 +16,7 @@ from jointplay.app.commands.parameters import (
     refuse_given,
 )
 from jointplay.app.commands.progress import ProgressLine
+from jointplay.app.figures.machine_account import drive_of
 from jointplay.catalogue.building.executors import count_processors
 from jointplay.catalogue.errors import DiagnosisError
 

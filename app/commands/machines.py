@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from math import pi
 from typing import TYPE_CHECKING
 
 import click
 
 from jointplay.app.commands.parameters import json_option, print_json
+from jointplay.app.figures.machine_account import drive_of
 from jointplay.app.tables import table
 
 if TYPE_CHECKING:
@@ -58,30 +58,3 @@ def brief(name: str, machine: Machine) -> dict[str, object]:
         "sliding_joints": list(machine.sliding_joints),
         "sensors": [sensor.name for sensor in machine.sensors],
     }
-
-
-def drive_of(machine: Machine, speed: float | None = None) -> str:
-    """Return the drive in a few words, with its speed: in rpm where it turns.
-
-    Parameters
-    ----------
-    machine : Machine
-    speed : float, optional
-        Of one that turns, in place of that of its file [rad/s].
-    """
-    drive = machine.drive
-    if drive is None:
-        return "none"
-    turns = drive.kind in ("rotation", "torque")
-    speed = float(speed) if speed and turns else getattr(drive, "speed", None)
-    if drive.kind == "position":
-        x, y = drive.direction
-        way = {(1.0, 0.0): "x", (0.0, 1.0): "y"}.get((x, y), f"({x:g}, {y:g})")
-        how = f"at {speed:.6g} m/s" if isinstance(speed, float) and speed else "by position"
-        return f"{drive.link} along {way} {how}"
-    if drive.kind == "rotation" and isinstance(speed, float):
-        return f"{drive.joint} at {speed * 30 / pi:.6g} rpm"
-    if drive.kind == "translation" and isinstance(speed, float):
-        return f"{drive.joint} at {speed:.6g} m/s"
-    turning = f" at {speed * 30 / pi:.6g} rpm" if turns and isinstance(speed, float) else ""
-    return f"{drive.joint} by {drive.kind}{turning}"

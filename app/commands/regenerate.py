@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jointplay.app.commands.machines import drive_of
 from jointplay.app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
 from jointplay.app.commands.progress import ProgressLine
+from jointplay.app.figures.machine_account import drive_of
 
 if TYPE_CHECKING:
     from jointplay.catalogue.building.regenerate import RegenerateReport

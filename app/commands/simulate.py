@@ -226,7 +226,7 @@ def run_ensemble(
 
 def say_case(machine: Machine, case: Case, speed: float) -> str:
     """Return what was run, and how fast: "slider-crank, A=0.2mm: O at 600 rpm"."""
-    from jointplay.app.commands.machines import drive_of
+    from jointplay.app.figures.machine_account import drive_of
 
     asked = case.parameters.get("drive.speed")
     if asked is not None and machine.drive is not None:

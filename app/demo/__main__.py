@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from jointplay.app import words
 from jointplay.app.cli import run
 from jointplay.app.commands.diagnose import ranking
 from jointplay.app.commands.progress import ProgressLine
+from jointplay.app.shelves.built_in import content_of, file_name, read_truths
 from jointplay.app.tables import indent
 from jointplay.catalogue.building.executors import count_processors
 
@@ -33,8 +32,8 @@ def demo() -> None:
     build_catalogue()
     started = time.monotonic()
     catalogue = Catalogue.open(CATALOGUE)
-    for name, truth in recordings().items():
-        recording = read_measurement(content_of(name), name=f"{name}.csv.gz")
+    for name, truth in read_truths().items():
+        recording = read_measurement(content_of(name), name=file_name(name))
         result = diagnose(recording, catalogue)
         click.echo(f"\n{name}.csv.gz")
         click.echo(f"  verdict: {words.sentence(result)}")
@@ -79,18 +78,6 @@ def build_catalogue() -> None:
         # Made by an older version, or for another machine file: it is a cache, and nothing in it is missed.
         shutil.rmtree(CATALOGUE)
         make()
-
-
-def recordings() -> dict[str, Mapping[str, Any]]:
-    """Return the recordings' names, each with what it was made with."""
-    folder = resources.files("jointplay.app.demo") / "recordings"
-    found: dict[str, Mapping[str, Any]] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    return found
-
-
-def content_of(name: str) -> bytes:
-    """Return the bytes of a recording as they are stored."""
-    return (resources.files("jointplay.app.demo") / "recordings" / f"{name}.csv.gz").read_bytes()
 
 
 def truth_sentence(truth: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Drawings of machines: SVG for the page and for files, PNG for files."""
+"""Drawings of machines: SVG for the page and for files; the same marks as PNG or PDF for files."""
 
 from __future__ import annotations
 
@@ -7,17 +7,20 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointplay.solver.machines.drawing import machine_svg
+from jointplay.solver.machines.drawing import LETTERS, Picture, draw_machine, machine_svg, svg_of
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.shapes import SupportMark, machine_shapes
+from jointplay.solver.machines.marks import LOOKS, RED
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-ENDINGS = (".svg", ".png")
+ENDINGS = (".svg", ".png", ".pdf")
+RULE = "must end in .svg, .png or .pdf"
 WEAR = (232, 106, 20)
+INK = "#16202b"
 FAINTEST = 0.005
-MOUNT_LENGTH = 0.06
+#: Points an inch, and dots of a PNG: it is some 1200 wide.
+POINTS, DOTS = 72, 220
 
 
 def machine_picture(machine: Machine, probabilities: Mapping[str, float]) -> str:
@@ -51,14 +54,14 @@ def check_ending(path: Path) -> None:
     Raises
     ------
     OutputError
-        For another ending than .svg or .png, or a folder that does not exist.
+        For another ending than .svg, .png or .pdf, or a folder that does not exist.
     """
     from jointplay.app.figures.outputs import check_output  # loads the simulation, which the web page does without
 
-    check_output(path, ENDINGS, "must end in .svg or .png")
+    check_output(path, ENDINGS, RULE)
 
 
-def save_drawing(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
+def save_drawing(machine: Machine, worn: tuple[str, ...], path: Path, open_joint: str | None = None) -> None:
     """Write the drawing of a machine in its drawn pose; joints with clearance are filled.
 
     Parameters
@@ -68,65 +71,50 @@ def save_drawing(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
         Joints with clearance.
     path : Path
         Its ending says which format.
+    open_joint : str, optional
+        As for :func:`jointplay.solver.machines.drawing.draw_machine`.
     """
-    from jointplay.app.figures.outputs import check_output
+    check_ending(path)
+    picture = draw_machine(machine, dict.fromkeys(worn, "#{:02x}{:02x}{:02x}".format(*WEAR)), open_joint=open_joint)
+    if path.suffix.lower() == ".svg":
+        text = svg_of(picture, f"drawing-{machine.content_key[:12]}")
+        path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + text, encoding="utf-8")
+    else:
+        paint(picture).savefig(path, dpi=DOTS)
 
-    ending = check_output(path, ENDINGS, "must end in .svg or .png")
-    if ending == ".png":
-        save_png(machine, worn, path)
-        return
-    picture = machine_svg(machine, dict.fromkeys(worn, "#{:02x}{:02x}{:02x}".format(*WEAR)))
-    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + picture, encoding="utf-8")
 
-
-def save_png(machine: Machine, worn: tuple[str, ...], path: Path) -> None:
-    """Draw the outlines of a machine with points and lines."""
+def paint(picture: Picture) -> Figure:
+    """Put a drawing on paper, a pixel of it for a point."""
     from matplotlib.figure import Figure
+    from matplotlib.patches import Circle, Polygon
 
-    shapes = machine_shapes(machine)
-    figure = Figure(figsize=(8, 6), layout="constrained")
-    axes = figure.subplots()
-    axes.set_aspect("equal")
+    left, top, width, height = picture.box
+    figure = Figure(figsize=(width / POINTS, height / POINTS))
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(left, left + width), ylim=(top + height, top))
     axes.set_axis_off()
-    axes.set_title(machine.name)
-    left, bottom, right, top = shapes.bounds
-    size = max(right - left, top - bottom)
-    for link in shapes.links:
-        outline = [*link.outline, link.outline[0]] if link.closed else list(link.outline)
-        xs, ys = zip(*outline, strict=True)
-        axes.plot(xs, ys, color="0.55", linewidth=2 if link.is_frame else 6, linestyle="--" if link.is_frame else "-")
-        axes.plot(*link.cg, marker="+", color="0.4")
-        axes.annotate(link.name, link.cg, textcoords="offset points", xytext=(6, -12), style="italic", color="0.35")
-    for support in shapes.supports:
-        draw_support(axes, support, MOUNT_LENGTH * size)
-    names: dict[tuple[float, float], list[str]] = {}
-    # A guide is drawn first and larger, so that a pin in the same place stays visible.
-    for joint in sorted(shapes.joints, key=lambda mark: mark.kind != "sliding"):
-        look: dict[str, Any] = (
-            {"marker": "s", "markersize": 18} if joint.kind == "sliding" else {"marker": "o", "markersize": 10}
-        )
-        fill = tuple(part / 255 for part in WEAR) if joint.name in worn else "white"
-        axes.plot(*joint.at, color="black", markerfacecolor=fill, linestyle="none", **look)
-        names.setdefault(joint.at, []).append(joint.name)
-    for at, there in names.items():
-        axes.annotate(", ".join(sorted(there)), at, textcoords="offset points", xytext=(11, 9), weight="bold")
-    for sensor in shapes.sensors:
-        tip = (sensor.at[0] + 0.08 * size * sensor.direction[0], sensor.at[1] + 0.08 * size * sensor.direction[1])
-        axes.annotate("", tip, sensor.at, arrowprops={"arrowstyle": "->"})
-        axes.annotate(sensor.name, tip, fontsize="small")
-    for drive in shapes.drives:
-        tip = (drive.at[0] + 0.1 * size * drive.direction[0], drive.at[1] + 0.1 * size * drive.direction[1])
-        axes.annotate("", tip, drive.at, arrowprops={"arrowstyle": "->", "linewidth": 1.5})
-    figure.savefig(path, dpi=150)
-
-
-def draw_support(axes: Axes, support: SupportMark, length: float) -> None:
-    """Draw a support as a dotted line to its anchor, with a bar where that is the ground."""
-    end = support.end or (support.start[0], support.start[1] + (length if support.upward else -length))
-    axes.plot(*zip(support.start, end, strict=True), color="0.3", linewidth=1.5, linestyle=":")
-    if support.on_ground:
-        axes.plot([end[0] - length / 2, end[0] + length / 2], [end[1]] * 2, color="0.3", linewidth=1.5)
-    if support.motion is not None:
-        x, y = (0.5 * length * part for part in support.motion)
-        ends = ((end[0] + x, end[1] + y), (end[0] - x, end[1] - y))
-        axes.annotate("", *ends, arrowprops={"arrowstyle": "<->", "linewidth": 1.5})
+    for order, mark in enumerate(mark for group in picture.groups for mark in group.marks):
+        look = LOOKS[mark.look]
+        face = (mark.colour or (INK, look.fill)) if look.fill or (mark.colour and look.fill is not None) else "none"
+        style: dict[str, Any] = {
+            "edgecolor": (mark.colour if look.fill is None and mark.colour else INK, look.opacity),
+            "facecolor": face,
+            "linewidth": look.width,
+            "linestyle": (0, tuple(each / look.width for each in look.dash)) if look.dash else "solid",
+            "capstyle": "round",
+            "joinstyle": "round",
+            "zorder": order,
+            "clip_on": False,
+        }
+        if mark.radius:
+            axes.add_patch(Circle(mark.points[0], mark.radius, **style))
+        else:
+            points = mark.points if len(mark.points) > 1 else mark.points * 2
+            axes.add_patch(Polygon(points, closed=mark.closed, fill=face != "none", **style))
+    for label in picture.labels:
+        size, weight, slanted, opacity = LETTERS[label.kind]
+        axes.text(
+            *label.middle, label.text, size=size, weight=weight, style="italic" if slanted else "normal",
+            color=(RED if label.kind == "gap" else INK, opacity), ha="center", va="center", zorder=len(axes.patches),
+            parse_math=False,
+        )  # fmt: skip
+    return figure

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from jointplay.app.jobs.samples import StoredRecording, keep, read
 from jointplay.app.jobs.summaries import summary_of
 from jointplay.app.jobs.workers import WorkerOutcome, attempt
+from jointplay.app.problems import Problem, problem_of
 from jointplay.app.storage.remembered import columns_key
 from jointplay.app.storage.told import Told
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
     from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.storage.store import Catalogue
+    from jointplay.solver.machines.machine import Machine
+    from jointplay.solver.simulation.account import Account
 
 
 @dataclass(frozen=True)
@@ -178,16 +181,91 @@ def check_machine(text: str, name: str) -> str:
         YAML or JSON.
     name : str
         What messages call it.
+
+    Raises
+    ------
+    MachineError
+        With the line of the file that it is about.
     """
+    machine = parse_lines(text, name)
+    sizes_of(machine, text)
+    return machine.canonical_json()
+
+
+@dataclass(frozen=True)
+class MachineLook:
+    """What a machine file looks like, right or wrong.
+
+    Parameters
+    ----------
+    drawing : str
+        SVG; empty where the file is not even a machine. Of one that cannot be assembled with its gap.
+    account : dict or None
+        As ``jointplay check --json`` prints it; None for a file that would be refused.
+    refusal : Problem or None
+        Why it would be.
+    """
+
+    drawing: str
+    account: dict[str, Any] | None
+    refusal: Problem | None
+
+
+def look_at_machine(text: str, name: str) -> MachineLook:
+    """Read a machine file as :func:`check_machine` does, draw it, and tell what the program makes of it."""
+    from jointplay.solver.errors import AssemblyError, SolverError
+    from jointplay.solver.machines.drawing import machine_svg
+
+    try:
+        machine = parse_lines(text, name)
+    except SolverError as error:
+        return MachineLook("", None, problem_of(error))
+    try:
+        return MachineLook(machine_svg(machine), account_for(machine, text), None)
+    except SolverError as error:
+        gap = error.joint if isinstance(error, AssemblyError) else None
+        return MachineLook(machine_svg(machine, open_joint=gap), None, problem_of(error))
+
+
+def account_for(machine: Machine, text: str) -> dict[str, Any]:
+    """Return what the program makes of a machine, if it can be assembled."""
+    from jointplay.app.figures.machine_account import account_of
     from jointplay.solver.machines.fault import Fault
+
+    return account_of(machine, Fault({}), sizes_of(machine, text))
+
+
+def parse_lines(text: str, name: str) -> Machine:
+    """Read a machine file; a refusal has its line."""
     from jointplay.solver.machines.machine import parse_machine
+
+    with lines_of(text):
+        return parse_machine(text, name)
+
+
+def sizes_of(machine: Machine, text: str) -> Account:
+    """Return the size of a machine that can be assembled; a refusal has its line."""
+    from jointplay.solver.machines.fault import Fault
     from jointplay.solver.simulation.account import account
     from jointplay.solver.simulation.simulate import check_assembly
 
-    machine = parse_machine(text, name)
-    account(machine, Fault({}))
-    check_assembly(machine)
-    return machine.canonical_json()
+    with lines_of(text):
+        sizes = account(machine, Fault({}))
+        check_assembly(machine)
+    return sizes
+
+
+@contextmanager
+def lines_of(text: str) -> Iterator[None]:
+    """Add to refusals of a machine file in which line they are."""
+    from jointplay.solver.errors import MachineError
+    from jointplay.solver.machines.source_lines import line_of
+
+    try:
+        yield
+    except MachineError as error:
+        error.line = line_of(text, error.path)
+        raise
 
 
 def warm(catalogues: Sequence[tuple[str, str]]) -> int:

@@ -27,8 +27,14 @@ URLENCODED = "application/x-www-form-urlencoded"
 MAX_FIELDS = 200
 
 
-async def plain_form(request: Request) -> dict[str, str]:
+async def plain_form(request: Request, text: str = "") -> dict[str, str]:
     """Return the fields of a form without files; empty ones are left out.
+
+    Parameters
+    ----------
+    request : Request
+    text : str
+        Name of a field that is a whole text: it stays as it was typed, with the lines of this system.
 
     Raises
     ------
@@ -44,8 +50,8 @@ async def plain_form(request: Request) -> dict[str, str]:
         for name, value in form.multi_items():
             if name in given:
                 raise BadRequestError(f"{name[:80]}: is given twice")
-            given[name] = str(value).strip()
-    return {name: value for name, value in given.items() if value}
+            given[name] = str(value).replace("\r\n", "\n") if name == text else str(value).strip()
+    return {name: value for name, value in given.items() if value.strip()}
 
 
 def read_form(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> DiagnosisRequest:

@@ -12,8 +12,8 @@ from jointplay.app.jobs.samples import read
 from jointplay.app.jobs.tasks import open_catalogue
 from jointplay.app.problems import say
 from jointplay.app.storage.told import Told
+from jointplay.solver.machines.fault import Fault
 
-POSITIONS = 72
 RPM = 30.0 / math.pi
 
 
@@ -67,23 +67,33 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
 
 
 @lru_cache(maxsize=16)
-def motion(machine: str) -> Mapping[str, Any]:
-    """Return how the drawing of a machine moves in one revolution.
+def motion(machine: str, fault: tuple[tuple[str, float], ...] = ()) -> Mapping[str, Any]:
+    """Return how the drawing of a machine goes through one period of its drive, and worn pins in their sockets.
 
     Parameters
     ----------
     machine : str
         Canonical JSON of the machine.
+    fault : tuple of (str, float)
+        Radial clearances (m) by joint. With some, the settled machine is simulated.
 
     Returns
     -------
     dict
-        ``view_box`` and ``transforms``, see :class:`jointplay.solver.machines.drawing_motion.MovingDrawing`.
+        Members of :class:`jointplay.app.schemas.resources.Motion`.
     """
-    from jointplay.solver.cases.positions import link_motion
     from jointplay.solver.machines.drawing_motion import moving_drawing
     from jointplay.solver.machines.machine import parse_machine
+    from jointplay.solver.simulation.pins import pin_orbits
 
     parsed = parse_machine(json.loads(machine))
-    moving = moving_drawing(parsed, link_motion(parsed, POSITIONS))
-    return {"view_box": moving.view_box, "transforms": {name: list(steps) for name, steps in moving.transforms.items()}}
+    moving, worn = moving_drawing(parsed), Fault(dict(fault))
+    pins = [
+        {"joint": name, "clearance_um": worn[name] * 1e6, "at": (orbit / worn[name]).round(3).tolist()}
+        for name, orbit in (pin_orbits(parsed, worn) if worn else {}).items()
+    ]
+    return {
+        "view_box": moving.view_box,
+        "transforms": {name: list(steps) for name, steps in moving.transforms.items()},
+        "pins": pins,
+    }

@@ -7,6 +7,7 @@ from typing import Any
 
 from jointplay.app.jobs.summaries import channel_words, kind_of, summarise_told
 from jointplay.app.pages.page_forms import NOT_USED
+from jointplay.app.rows import micrometres
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.words import SOURCES, spell_moment
@@ -47,6 +48,7 @@ def confirmation(
             ("Machine", f"{offer.description.machine}, {offer.description.entries} cases in {offer.description.name}"),
             *extents(summary),
             ("Measured", f"{spell_moment(measurement.measured_at)} UTC, {SOURCES[measurement.measured_at_source]}"),
+            *((("Virtual", virtual_text(summary["virtual"])),) if summary.get("virtual") else ()),
             *((("You said", summarise_told(measurement.told.shown)),) if measurement.told.shown else ()),
         ],
         "columns": [
@@ -67,6 +69,13 @@ def confirmation(
         "warnings": list(dict.fromkeys([*summary["warnings"], *found["warnings"]])),
         "report": summary["import_report"],
     }
+
+
+def virtual_text(truth: Mapping[str, Any]) -> str:
+    """Return what a simulated recording was made with."""
+    joints = ", ".join(f"{joint} {micrometres(size)} µm" for joint, size in truth["clearances_um"].items() if size)
+    noise = f"noise {truth['sensor_noise_m_s2']:g} m/s²"
+    return f"simulated, not measured: {joints or 'no play'}; {truth['drive_speed_rpm']:.5g} rpm; {noise}"
 
 
 def extents(summary: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:

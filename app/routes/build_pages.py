@@ -36,7 +36,8 @@ UNNAMED = "not-named-yet"
 async def builds(request: Request) -> Response:
     """Show the form that asks for a build, and the builds there are."""
     try:
-        return await show_list(request, request.query_params.get("cursor"), {})
+        chosen = {name: value for name, value in request.query_params.items() if name in FIELDS}
+        return await show_list(request, request.query_params.get("cursor"), chosen)
     except REFUSALS as error:
         return await show_list(request, None, {}, problem_from(error))
 

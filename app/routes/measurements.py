@@ -17,6 +17,7 @@ from jointplay.app.http.uploads import MULTIPART, json_body
 from jointplay.app.routes.findings import Only
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import MeasurementChange, MeasurementOut, MeasurementPage
+from jointplay.app.schemas.virtual import BuiltInRequest, VirtualRequest
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import measurements_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
@@ -47,10 +48,37 @@ async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Re
 
         async def answered() -> Response:
             row = await service.add_measurement(sent.file, sent.name, sent.told, sent.asset)
-            headers = {"Location": f"/api/v1/measurements/{row.id}"}
-            return Response(measurement_out(row).model_dump_json(), 201, headers, "application/json")
+            return created(row)
 
         return await once(request, idempotency_key, service.store.database, sent.content, answered)
+
+
+@router.post(
+    "/virtual",
+    status_code=201,
+    response_model=MeasurementOut,
+    responses=problems(404, 413, 415, 422, 500, 503, 504, 507),
+    dependencies=[Depends(json_body)],
+)
+async def simulate(request: Request, wanted: VirtualRequest) -> Response:
+    """Simulate a recording of a catalogue's machine with chosen wear, and store it: to try what an answer looks like.
+
+    It is a measurement like any other, says in `virtual` and in its name what it was made with, and belongs to no
+    asset. The same request is the same measurement again.
+    """
+    return created(await of_request(request).add_virtual(wanted))
+
+
+@router.post(
+    "/built-in",
+    status_code=201,
+    response_model=MeasurementOut,
+    responses=problems(413, 415, 422, 500, 503, 504, 507),
+    dependencies=[Depends(json_body)],
+)
+async def take_built_in(request: Request, wanted: BuiltInRequest) -> Response:
+    """Store a recording that ships with the program, to try what an answer looks like."""
+    return created(await of_request(request).add_built_in(wanted.name))
 
 
 @router.get("", responses=problems(400, 422))
@@ -77,6 +105,12 @@ async def measurement(request: Request, key: str) -> Response:
 def correct(request: Request, key: str, wanted: MeasurementChange) -> MeasurementOut:
     """Correct when a measurement was made; diagnoses of it stay as they are."""
     return measurement_out(of_request(request).store.correct_moment(key, wanted.measured_at))
+
+
+def created(row: MeasurementRow) -> Response:
+    """Return a measurement that was stored, with its address."""
+    headers = {"Location": f"/api/v1/measurements/{row.id}"}
+    return Response(measurement_out(row).model_dump_json(), 201, headers, JSON_TYPE)
 
 
 def measurement_out(row: MeasurementRow) -> MeasurementOut:

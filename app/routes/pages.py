@@ -23,6 +23,7 @@ from jointplay.app.http.handlers import is_fragment, note, problem_from, templat
 from jointplay.app.http.uploads import receive_form
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding
+from jointplay.app.pages.build_view import build_view
 from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, read_form
 from jointplay.app.pages.understood import confirmation
 from jointplay.app.pages.views import view
@@ -38,6 +39,7 @@ from jointplay.solver.machines.drawing import machine_svg
 
 router = APIRouter()
 
+NEWEST = 5
 KNOWN_ASSETS = 500  # that a field offers; others can be typed
 REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValidationError, HTTPException)
 
@@ -128,10 +130,12 @@ async def diagnosis(request: Request, key: str) -> Response:
 
 @router.get("/diagnoses/{key}/motion")
 async def motion(request: Request, key: str) -> Response:
-    """Return how the drawing of a result moves in one revolution, for the script that shows it."""
+    """Return how the drawing of a result moves in one revolution, and the first hypothesis' pins in their sockets."""
     service = of_request(request)
     row = await run_in_threadpool(service.store.diagnosis, key)
-    moving = await service.pool.run(understanding.motion, json.dumps(row.machine))
+    sizes = row.answer.hypotheses[0].joints if row.answer.verdict == "worn" else {}
+    worn = tuple((name, size.clearance_um * 1e-6) for name, size in sizes.items())
+    moving = await service.pool.run(understanding.motion, json.dumps(row.machine), worn)
     return respond(request, Response(json.dumps(moving), media_type="application/json"), f"motion-{row.id}")
 
 
@@ -216,10 +220,12 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
     offers = await run_in_threadpool(service.shelf.offers)
     known = await run_in_threadpool(Assets(service.store.database).page, None, KNOWN_ASSETS)
     settings = service.settings
+    steps = {} if offers else await run_in_threadpool(first_steps, service)
     page: dict[str, Any] = {
         "title": "jointplay",
         "catalogues": [offer.description for offer in offers],
         "known_assets": [(asset.external_id, asset.machine) for asset in known],
+        "steps": steps,
         "chosen": {},
         "messages": {},
         "told_open": False,
@@ -233,6 +239,13 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
         "timeout_ms": int(3 * settings.time_limit_s * 1000),
     }
     return {**page, **more}
+
+
+def first_steps(service: Service) -> dict[str, Any]:
+    """Return how far somebody is who has no catalogue yet: machines that were put there, builds that go on."""
+    own = [name for name in service.machines.names() if not service.machines.ships(name)]
+    builds = [build_view(row) for row in service.builds.list_builds(None, NEWEST)]
+    return {"own": own, "builds": [each for each in builds if each["open"]]}
 
 
 def result_of(service: Service, row: DiagnosisRow) -> dict[str, Any]:

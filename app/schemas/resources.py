@@ -42,6 +42,7 @@ class FieldError(Shape):
     """One field that breaks a rule."""
 
     field: str
+    line: int | None = Field(default=None, description="Of the machine file that was sent, where it is about one.")
     message: str
 
 
@@ -66,6 +67,28 @@ class MachineItem(Shape):
     sliding_joints: list[str]
     shipped: bool = Field(description="Whether it ships with the program; others were put there.")
     sensors: list[str]
+
+
+class PinOrbit(Shape):
+    """Where the pin of a worn joint is in its socket over one revolution."""
+
+    joint: str
+    clearance_um: float = Field(description="Radial.")
+    at: list[tuple[float, float]] = Field(
+        description="x, y of the pin's middle from the socket's, in parts of the clearance: at 1 it touches. Evenly"
+        " over the revolution of the drive, the drawn position first."
+    )
+
+
+class Motion(Shape):
+    """How the drawing of a machine moves in one period of its drive."""
+
+    view_box: str = Field(description="Of the drawing, so that nothing leaves it.")
+    transforms: dict[str, list[str]] = Field(
+        description="By the class of an element of the drawing: its `transform` at each position, evenly over a period,"
+        " the drawn one first. What is not there stands still."
+    )
+    pins: list[PinOrbit] = Field(description="Of the joints with clearance that were asked for; simulated.")
 
 
 class Page(Shape):
@@ -154,6 +177,9 @@ class MeasurementOut(Shape):
     measured_at: datetime = Field(description="When it was measured; when it was received where nobody says that.")
     measured_at_source: Literal["sender", "file", "received"] = Field(description="Who says so; received: nobody does.")
     kind: Literal["recording", "spectrum"] = "recording"
+    virtual: dict[str, Any] | None = Field(
+        default=None, description="What a simulated recording was made with; null for what was measured."
+    )
     told: dict[str, Any] = Field(
         description="What its sender said of the file: `sample_rate_hz`, `units`, `profile`, as far as they were given."
         " When it was measured stands by itself."

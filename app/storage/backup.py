@@ -231,12 +231,13 @@ def copy_recording(source: Path, target: Path, sha256: str) -> None:
 
 
 def copy_machines(source: Path, target: Path) -> int:
-    """Copy machines that were put there; returns how many."""
-    files = sorted((source / "machines").glob("*.json"))
+    """Copy machines that were put there, and what they were before; returns how many."""
+    files = sorted((source / "machines").rglob("*.json"))
     for file in files:
-        (target / "machines").mkdir(exist_ok=True)
-        copy_file(file, target / "machines" / file.name)
-    return len(files)
+        place = target / file.relative_to(source)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        copy_file(file, place)
+    return sum(file.parent.name == "machines" for file in files)
 
 
 def find_catalogues(place: Place) -> Iterator[tuple[str, Path]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import casadi as ca
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
@@ -87,36 +86,6 @@ def _mobility(machine: Machine, joints: tuple[str, ...], motion: _Numbers, masse
     numbers = motion + masses
     model = _turning(machine, joints, _paths(numbers))
     return contact_mobility(model, _walked(machine, joints, motion)[0], model.vector(dict(numbers)))
-
-
-def link_motion(machine: Machine, positions: int) -> Mapping[str, FloatArray]:
-    """How the links of the ideal machine go through one period of its drive, seen from the frame.
-
-    Parameters
-    ----------
-    machine : Machine
-    positions : int
-        Evenly over the period, the drawn one first.
-
-    Returns
-    -------
-    mapping of str to (n, 3) array
-        By link: x, y of its centre of gravity [m] and the angle it has turned by since it was drawn [rad]. n is 1 for a
-        machine whose drive has no period.
-
-    Raises
-    ------
-    AssemblyError
-        Names the drive's position and the joint that stays open.
-    """
-    model = _turning(_moving(machine), (), ())
-    kin = model.kinematics
-    centres = [kin.terms.value(pose.centre, ground=True).column for pose in kin.poses.values()]
-    parts = [ca.vertcat(at, pose.theta) for at, pose in zip(centres, kin.poses.values(), strict=True)]
-    links = model.function("links", ca.horzcat(*parts))
-    p, still = model.vector({}), np.zeros(model.size)
-    table = [evaluate(links, t, z, still, p)[0] for t, z in walk(model, p, 1.0, positions)]
-    return {name: np.array([pose[:, column] for pose in table]) for column, name in enumerate(kin.poses)}
 
 
 def mobility_of(machine: Machine, joints: tuple[str, ...], values: Mapping[str, float]) -> Mapping[str, float]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -69,13 +70,45 @@ def find_remarks(machine: Machine, fault: Fault = HEALTHY) -> list[str]:
     ]
 
 
+@dataclass(frozen=True)
+class SuspensionMode:
+    """How the frame swings on its supports, the machine standing as drawn.
+
+    Parameters
+    ----------
+    motion : str
+        That has most of its energy: x, y, theta, or a mode of the frame.
+    frequency : float
+        Hz; 0 where it comes back without swinging.
+    damping_ratio : float
+        1 where it does not swing.
+    """
+
+    motion: str
+    frequency: float
+    damping_ratio: float
+
+
+def suspension_modes(machine: Machine) -> list[SuspensionMode]:
+    """Find how the frame swings on its supports, by frequency; nothing for one that no spring holds."""
+    found = [
+        SuspensionMode(motion, abs(mode) / (2 * math.pi) if mode.imag else 0.0, min(1.0, -mode.real / abs(mode)))
+        for motion, mode in _modes_of(machine)
+    ]
+    return sorted(found, key=lambda mode: (mode.frequency, mode.motion))
+
+
+def _modes_of(machine: Machine) -> Iterator[tuple[str, complex]]:
+    """Modes of the frame on its supports, as :func:`_modes` gives them."""
+    if machine.supports:
+        model = standing_model(without_dry_friction(machine), (), ())
+        yield from _modes(suspension_of(model, model.vector({})))
+
+
 def _suspension_remarks(machine: Machine) -> Iterator[str]:
     """Modes of the frame on its supports that do not swing, or that an order of the drive meets."""
-    if not machine.supports:
-        return
-    model = standing_model(without_dry_friction(machine), (), ())
-    speed = abs(drive_rates(machine, {})[0]) / (2 * math.pi)
-    for motion, mode in _modes(suspension_of(model, model.vector({}))):
+    speed = abs(drive_rates(machine, {})[0]) / (2 * math.pi) if machine.supports else 0.0
+    for motion, mode in _modes_of(machine):
         if not mode.imag:
             what = f"it does not swing, it needs {math.log(RESIDUE) / mode.real:.3g} s to come back to {RESIDUE:.0%}"
             yield f"supports: motion of {machine.frame} in {motion}: over-damped: {what}; is the damping in N s/m?"

@@ -1,111 +1,97 @@
-"""A machine as an SVG drawing that follows the page's colours and can be read aloud.
+"""A machine as one drawing, for every paper and screen: marks and labels in pixels, and their form as SVG.
 
-Labels stand near what they name, away from everything else.
+The SVG follows the page's colours and can be read aloud.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from html import escape
-from typing import TypeAlias
+from itertools import pairwise
 
 from jointplay.solver.errors import MachineError
+from jointplay.solver.machines import marks as signs
 from jointplay.solver.machines.fields import nearest
+from jointplay.solver.machines.labels import Label, Pixel, distance_to_box, place_labels
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.shapes import Arrow, JointMark, LinkShape, MachineShapes, SupportMark, machine_shapes
+from jointplay.solver.machines.marks import LOOKS, RED, Group, Mark
+from jointplay.solver.machines.shapes import MachineShapes, SupportMark, machine_shapes
 
-Pixel: TypeAlias = tuple[float, float]
-Segment: TypeAlias = tuple[Pixel, Pixel]
+#: Room for the machine, pixels: small, so that letters are legible where a screen is 360 pixels wide.
+WIDEST, HIGHEST = 340.0, 260.0
+#: Around everything that is drawn.
+MARGIN = 6.0
+#: A label farther from what it names than this has a line to it.
+NEAR = 17.0
+#: Size of letters, weight, slant and opacity by kind of label.
+LETTERS = {
+    "joint": (14.0, "bold", False, 1.0),
+    "sensor": (11.5, "normal", False, 1.0),
+    "link": (12.0, "normal", True, 0.75),
+    "gap": (13.0, "bold", False, 1.0),
+}
 
-CHARACTER = 8.0
-"""Mean width of a character of 13 pixels, with a little air."""
 
-HEIGHT = 14.0
+@dataclass(frozen=True)
+class PlacedLabel:
+    """A text: its kind (of :data:`LETTERS`), the name of its part, what is written, and the middle of that."""
+
+    kind: str
+    name: str
+    text: str
+    middle: Pixel
+    half: Pixel
 
 
-def place_labels(
-    labels: Sequence[tuple[str, Pixel]],
-    segments: Sequence[Segment],
-    blocked: Sequence[tuple[Pixel, float]],
-    sheet: Pixel,
-) -> list[Pixel]:
-    """Choose a place for each label, one after the other.
+@dataclass(frozen=True)
+class Picture:
+    """A drawing in pixels, y down, from back to front.
+
+    Attributes
+    ----------
+    box : (left, top, width, height)
+        Everything is inside.
+    groups, labels : tuples
+    title, description : str
+        What is read out.
+    """
+
+    box: tuple[float, float, float, float]
+    groups: tuple[Group, ...]
+    labels: tuple[PlacedLabel, ...]
+    title: str
+    description: str
+
+
+class Sheet:
+    """From metres, y up, to pixels, y down.
 
     Parameters
     ----------
-    labels : sequence of (text, pixel)
-        What to write, and the point that it names.
-    segments : sequence of pairs of pixels
-        Lines that a label should not cross.
-    blocked : sequence of (pixel, radius)
-        Marks that a label should not cover.
-    sheet : (width, height)
-        Labels stay inside.
-
-    Returns
-    -------
-    list of pixels
-        Middle of each text's base line.
+    shapes : MachineShapes
+        What has to fit.
     """
-    taken: list[tuple[Pixel, float]] = []
-    places = []
-    for text, at in labels:
-        half = max(len(text), 2) * CHARACTER / 2
-        candidates = [
-            (at[0] + math.cos(angle) * (reach + half), at[1] + math.sin(angle) * (reach + HEIGHT / 2))
-            for reach in (8.0, 14.0, 24.0)
-            for angle in (step * math.pi / 6 for step in range(12))
-        ]
-        best = min(candidates, key=lambda middle: _cost(middle, half, at, segments, blocked, taken, sheet))
-        taken.append((best, half))
-        places.append((best[0], best[1] + HEIGHT / 3))
-    return places
+
+    def __init__(self, shapes: MachineShapes) -> None:
+        self._left, bottom, right, self._top = shapes.bounds
+        wide, high = right - self._left, self._top - bottom
+        scales = [room / size for room, size in ((WIDEST, wide), (HIGHEST, high)) if size > 0]
+        #: Pixels a metre.
+        self.scale = min(scales, default=1.0)
+
+    def __call__(self, point: Pixel) -> Pixel:
+        """Return the pixel of a point."""
+        return (point[0] - self._left) * self.scale, (self._top - point[1]) * self.scale
 
 
-def _cost(
-    middle: Pixel,
-    half: float,
-    at: Pixel,
-    segments: Sequence[Segment],
-    blocked: Sequence[tuple[Pixel, float]],
-    taken: Sequence[tuple[Pixel, float]],
-    sheet: Pixel,
-) -> float:
-    """Sum what speaks against a place: overlaps count most, then crossing a line, then being far away."""
-    x, y = middle
-    cost = 0.02 * math.dist(middle, at)
-    outside = max(half - x, x + half - sheet[0], HEIGHT / 2 - y, y + HEIGHT / 2 - sheet[1], 0.0)
-    cost += 10 * outside
-    for (other_x, other_y), other_half in taken:
-        over_x, over_y = half + other_half - abs(x - other_x), HEIGHT - abs(y - other_y)
-        if over_x > 0 and over_y > 0:
-            cost += 20 + min(over_x, over_y)
-    for (mark_x, mark_y), radius in blocked:
-        gap = math.hypot(max(abs(x - mark_x) - half, 0.0), max(abs(y - mark_y) - HEIGHT / 2, 0.0))
-        cost += max(radius - gap, 0.0)
-    for a, b in segments:
-        gap = min(_distance((x + part * half, y), a, b) for part in (-1.0, -0.5, 0.0, 0.5, 1.0))
-        cost += 0.5 * max(HEIGHT - gap, 0.0)
-    return cost
-
-
-def _distance(point: Pixel, a: Pixel, b: Pixel) -> float:
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    length = dx * dx + dy * dy
-    part = 0.0 if length == 0 else ((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / length
-    part = min(max(part, 0.0), 1.0)
-    return math.dist(point, (a[0] + part * dx, a[1] + part * dy))
-
-
-WIDEST = 640.0
-HIGHEST = 420.0
-MARGIN = 56.0
-JOINT_RADIUS = 7.0
-SUPPORT_LENGTH = 40.0
-
-
-def machine_svg(machine: Machine, joint_colours: Mapping[str, str] | None = None, title: str | None = None) -> str:
+def draw_machine(
+    machine: Machine,
+    joint_colours: Mapping[str, str] | None = None,
+    title: str | None = None,
+    open_joint: str | None = None,
+) -> Picture:
     """Draw a machine in its drawn pose.
 
     Parameters
@@ -115,13 +101,9 @@ def machine_svg(machine: Machine, joint_colours: Mapping[str, str] | None = None
         Fills these joints, for instance by how likely they are worn.
     title : str, optional
         Read out and shown by the browser; "Drawing of NAME" unless given.
-
-    Returns
-    -------
-    str
-        One ``<svg>`` element without script, style sheet or outside reference; it is drawn in ``currentColor``. Classes
-        to style or move: ``link``, ``link-NAME``, ``joint``, ``joint-NAME``, ``guide``, ``guide-NAME``, ``support``,
-        ``sensor``, ``load``, ``drive``, ``label-joint``, ``label-joint-NAME`` (a space in a name is a ``-`` there).
+    open_joint : str, optional
+        Of a machine that cannot be assembled: it is drawn where this joint stays open widest ("" for whichever), as
+        near to closed as it comes, with the gap in red.
 
     Raises
     ------
@@ -132,29 +114,100 @@ def machine_svg(machine: Machine, joint_colours: Mapping[str, str] | None = None
     for name in sorted(set(colours) - set(machine.joints)):
         rule = f"is not a joint of this machine{nearest(name, machine.joints)}"
         raise MachineError(machine.name, f"joints.{name}", None, rule)
-    shapes = machine_shapes(machine)
+    shapes = machine_shapes(machine, open_joint)
     sheet = Sheet(shapes)
-    parts = [
-        *(_link(sheet, link) for link in shapes.links),
-        *(_guide(sheet, joint) for joint in shapes.joints if joint.kind == "sliding"),
-        *(_support(sheet, support) for support in shapes.supports),
-        *(_arrow(sheet, sensor, "sensor") for sensor in shapes.sensors),
-        *(_arrow(sheet, load, "load") for load in shapes.loads),
-        *(_arrow(sheet, drive, "drive") for drive in shapes.drives),
-        # Pins on top of the blocks they sit in: a worn one must be seen.
-        *(_joint(sheet, joint, colours.get(joint.name)) for joint in sorted(shapes.joints, key=_on_top)),
-        *_labels(sheet, shapes),
-    ]
-    name = f"drawing-{machine.content_key[:12]}"
-    heading = escape(title or f"Drawing of {machine.name}")
+    groups = list(_groups(sheet, shapes, colours))
+    labels, leaders = _labels(sheet, shapes, groups)
+    if leaders:
+        groups.append(Group("leader", "", "", tuple(leaders)))
+    said = description(machine)
+    if shapes.gap:
+        stays = f"joint {shapes.gap.name} stays {signs.gap_length(shapes.gap)} open"
+        drive = shapes.gap.drive
+        turned = machine.joints[machine.driven_joint].kind == "turning" if machine.driven_joint else False
+        where = f"{math.degrees(drive):.0f} deg" if turned else f"{drive * 1e3:.3g} mm"
+        said += f" It cannot be assembled: at {where} of the drive, where it is open widest, {stays}."
+    return Picture(_around(groups, labels), tuple(groups), labels, title or f"Drawing of {machine.name}", said)
+
+
+def machine_svg(
+    machine: Machine,
+    joint_colours: Mapping[str, str] | None = None,
+    title: str | None = None,
+    open_joint: str | None = None,
+) -> str:
+    """Return :func:`draw_machine` as SVG.
+
+    Returns
+    -------
+    str
+        One ``<svg>`` element without script, style sheet or outside reference; it is drawn in ``currentColor``. Classes
+        to style or move: ``link``, ``link-NAME``, ``joint``, ``joint-NAME``, ``guide``, ``guide-NAME``, ``support``,
+        ``sensor``, ``load``, ``drive``, ``gap``, ``label-joint``, ``label-joint-NAME`` (a space in a name is a ``-``
+        there).
+
+    Raises
+    ------
+    MachineError
+        When `joint_colours` names a joint that the machine does not have.
+    """
+    picture = draw_machine(machine, joint_colours, title, open_joint)
+    return svg_of(picture, f"drawing-{machine.content_key[:12]}")
+
+
+def svg_of(picture: Picture, name: str) -> str:
+    """Write a drawing as one ``<svg>`` element; `name` makes its identifiers."""
+    left, top, width, height = picture.box
+    parts = [_group(group) for group in picture.groups] + [_text(label) for label in picture.labels]
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" class="machine-drawing" role="img" viewBox="0 0 {sheet.width:.0f} '
-        f'{sheet.height:.0f}" aria-labelledby="{name}-title {name}-desc" fill="none" stroke="currentColor" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="machine-drawing" role="img" viewBox="{left:.0f} {top:.0f} '
+        f'{width:.0f} {height:.0f}" aria-labelledby="{name}-title {name}-desc" fill="none" stroke="currentColor" '
         f'stroke-linecap="round" stroke-linejoin="round" font-family="system-ui, sans-serif" font-size="13">\n'
-        f'<title id="{name}-title">{heading}</title>\n<desc id="{name}-desc">{escape(description(machine))}</desc>\n'
-        + "\n".join(part for part in parts if part)
-        + "\n</svg>\n"
+        f'<title id="{name}-title">{escape(picture.title)}</title>\n'
+        f'<desc id="{name}-desc">{escape(picture.description)}</desc>\n' + "\n".join(parts) + "\n</svg>\n"
     )
+
+
+def _group(group: Group) -> str:
+    told = f"<title>{escape(group.title)}</title>" if group.title else ""
+    return f'<g class="{svg_class(group.kind, group.name)}">{told}{"".join(map(_mark, group.marks))}</g>'
+
+
+def _mark(mark: Mark) -> str:
+    look = LOOKS[mark.look]
+    drawn = f'stroke-width="{look.width:g}"' + (f' stroke-opacity="{look.opacity:g}"' if look.opacity < 1 else "")
+    if look.dash:
+        drawn += f' stroke-dasharray="{" ".join(f"{each:g}" for each in look.dash)}"'
+    if look.fill is None and mark.colour:
+        drawn += f' stroke="{escape(mark.colour)}"'
+    elif mark.colour or look.fill == 0:
+        drawn += f' fill="{escape(mark.colour) or "none"}"'
+    elif look.fill:
+        drawn += ' fill="currentColor"' + (f' fill-opacity="{look.fill:g}"' if look.fill < 1 else "")
+    if mark.radius:
+        (x, y) = mark.points[0]
+        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{mark.radius:g}" {drawn}/>'
+    corners = [f"{x:.1f} {y:.1f}" for x, y in mark.points]
+    path = "M" + " L".join(corners if len(corners) > 1 else corners * 2) + (" Z" if mark.closed else "")
+    return f'<path d="{path}" {drawn}/>'
+
+
+def _text(label: PlacedLabel) -> str:
+    size, weight, slanted, opacity = LETTERS[label.kind]
+    look = f'fill="{RED if label.kind == "gap" else "currentColor"}" font-size="{size:g}"'
+    look += f' font-weight="{weight}"' if weight != "normal" else ""
+    look += ' font-style="italic"' if slanted else ""
+    look += f' fill-opacity="{opacity:g}"' if opacity < 1 else ""
+    x, y = label.middle
+    return (
+        f'<text class="{svg_class(f"label-{label.kind}", label.name)}" x="{x:.1f}" y="{y + 0.36 * size:.1f}" '
+        f'text-anchor="middle" stroke="none" {look}>{escape(label.text)}</text>'
+    )
+
+
+def svg_class(kind: str, name: str) -> str:
+    """Return the classes of an element: its kind, and its kind with its name."""
+    return f"{kind} {kind}-{escape(name.replace(' ', '-'))}" if name else kind
 
 
 def description(machine: Machine) -> str:
@@ -172,208 +225,99 @@ def description(machine: Machine) -> str:
     return " ".join(sentences)
 
 
-class Sheet:
-    """From metres, y up, to pixels, y down.
-
-    Parameters
-    ----------
-    shapes : MachineShapes
-        What has to fit.
-
-    Attributes
-    ----------
-    scale : float
-        Pixels a metre.
-    width, height : float
-        Pixels.
-    """
-
-    def __init__(self, shapes: MachineShapes) -> None:
-        self._left, bottom, right, self._top = shapes.bounds
-        wide, high = right - self._left, self._top - bottom
-        scales = [room / size for room, size in ((WIDEST, wide), (HIGHEST, high)) if size > 0]
-        self.scale = min(scales, default=1.0)
-        self.width = wide * self.scale + 2 * MARGIN
-        self.height = high * self.scale + 2 * MARGIN
-
-    def __call__(self, point: tuple[float, float]) -> Pixel:
-        """Return the pixel of a point."""
-        x, y = point
-        return (x - self._left) * self.scale + MARGIN, (self._top - y) * self.scale + MARGIN
-
-
-def _path(points: Iterable[Pixel], closed: bool = False) -> str:
-    corners = [f"{x:.1f} {y:.1f}" for x, y in points]
-    return "M" + " L".join(corners if len(corners) > 1 else corners * 2) + (" Z" if closed else "")
-
-
-def svg_class(kind: str, name: str) -> str:
-    """Return the classes of an element: its kind, and its kind with its name."""
-    return f"{kind} {kind}-{escape(name.replace(' ', '-'))}"
-
-
-def _along(at: Pixel, direction: Pixel, forward: float, left: float = 0.0) -> Pixel:
-    """Go from a pixel along a direction that is given with y up."""
-    dx, dy = direction[0], -direction[1]
-    return at[0] + dx * forward + dy * left, at[1] + dy * forward - dx * left
-
-
-def _link(sheet: Sheet, link: LinkShape) -> str:
-    points = [sheet(point) for point in link.outline]
-    cg = sheet(link.cg)
-    look = (
-        'fill="currentColor" fill-opacity="0.05" stroke-opacity="0.35" stroke-dasharray="6 5"'
-        if link.is_frame
-        else 'fill="currentColor" fill-opacity="0.16" stroke-opacity="0.32" stroke-width="11"'
-    )
-    return (
-        f'<g class="{svg_class("link", link.name)}"><title>link {escape(link.name)}</title>'
-        f'<path d="{_path(points, link.closed)}" {look}/>'
-        f'<path class="cg" d="M{cg[0] - 3:.1f} {cg[1]:.1f} h6 m-3 -3 v6" stroke-opacity="0.6"/></g>'
-    )
-
-
-def _guide(sheet: Sheet, joint: JointMark) -> str:
-    at = sheet(joint.at)
-    ends = _path([_along(at, joint.direction, -46), _along(at, joint.direction, 46)])
-    return f'<path class="{svg_class("guide", joint.name)}" d="{ends}" stroke-opacity="0.7" stroke-dasharray="2 5"/>'
-
-
-def _on_top(joint: JointMark) -> bool:
-    return joint.kind == "turning"
-
-
-def _joint(sheet: Sheet, joint: JointMark, colour: str | None) -> str:
-    at = sheet(joint.at)
-    fill = escape(colour) if colour else "none"
-    what = f"{joint.kind} joint {joint.name}: {joint.links[0]} on {joint.links[1]}" + (
-        ", driven" if joint.driven else ""
-    )
-    marks = [f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{JOINT_RADIUS}" fill="{fill}" stroke-width="2"/>']
-    if joint.kind == "sliding":
-        corners = [_along(at, joint.direction, f, s) for f, s in ((-17, -11), (17, -11), (17, 11), (-17, 11))]
-        marks = [f'<path d="{_path(corners, closed=True)}" fill="{fill}" stroke-width="2"/>']
-    if joint.grounded:
-        marks.append(_ground((at[0], at[1] + JOINT_RADIUS), 1))
-    if joint.driven:
-        marks.append(_drive_arrow(at, joint))
-    return f'<g class="{svg_class("joint", joint.name)}"><title>{escape(what)}</title>{"".join(marks)}</g>'
-
-
-def _drive_arrow(at: Pixel, joint: JointMark) -> str:
-    if joint.kind == "sliding":
-        start, end = _along(at, joint.direction, -14, 18), _along(at, joint.direction, 14, 18)
-        shaft = _path([start, end])
-        direction = joint.direction
-    else:
-        r = 16.0  # an arc from the lower right over the top: counter-clockwise is positive
-        start, end = (at[0] + r * 0.94, at[1] + r * 0.34), (at[0] - r, at[1])
-        shaft = f"M{start[0]:.1f} {start[1]:.1f} A{r} {r} 0 0 0 {end[0]:.1f} {end[1]:.1f}"
-        direction = (-0.2, -0.98)
-    return f'<path class="drive" d="{shaft} {_head(end, direction)}" stroke-width="1.5"/>'
-
-
-def _head(tip: Pixel, direction: Pixel) -> str:
-    return _path([_along(tip, direction, -7, 4), tip, _along(tip, direction, -7, -4)])
-
-
-def _arrow(sheet: Sheet, arrow: Arrow, kind: str) -> str:
-    at = sheet(arrow.at)
-    # A load's arrow ends at its point; that of a sensor or a drive leaves it.
-    reach = 22 if kind == "sensor" else 34
-    start, tip = (_along(at, arrow.direction, -34), at) if kind == "load" else (at, _along(at, arrow.direction, reach))
-    foot = f'<rect x="{at[0] - 3:.1f}" y="{at[1] - 3:.1f}" width="6" height="6" fill="currentColor"/>'
-    width = 2.5 if kind == "load" else 1.5
-    says = {"sensor": "sensor", "load": "load on", "drive": "drive of"}
-    what = f"{says[kind]} {arrow.name}"
-    return (
-        f'<g class="{svg_class(kind, arrow.name)}"><title>{escape(what)}</title>{foot if kind == "sensor" else ""}'
-        f'<path d="{_path([start, tip])} {_head(tip, arrow.direction)}" stroke-width="{width}"/></g>'
-    )
-
-
-def _support(sheet: Sheet, support: SupportMark) -> str:
-    start, end = _ends(sheet, support)
-    aside = 7.0 if support.spring and support.damper else 0.0
-    marks = [_spring(start, end, -aside)] if support.spring else []
-    marks += [_dashpot(start, end, aside)] if support.damper else []
-    ground = _ground(end, math.copysign(1.0, end[1] - start[1])) if support.on_ground else ""
-    what = " and ".join(name for name, there in (("spring", support.spring), ("damper", support.damper)) if there)
-    where = f"on {escape(support.link)}, to {'the ground' if support.on_ground else 'another link'}"
-    return (
-        f'<g class="{svg_class("support", support.link)}"><title>{what or "support"} {where}</title>'
-        f'<path d="{" ".join(marks)}" stroke-width="1.5"/>{ground}{_to_and_fro(end, support.motion)}</g>'
-    )
-
-
-def _to_and_fro(at: Pixel, direction: Pixel | None) -> str:
-    """An arrow with two heads, where the ground moves."""
-    if direction is None:
-        return ""
-    x, y = direction
-    start, tip = _along(at, direction, -14), _along(at, direction, 14)
-    heads = f"{_head(tip, direction)} {_head(start, (-x, -y))}"
-    return f'<path class="motion" d="{_path([start, tip])} {heads}" stroke-width="1.5"/>'
+def _groups(sheet: Sheet, shapes: MachineShapes, colours: Mapping[str, str]) -> Iterator[Group]:
+    """Everything but the labels, from back to front."""
+    for link in shapes.links:
+        yield signs.link_group(link, [tuple(map(sheet, outline)) for outline in link.outlines], sheet(link.cg))
+    for guide in shapes.guides:
+        yield signs.guide_group(guide, sheet(guide.start), sheet(guide.end))
+    for support in shapes.supports:
+        start, end = _ends(sheet, support)
+        yield signs.support_group(support, start, end)
+        if support.motion is not None:
+            yield signs.motion_group(support.motion, end)
+    for sensor in shapes.sensors:
+        yield signs.arrow_group(sensor, "sensor", sheet(sensor.at))
+    # Pins on top of the blocks they sit in, coloured ones on others in the same place: what is worn must be seen.
+    for joint in sorted(shapes.joints, key=lambda joint: (joint.kind == "turning", joint.name in colours)):
+        yield signs.joint_group(joint, sheet(joint.at), colours.get(joint.name, ""))
+    for kind, arrows in (("load", shapes.loads), ("drive", shapes.drives)):
+        for arrow in arrows:
+            yield signs.arrow_group(arrow, kind, sheet(arrow.at))
+    blocks = {joint.at for joint in shapes.joints if joint.kind == "sliding"}
+    for joint in shapes.joints:
+        if joint.sense:
+            yield signs.drive_group(joint, sheet(joint.at), joint.at in blocks)
+    if shapes.gap:
+        first, second = shapes.gap.ends
+        yield signs.gap_group(shapes.gap, (sheet(first), sheet(second)))
 
 
 def _ends(sheet: Sheet, support: SupportMark) -> tuple[Pixel, Pixel]:
     start = sheet(support.start)
     if support.end is not None:
         return start, sheet(support.end)
-    return start, (start[0], start[1] + (-SUPPORT_LENGTH if support.upward else SUPPORT_LENGTH))
+    return start, (start[0], start[1] + (-signs.SUPPORT_LENGTH if support.upward else signs.SUPPORT_LENGTH))
 
 
-def _between(start: Pixel, end: Pixel, steps: Iterable[tuple[float, float]]) -> list[Pixel]:
-    """Return points given as (part of the way, pixels to the side)."""
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    length = math.hypot(dx, dy) or 1.0
-    return [
-        (start[0] + dx * part - dy / length * side, start[1] + dy * part + dx / length * side) for part, side in steps
-    ]
-
-
-def _spring(start: Pixel, end: Pixel, aside: float) -> str:
-    count = 2 * max(round(0.6 * math.dist(start, end) / 16), 3) + 1  # a coil of about 16 pixels
-    turns = [(0.2 + 0.6 * (index + 0.5) / count, aside + (5.0 if index % 2 else -5.0)) for index in range(count)]
-    return _path(_between(start, end, [(0, aside), (0.2, aside), *turns, (0.8, aside), (1, aside)]))
-
-
-def _dashpot(start: Pixel, end: Pixel, aside: float) -> str:
-    rod = _path(_between(start, end, [(0, aside), (0.5, aside)]))
-    piston = _path(_between(start, end, [(0.5, aside - 4), (0.5, aside + 4)]))
-    pot = _path(_between(start, end, [(0.35, aside - 5), (0.7, aside - 5), (0.7, aside + 5), (0.35, aside + 5)]))
-    return f"{rod} {piston} {pot} {_path(_between(start, end, [(0.7, aside), (1, aside)]))}"
-
-
-def _ground(at: Pixel, sign: float) -> str:
-    x, y = at
-    strokes = " ".join(f"M{x + step:.1f} {y:.1f} l-5 {5 * sign:.0f}" for step in range(-12, 17, 7))
-    return f'<path class="ground" d="M{x - 16:.1f} {y:.1f} h32 {strokes}" stroke-opacity="0.7"/>'
-
-
-def _labels(sheet: Sheet, shapes: MachineShapes) -> list[str]:
-    segments = []
+def _labels(sheet: Sheet, shapes: MachineShapes, groups: list[Group]) -> tuple[tuple[PlacedLabel, ...], list[Mark]]:
+    """Labels, and lines to what they name where that is farther away."""
+    wanted: list[tuple[str, str, Label]] = []
+    if shapes.gap:
+        (x, y), (x1, y1) = map(sheet, shapes.gap.ends)
+        text = f"{shapes.gap.name}: {signs.gap_length(shapes.gap)} open"
+        wanted.append(("gap", shapes.gap.name, Label(text, ((x + x1) / 2, (y + y1) / 2), LETTERS["gap"][0], 4.0)))
+    for joint in shapes.joints:
+        clear = signs.JOINT_RADIUS if joint.kind == "turning" else signs.BLOCK[1]
+        wanted.append(("joint", joint.name, Label(joint.name, sheet(joint.at), LETTERS["joint"][0], clear)))
+    for sensor in shapes.sensors:
+        tip = signs.along(sheet(sensor.at), sensor.direction, signs.SENSOR_LENGTH)
+        wanted.append(("sensor", sensor.name, Label(sensor.name, tip, LETTERS["sensor"][0], -4.0)))
     for link in shapes.links:
-        points = [sheet(point) for point in link.outline]
-        segments += list(zip(points, points[1:] + points[:1], strict=True))
-    blocked = [(sheet(mark.at), 14.0 if mark.kind == "turning" else 20.0) for mark in shapes.joints]
-    blocked += [(_along(sheet(sensor.at), sensor.direction, 11), 13.0) for sensor in shapes.sensors]
-    for start, end in (_ends(sheet, support) for support in shapes.supports):
-        blocked.append(((start[0] / 2 + end[0] / 2, start[1] / 2 + end[1] / 2), math.dist(start, end) / 2))
-    wanted = [("joint", joint.name, sheet(joint.at)) for joint in shapes.joints]
-    wanted += [("sensor", sensor.name, _along(sheet(sensor.at), sensor.direction, 26)) for sensor in shapes.sensors]
-    for link in shapes.links:
-        points = [sheet(point) for point in link.outline]
+        longest = max(link.outlines, key=lambda outline: len(outline))
+        points = [sheet(point) for point in longest]
         middle = (sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points))
-        wanted.append(("link", link.name, middle))
-    spots = place_labels([(text, at) for _, text, at in wanted], segments, blocked, (sheet.width, sheet.height))
-    looks = {
-        "joint": 'font-weight="700"',
-        "sensor": 'font-size="11"',
-        "link": 'font-style="italic" fill-opacity="0.75"',
-    }
-    return [
-        f'<text class="{svg_class(f"label-{kind}", text)}" x="{x:.1f}" y="{y:.1f}" text-anchor="middle" '
-        f'fill="currentColor" stroke="none" {looks[kind]}>{escape(text)}</text>'
-        for (kind, text, _), (x, y) in zip(wanted, spots, strict=True)
-    ]
+        wanted.append(("link", link.name, Label(link.name, middle, LETTERS["link"][0])))
+    segments = list(_segments(groups))
+    box = _around(groups, ())
+    corners = (box[0], box[1], box[0] + box[2], box[1] + box[3])
+    spots = place_labels([label for _, _, label in wanted], segments, corners)
+    placed, leaders = [], []
+    for (kind, name, label), spot in zip(wanted, spots, strict=True):
+        placed.append(PlacedLabel(kind, name, label.text, spot, label.half))
+        if distance_to_box(label.at, spot, label.half) > NEAR + label.clear:
+            leaders.append(_leader(label, spot))
+    return tuple(placed), leaders
+
+
+def _leader(label: Label, spot: Pixel) -> Mark:
+    """A line from what is named towards the text, to its edge."""
+    dx, dy = spot[0] - label.at[0], spot[1] - label.at[1]
+    part = max((abs(d) - half) / abs(d) for d, half in zip((dx, dy), label.half, strict=True) if d)
+    start = max(label.clear, 0.0) / (dx * dx + dy * dy) ** 0.5
+    ends = [(label.at[0] + each * dx, label.at[1] + each * dy) for each in (start, max(part, start))]
+    return signs.line("leader", *ends)
+
+
+def _segments(groups: list[Group]) -> Iterator[tuple[Pixel, Pixel, float]]:
+    """Lines of all marks with their widths; those of the frame's outline may be crossed."""
+    for group in groups:
+        for mark in group.marks:
+            if mark.look != "cg":
+                width = 2 * mark.radius or LOOKS[mark.look].width
+                points = [*mark.points, mark.points[0]] if mark.closed or len(mark.points) == 1 else mark.points
+                yield from ((a, b, width) for a, b in pairwise(points))
+
+
+def _around(groups: list[Group], labels: tuple[PlacedLabel, ...]) -> tuple[float, float, float, float]:
+    """The box around everything, with a margin."""
+    points: list[tuple[float, ...]] = []
+    for group in groups:
+        for mark in group.marks:
+            r = mark.radius + LOOKS[mark.look].width / 2
+            points += [(x + sign * r, y + sign * r) for x, y in mark.points for sign in (-1, 1)]
+    for label in labels:
+        points += [tuple(label.middle[k] + sign * label.half[k] for k in (0, 1)) for sign in (-1, 1)]
+    xs, ys = zip(*points, strict=True)
+    left, top = min(xs) - MARGIN, min(ys) - MARGIN
+    return left, top, max(xs) + MARGIN - left, max(ys) + MARGIN - top

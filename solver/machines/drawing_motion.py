@@ -9,9 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.machines.drawing import MARGIN, Sheet, svg_class
+from jointplay.solver.machines.course import course_of
+from jointplay.solver.machines.drawing import MARGIN, Sheet, draw_machine, svg_class
+from jointplay.solver.machines.labels import Pixel
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.shapes import JointMark, machine_shapes
+from jointplay.solver.machines.marks import BLOCK
+from jointplay.solver.machines.shapes import machine_shapes
 
 
 @dataclass(frozen=True)
@@ -30,15 +33,9 @@ class MovingDrawing:
     transforms: Mapping[str, tuple[str, ...]]
 
 
-def moving_drawing(machine: Machine, motion: Mapping[str, FloatArray]) -> MovingDrawing:
-    """Return how the drawing of a machine follows the motion of its links.
-
-    Parameters
-    ----------
-    machine : Machine
-    motion : mapping of str to (n, 3) array
-        By link: x, y of its centre of gravity [m] and its angle since the drawn pose [rad].
-    """
+def moving_drawing(machine: Machine) -> MovingDrawing:
+    """Return how the drawing of a machine goes through one period of its drive."""
+    motion = course_of(machine).links
     shapes = machine_shapes(machine)
     sheet = Sheet(shapes)
     transforms: dict[str, tuple[str, ...]] = {}
@@ -46,17 +43,22 @@ def moving_drawing(machine: Machine, motion: Mapping[str, FloatArray]) -> Moving
     for link in shapes.links:
         poses = motion[link.name]
         transforms[_own_class("link", link.name)] = _transforms(sheet, link.cg, poses)
-        corners += [_points(poses, link.cg, point) for point in (*link.outline, link.cg)]
+        corners += [_points(poses, link.cg, point) for point in (*link.points, link.cg)]
     for joint in shapes.joints:
         carrier, other = joint.links
+        shifts = _shifts(sheet, machine.links[carrier].cg, joint.at, motion[carrier])
+        transforms[_own_class("joint", joint.name)] = shifts
         if joint.kind == "sliding":  # the first link is the block, the line belongs to the second
             transforms[_own_class("joint", joint.name)] = _transforms(sheet, machine.links[carrier].cg, motion[carrier])
             transforms[_own_class("guide", joint.name)] = _transforms(sheet, machine.links[other].cg, motion[other])
-        else:
-            transforms[_own_class("joint", joint.name)] = _shifts(sheet, machine, joint, motion)
-        transforms[_own_class("label-joint", joint.name)] = _shifts(sheet, machine, joint, motion)
+        if joint.sense:
+            transforms[_own_class("drive", joint.name)] = shifts
+        transforms[_own_class("label-joint", joint.name)] = shifts
+    for load in shapes.loads:
+        cg = machine.links[load.name].cg
+        transforms[_own_class("load", load.name)] = _shifts(sheet, cg, load.at, motion[load.name])
     moving = {name: steps for name, steps in transforms.items() if len(set(steps)) > 1}
-    return MovingDrawing(_view_box(sheet, np.concatenate(corners)), moving)
+    return MovingDrawing(_view_box(sheet, draw_machine(machine).box, np.concatenate(corners)), moving)
 
 
 def _own_class(kind: str, name: str) -> str:
@@ -78,13 +80,11 @@ def _transforms(sheet: Sheet, cg: tuple[float, float], poses: FloatArray) -> tup
     )
 
 
-def _shifts(sheet: Sheet, machine: Machine, joint: JointMark, motion: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    """Pins and names stay upright: they are moved and not turned."""
-    carrier = joint.links[0]
-    points = _points(motion[carrier], machine.links[carrier].cg, joint.at)
+def _shifts(sheet: Sheet, cg: Pixel, at: Pixel, poses: FloatArray) -> tuple[str, ...]:
+    """Pins, names and forces stay upright: they are moved with a point of a link and not turned."""
     return tuple(
-        f"translate({_number((x - joint.at[0]) * sheet.scale)} {_number((joint.at[1] - y) * sheet.scale)})"
-        for x, y in points
+        f"translate({_number((x - at[0]) * sheet.scale)} {_number((at[1] - y) * sheet.scale)})"
+        for x, y in _points(poses, cg, at)
     )
 
 
@@ -93,12 +93,11 @@ def _number(value: float, digits: int = 1) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def _view_box(sheet: Sheet, points: FloatArray) -> str:
+def _view_box(sheet: Sheet, box: tuple[float, float, float, float], points: FloatArray) -> str:
     """The drawing's own view, wider where a link goes beyond it."""
-    (left, top), (right, bottom) = (
-        sheet((points[:, 0].min(), points[:, 1].max())),
-        sheet((points[:, 0].max(), points[:, 1].min())),
-    )
-    x0, y0 = min(0.0, left - MARGIN / 2), min(0.0, top - MARGIN / 2)
-    x1, y1 = max(sheet.width, right + MARGIN / 2), max(sheet.height, bottom + MARGIN / 2)
+    left, top = sheet((points[:, 0].min(), points[:, 1].max()))
+    right, bottom = sheet((points[:, 0].max(), points[:, 1].min()))
+    room = BLOCK[0] + MARGIN
+    x0, y0 = min(box[0], left - room), min(box[1], top - room)
+    x1, y1 = max(box[0] + box[2], right + room), max(box[1] + box[3], bottom + room)
     return f"{x0:.0f} {y0:.0f} {x1 - x0:.0f} {y1 - y0:.0f}"

@@ -162,6 +162,7 @@ def shipped_machine_text(name: str) -> str:
     return str(files[name].read_text(encoding="utf-8"))
 
 
+@lru_cache(maxsize=32)
 def shipped_machine(name: str) -> Machine:
     """Read a shipped machine.
 

@@ -1,4 +1,4 @@
-"""Outlines of a machine in its drawn pose: what is to be drawn where, in metres, without a word about how."""
+"""Outlines of a machine in one pose: what is to be drawn where, in metres, without a word about how."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from jointplay.solver.machines.joints import SlidingJoint
+from jointplay.solver.machines.course import Course, course_of, sense_of_drive
+from jointplay.solver.machines.joints import SlidingJoint, TurningJoint
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Damper, Load, Mount, PositionDrive, Spring, Support
 
@@ -16,27 +17,48 @@ Point: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class LinkShape:
-    """One link: a point, a line or a convex polygon around its joints, supports and loads.
+    """One link: a point, a line or a convex polygon around its joints, supports and loads; or bars along its slot.
 
     Attributes
     ----------
     name : str
-    outline : tuple of points
-        In order; one point for a link with everything in one place.
+    outlines : tuple of tuples of points
+        In order; one of one point for a link with everything in one place, polygons of three and more. A link in which
+        a block slides has a bar along the slot, and one from there to each place off it.
     cg : point
     is_frame : bool
         The frame's outline also goes around the sensors.
     """
 
     name: str
-    outline: tuple[Point, ...]
+    outlines: tuple[tuple[Point, ...], ...]
     cg: Point
     is_frame: bool
 
     @property
-    def closed(self) -> bool:
-        """Whether the outline is a polygon."""
-        return len(self.outline) > 2
+    def points(self) -> tuple[Point, ...]:
+        """All of its outlines."""
+        return tuple(point for outline in self.outlines for point in outline)
+
+
+@dataclass(frozen=True)
+class GuideShape:
+    """The line of a sliding joint, as far as its block goes: rails on the frame, a slot in a link that moves."""
+
+    name: str
+    on_frame: bool
+    start: Point
+    end: Point
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A joint that stays open: where it is on its two links, how far these are apart, m, and where the drive is."""
+
+    name: str
+    ends: tuple[Point, Point]
+    size: float
+    drive: float  # rad, or m
 
 
 @dataclass(frozen=True)
@@ -49,7 +71,7 @@ class JointMark:
     direction: Point
     links: tuple[str, str]
     grounded: bool  # on a frame that does not move at all
-    driven: bool
+    sense: int  # of the drive, seen from the frame: 1 is counter-clockwise, or along the direction; 0 is not driven
 
 
 @dataclass(frozen=True)
@@ -96,16 +118,19 @@ class MachineShapes:
 
     name: str
     links: tuple[LinkShape, ...]
+    guides: tuple[GuideShape, ...]
     supports: tuple[SupportMark, ...]
     joints: tuple[JointMark, ...]
     sensors: tuple[Arrow, ...]
     loads: tuple[Arrow, ...]
     drives: tuple[Arrow, ...]
+    gap: Gap | None
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """Least and greatest x and y, m: (x0, y0, x1, y1)."""
-        points = [point for link in self.links for point in (*link.outline, link.cg)]
+        points = [point for link in self.links for point in (*link.points, link.cg)]
+        points += [point for guide in self.guides for point in (guide.start, guide.end)]
         points += [point for support in self.supports for point in (support.start, support.end or support.start)]
         points += [joint.at for joint in self.joints] + [
             arrow.at for arrow in (*self.sensors, *self.loads, *self.drives)
@@ -114,45 +139,152 @@ class MachineShapes:
         return min(xs), min(ys), max(xs), max(ys)
 
 
-def machine_shapes(machine: Machine) -> MachineShapes:
+def machine_shapes(machine: Machine, open_joint: str | None = None) -> MachineShapes:
     """Lay out a machine as it is drawn in its file.
 
     Parameters
     ----------
     machine : Machine
+    open_joint : str, optional
+        Of a machine that cannot be assembled: it is laid out where this joint stays open widest ("" for whichever), as
+        near to closed as it comes.
 
     Returns
     -------
     MachineShapes
         The frame comes first among the links.
     """
-    frame = machine.frame
-    links = sorted(machine.links, key=lambda name: name != frame)
+    course = course_of(machine, open_joint or "")
+    widest, position = course.widest if open_joint is not None else ("", 0)
+    layout = _Layout(machine, course, position)
+    links = sorted(machine.links, key=lambda name: name != machine.frame)
     return MachineShapes(
         name=machine.name,
-        links=tuple(_link_shape(machine, name) for name in links),
-        supports=tuple(_support_mark(machine, support) for support in machine.supports),
-        joints=tuple(_joint_mark(machine, name) for name in machine.joints),
+        links=tuple(layout.link(name) for name in links),
+        guides=tuple(layout.guide(name) for name in machine.sliding_joints),
+        supports=tuple(layout.support(support) for support in machine.supports),
+        joints=tuple(layout.joint(name) for name in machine.joints),
         sensors=tuple(Arrow(sensor.name, sensor.at, sensor.direction) for sensor in machine.sensors),
-        loads=tuple(Arrow(load.link, load.at, direction) for load in machine.loads if (direction := _pull(load))),
-        drives=tuple(_driven_arrow(machine)),
+        loads=tuple(
+            Arrow(load.link, layout.place(load.link, load.at), direction)
+            for load in machine.loads
+            if (direction := _pull(load))
+        ),
+        drives=tuple(layout.driven()),
+        gap=layout.gap(widest) if widest else None,
     )
 
 
-def _link_shape(machine: Machine, name: str) -> LinkShape:
-    points = [joint.at for joint in machine.joints.values() if name in joint.links]
-    is_frame = name == machine.frame
-    points += [load.at for load in machine.loads if load.link == name]
-    for support in machine.supports:
-        if support.link == name:
-            points.append(support.at)
-        elif support.to_link == name:
-            points.append(support.at if isinstance(support, Mount) else support.anchor)
-    if is_frame:
-        points += [sensor.at for sensor in machine.sensors]
-    cg = machine.links[name].cg
-    outline = convex_outline(points) if len(set(points)) > 1 else tuple(dict.fromkeys([*points, cg]))
-    return LinkShape(name, outline, cg, is_frame)
+class _Layout:
+    """A machine at one position of its course."""
+
+    def __init__(self, machine: Machine, course: Course, position: int) -> None:
+        self.machine, self.course, self.position = machine, course, position
+
+    def place(self, link: str, point: Point) -> Point:
+        """Where a point of a link is, that is given as drawn."""
+        cg = self.machine.links[link].cg
+        x, y, _ = self.course.links[link][self.position]
+        dx, dy = self.turn(link, (point[0] - cg[0], point[1] - cg[1]))
+        return float(x) + dx, float(y) + dy
+
+    def turn(self, link: str, direction: Point) -> Point:
+        """A direction of a link that is given as drawn."""
+        if not (angle := float(self.course.links[link][self.position][2])):
+            return direction
+        c, s = math.cos(angle), math.sin(angle)
+        return c * direction[0] - s * direction[1], s * direction[0] + c * direction[1]
+
+    def link(self, name: str) -> LinkShape:
+        machine = self.machine
+        is_frame = name == machine.frame
+        slots = [] if is_frame else [slot for slot in machine.sliding_joints if machine.joints[slot].links[1] == name]
+        points = [joint.at for of, joint in machine.joints.items() if name in joint.links and of not in slots]
+        points += [load.at for load in machine.loads if load.link == name]
+        for support in machine.supports:
+            if support.link == name:
+                points.append(support.at)
+            elif support.to_link == name:
+                points.append(support.at if isinstance(support, Mount) else support.anchor)
+        if is_frame:
+            points += [sensor.at for sensor in machine.sensors]
+        cg = machine.links[name].cg
+        outlines: tuple[tuple[Point, ...], ...]
+        if slots:
+            outlines = tuple(self.bars(slots, points))
+        elif len(set(points)) > 1:
+            outlines = (convex_outline(points),)
+        else:
+            outlines = (tuple(dict.fromkeys([*points, cg])),)
+        moved = tuple(tuple(self.place(name, point) for point in outline) for outline in outlines)
+        return LinkShape(name, moved, self.place(name, cg), is_frame)
+
+    def bars(self, slots: list[str], points: list[Point]) -> Iterator[tuple[Point, ...]]:
+        """Bars of a link along its slots, and from the first of them to what is beside it, as drawn."""
+        first, *others = (self.slot(name) for name in slots)
+        for start, end in others:
+            yield start, end
+            points = [*points, ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)]
+        (x, y), (x1, y1) = first
+        long = math.dist(*first) or 1.0
+        dx, dy = (x1 - x) / long, (y1 - y) / long
+        feet = {point: (point[0] - x) * dx + (point[1] - y) * dy for point in points}
+        low, high = min([0.0, *feet.values()]), max([long, *feet.values()])
+        yield (x + low * dx, y + low * dy), (x + high * dx, y + high * dy)
+        for point, foot in feet.items():
+            base = (x + foot * dx, y + foot * dy)
+            if math.dist(base, point) > 1e-3 * self.course.size:
+                yield base, point
+
+    def slot(self, name: str) -> tuple[Point, Point]:
+        """Ends of the line of a sliding joint, as drawn: as far as its block goes, and a little more."""
+        joint = self.machine.joints[name]
+        assert isinstance(joint, SlidingJoint)
+        low, high = self.course.reach(name)
+        more = max((joint.length or 0.0) / 2, 0.06 * self.course.size)
+        (x, y), (dx, dy) = joint.at, joint.direction
+        return (x + (low - more) * dx, y + (low - more) * dy), (x + (high + more) * dx, y + (high + more) * dy)
+
+    def guide(self, name: str) -> GuideShape:
+        carrier = self.machine.joints[name].links[1]
+        start, end = (self.place(carrier, point) for point in self.slot(name))
+        return GuideShape(name, carrier == self.machine.frame, start, end)
+
+    def joint(self, name: str) -> JointMark:
+        joint, frame = self.machine.joints[name], self.machine.frame
+        first, second = joint.links
+        direction = self.turn(second, joint.direction) if isinstance(joint, SlidingJoint) else (1.0, 0.0)
+        grounded = frame in joint.links and self.machine.links[frame].fixed
+        sense = sense_of_drive(self.machine) if self.machine.driven_joint == name else 0
+        if first == frame:  # the frame is not what is seen to go
+            sense = -sense
+        return JointMark(name, joint.kind, self.place(first, joint.at), direction, joint.links, grounded, sense)
+
+    def support(self, support: Support) -> SupportMark:
+        on_ground, motion = support.to_link is None, _largest(_shifts(support))
+        start = self.place(support.link, support.at)
+        if isinstance(support, Mount):
+            upward = support.at[1] > self.machine.links[support.link].cg[1]
+            spring, damper = any(support.stiffness), any(support.damping)
+            return SupportMark(support.link, start, None, upward, spring, damper, on_ground, motion)
+        is_spring, is_damper = isinstance(support, Spring), isinstance(support, Damper)
+        end = support.anchor if support.to_link is None else self.place(support.to_link, support.anchor)
+        return SupportMark(support.link, start, end, False, is_spring, is_damper, on_ground, motion)
+
+    def driven(self) -> Iterator[Arrow]:
+        drive = self.machine.drive
+        if isinstance(drive, PositionDrive):
+            yield Arrow(drive.link, self.place(drive.link, self.machine.links[drive.link].cg), drive.direction)
+
+    def gap(self, name: str) -> Gap:
+        joint = self.machine.joints[name]
+        first, second = (self.place(link, joint.at) for link in joint.links)
+        if not isinstance(joint, TurningJoint):  # to the foot on its line
+            dx, dy = self.turn(joint.links[1], joint.direction)
+            along = (first[0] - second[0]) * dx + (first[1] - second[1]) * dy
+            second = (second[0] + along * dx, second[1] + along * dy)
+        size, drive = (float(of[self.position]) for of in (self.course.gaps[name], self.course.drive))
+        return Gap(name, (first, second), size, drive)
 
 
 def convex_outline(points: Iterable[Point]) -> tuple[Point, ...]:
@@ -180,30 +312,6 @@ def convex_outline(points: Iterable[Point]) -> tuple[Point, ...]:
 
 def _turn(a: Point, b: Point, c: Point) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _joint_mark(machine: Machine, name: str) -> JointMark:
-    joint = machine.joints[name]
-    direction = joint.direction if isinstance(joint, SlidingJoint) else (1.0, 0.0)
-    grounded = machine.frame in joint.links and machine.links[machine.frame].fixed
-    driven = machine.driven_joint == name
-    return JointMark(name, joint.kind, joint.at, direction, joint.links, grounded, driven)
-
-
-def _support_mark(machine: Machine, support: Support) -> SupportMark:
-    on_ground, motion = support.to_link is None, _largest(_shifts(support))
-    if isinstance(support, Mount):
-        upward = support.at[1] > machine.links[support.link].cg[1]
-        spring, damper = any(support.stiffness), any(support.damping)
-        return SupportMark(support.link, support.at, None, upward, spring, damper, on_ground, motion)
-    is_spring, is_damper = isinstance(support, Spring), isinstance(support, Damper)
-    return SupportMark(support.link, support.at, support.anchor, False, is_spring, is_damper, on_ground, motion)
-
-
-def _driven_arrow(machine: Machine) -> Iterator[Arrow]:
-    if isinstance(machine.drive, PositionDrive):
-        link = machine.drive.link
-        yield Arrow(link, machine.links[link].cg, machine.drive.direction)
 
 
 def _pull(load: Load) -> Point | None:

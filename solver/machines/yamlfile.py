@@ -115,7 +115,7 @@ def _unique(pairs: list[tuple[str, object]], source: str) -> dict[str, object]:
     return mapping
 
 
-def _is_deep(text: str) -> bool:
+def is_deep(text: str) -> bool:
     """Whether brackets are nested so deeply that the reader, which is slow with that, need not be asked."""
     depth = 0
     for bracket in re.findall(r"[][{}]", text):
@@ -126,7 +126,7 @@ def _is_deep(text: str) -> bool:
 
 
 def _read_yaml(text: str, source: str) -> object:
-    if _is_deep(text):
+    if is_deep(text):
         raise RecursionError
     yaml = YAML(typ="safe", pure=True)  # the pure reader follows YAML 1.2: 1.0e7 is a number and y is a string
     try:

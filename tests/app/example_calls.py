@@ -264,7 +264,8 @@ def unknown(call: Call, _operation: dict[str, Any]) -> Call:
         return replace(call, where={**call.where, last: "unknown"})
     if "files" in call.sent:
         return replace(call, sent={"files": {**call.sent["files"], "asset": (None, "unknown")}})
-    return replace(call, sent={"json": {**call.sent["json"], "measurement": "unknown"}})
+    named = "catalogue" if call.path.endswith("/virtual") else "measurement"
+    return replace(call, sent={"json": {**call.sent["json"], named: "unknown"}})
 
 
 def too_large(call: Call, _operation: dict[str, Any]) -> Call:
@@ -280,7 +281,9 @@ def wrong(call: Call, operation: dict[str, Any]) -> Call:
         body = dict(call.sent["json"])
         body.pop(
             next(
-                name for name in ("machine", "catalogue", "links", "url", "at", "measured_at", "state") if name in body
+                name
+                for name in ("machine", "catalogue", "links", "url", "at", "measured_at", "state", "name")
+                if name in body
             )
         )
         return replace(call, sent={"json": body})

@@ -60,7 +60,7 @@ def test_every_command_explains_itself(name: str) -> None:
         (["check", "nowhere.yaml"], "is neither a file nor a shipped machine"),
         (["check", "quick-return", "--fault", "Z=1mm"], "fault.Z"),
         (["check", "quick-return", "--fault", "A=1kg"], "must be a length"),
-        (["check", "quick-return", "--drawing", "x.gif"], "must end in .svg or .png"),
+        (["check", "quick-return", "--drawing", "x.gif"], "must end in .svg, .png or .pdf"),
         (["simulate", "quick-return"], "Missing option"),
         (["simulate", "quick-return", "-o", "x.txt"], "must end in .h5, .csv or .npz"),
         (["simulate", "quick-return", "-o", "nowhere/x.h5"], "the folder nowhere does not exist"),

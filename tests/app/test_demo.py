@@ -6,11 +6,12 @@ from importlib import resources
 
 import pytest
 
-from jointplay.app.demo.__main__ import content_of, recordings, truth_sentence
+from jointplay.app.demo.__main__ import truth_sentence
+from jointplay.app.shelves.built_in import content_of, read_truths
 from jointplay.catalogue.measurements.measurement import read_measurement
 from jointplay.solver.machines.machine import shipped_machine
 
-NAMES = sorted(recordings())
+NAMES = sorted(read_truths())
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -19,7 +20,7 @@ def test_a_recording_fits_the_machine(name: str) -> None:
     machine = shipped_machine("quick-return")
     assert set(measurement.channel_names) == {sensor.name for sensor in machine.sensors}
     assert measurement.duration == pytest.approx(5.0)
-    assert set(recordings()[name]["worn_um"]) <= set(machine.turning_joints)
+    assert set(read_truths()[name]["worn_um"]) <= set(machine.turning_joints)
 
 
 def test_every_file_is_described() -> None:

@@ -9,9 +9,13 @@ from pathlib import Path
 import pytest
 from command_line import assert_refused, invoke
 from extremes.scenes import four_bar
+from matplotlib.image import imread
+from matplotlib.patches import Circle
 
+from jointplay.app.figures.pictures import paint
 from jointplay.catalogue.storage.hdf5 import read_arrays
-from jointplay.solver.machines.machine import load_machine, parse_machine
+from jointplay.solver.machines.drawing import draw_machine
+from jointplay.solver.machines.machine import load_machine, parse_machine, shipped_machine
 
 
 def test_machines() -> None:
@@ -191,9 +195,62 @@ def test_check_says_where_a_contact_law_returns_another_restitution(tmp_path: Pa
     assert "note" not in invoke("simulate", path, "--fault", "B=0.1mm", *short).stdout
 
 
-@pytest.mark.parametrize("name", ["machine.svg", "machine.png"])
+@pytest.mark.parametrize("name", ["machine.svg", "machine.png", "machine.pdf"])
 def test_check_draws(name: str, tmp_path: Path) -> None:
     result = invoke("check", "slider-crank", "--fault", "B=0.1mm", "--drawing", tmp_path / name)
     assert result.exit_code == 0
     content = (tmp_path / name).read_bytes()
-    assert b"<svg" in content if name.endswith("svg") else content.startswith(b"\x89PNG")
+    assert content.startswith({"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF"}[name[-3:]])
+
+
+def test_paper_and_page_have_the_same_drawing() -> None:
+    """What the one has as lines, discs and texts, the other has at the same places."""
+    picture = draw_machine(shipped_machine("quick-return"))
+    (axes,) = paint(picture).axes
+    marks = [mark for group in picture.groups for mark in group.marks]
+    assert len(axes.patches) == len(marks)
+    assert (axes.get_xlim(), axes.get_ylim()) == (
+        (picture.box[0], picture.box[0] + picture.box[2]),
+        (picture.box[1] + picture.box[3], picture.box[1]),  # y down
+    )
+    places = {text.get_text(): text.get_position() for text in axes.texts}
+    assert places == {label.text: label.middle for label in picture.labels}
+    discs = [patch.center for patch in axes.patches if isinstance(patch, Circle)]
+    assert discs == [mark.points[0] for mark in marks if mark.radius]
+
+
+STUCK = """name: stuck
+links:
+  bed: {fixed: true}
+  crank: {mass: 1, inertia: 0.01, cg: [0, 0.06]}
+  coupler: {mass: 1, inertia: 0.01, cg: [0.1, 0.1]}
+  rocker: {mass: 1, inertia: 0.01, cg: [0.2, 0.06]}
+joints:
+  O: {kind: turning, links: [crank, bed], at: [0, 0]}
+  A: {kind: turning, links: [coupler, crank], at: [0, 0.12]}
+  B: {kind: turning, links: [coupler, rocker], at: [0.2, 0.12]}
+  D: {kind: turning, links: [rocker, bed], at: [0.2, 0]}
+drive: {kind: rotation, joint: O, speed: 60 rpm}
+"""
+
+
+@pytest.mark.parametrize("ending", ["svg", "png"])
+def test_check_draws_what_cannot_be_assembled(ending: str, tmp_path: Path) -> None:
+    file, drawn = tmp_path / "stuck.yaml", tmp_path / f"stuck.{ending}"
+    # A rocker shorter than the crank: it would have to go round, too, and cannot.
+    file.write_text(STUCK.replace("B: {kind: turning, links: [coupler, rocker], at: [0.2, 0.12]}",
+                                  "B: {kind: turning, links: [coupler, rocker], at: [0.2, 0.05]}"))  # fmt: skip
+    result = invoke("check", file, "--drawing", drawn)
+    assert result.exit_code == 2
+    said = r"cannot be assembled at a drive angle of [\d.]+ deg: a little further joint [BD] stays"
+    assert re.search(said, result.stderr)
+    if ending == "svg":
+        svg = drawn.read_text()
+        assert svg.count('class="gap gap-') == 1
+        assert re.search(r">[BD]: [\d.]+ mm open</text>", svg)
+    else:
+        red = imread(drawn)[..., :3] @ [1.0, -1.0, 0.0]
+        assert (red > 0.5).sum() > 1000
+    file.write_text("name: stuck\nlinks: 3\n")
+    assert invoke("check", file, "--drawing", tmp_path / "none.svg").exit_code == 2
+    assert not (tmp_path / "none.svg").exists()  # there is nothing to draw

@@ -48,6 +48,38 @@ def test_a_machine_is_stored_and_found(own: httpx.Client) -> None:
     assert (again.status_code, again.headers["etag"]) == (200, got.headers["etag"])
 
 
+def test_a_file_that_is_not_stored_is_drawn(own: httpx.Client) -> None:
+    drawn = own.post(f"{MACHINES}/drawing.svg", content=TEXT, headers=YAML)
+    assert (drawn.status_code, drawn.headers["content-type"]) == (200, "image/svg+xml")
+    assert drawn.text == own.get(f"{MACHINES}/slider-crank/drawing.svg").text
+    joints = changed()["joints"]
+    joints["A"]["at"] = [0.15, 0.05]  # a crank longer than the rod
+    drawn = own.post(f"{MACHINES}/drawing.svg", json=changed(joints=joints))
+    assert drawn.status_code == 200
+    assert drawn.text.count('class="gap ') == 1
+    assert "It cannot be assembled: at " in drawn.text
+    refused = own.post(f"{MACHINES}/drawing.svg", json=changed(gravity="fast"))
+    assert (refused.status_code, refused.json()["type"]) == (422, "urn:jointplay:problem:machine")
+    assert own.post(f"{MACHINES}/drawing.svg", content=TEXT).status_code == 415
+
+
+def test_machines_move(own: httpx.Client) -> None:
+    still = own.get(f"{MACHINES}/slider-crank/motion").json()
+    assert still["pins"] == []
+    assert len(still["transforms"]["link-rod"]) == 72
+    (pin,) = own.get(f"{MACHINES}/slider-crank/motion", params={"fault": "A=0.2mm"}).json()["pins"]
+    assert (pin["joint"], pin["clearance_um"], len(pin["at"])) == ("A", pytest.approx(200), 360)
+    refused = own.get(f"{MACHINES}/slider-crank/motion", params={"fault": "Z=0.2mm"})
+    assert (refused.status_code, "no such joint" in refused.json()["detail"]) == (422, True)
+
+
+def test_a_machine_stored_before_another_of_its_name_was_shipped_stays(tmp_path: Path) -> None:
+    kept = parse_machine(changed(gravity=1.0))
+    (tmp_path / "toggle-press.json").write_text(kept.canonical_json())
+    assert MachineStore(tmp_path).find("toggle-press") == kept
+    assert MachineStore(tmp_path).find("v-twin") == shipped_machine("v-twin")
+
+
 def test_conditions(own: httpx.Client) -> None:
     place = f"{MACHINES}/press-2"
     first = own.put(place, json=changed(), headers={"If-None-Match": "*"})
@@ -132,4 +164,5 @@ def test_of_many_first_writers_one_wins(tmp_path: Path) -> None:
         won = list(pool.map(first, contents))
     assert sum(won) == 1
     assert MachineStore(tmp_path).find("press") == parse_machine(contents[won.index(True)])
-    assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", "press.json"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", "press.json", "versions"]
+    assert MachineStore(tmp_path).versions("press") == [1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import html
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -191,6 +192,10 @@ def test_the_drawing_of_a_result_can_move(client: httpx.Client, place: str) -> N
     assert len(moving["transforms"]["link-rod"]) == 72
     for name in moving["transforms"]:
         assert re.search(rf'class="[^"]*\b{name}"', shown.text)
+    (pin,) = moving["pins"]
+    assert (pin["joint"], len(pin["at"])) == ("B", 360)
+    assert max(math.hypot(x, y) for x, y in pin["at"]) > 1  # it touches, and does not leave its socket
+    assert all(math.hypot(x, y) < 1.5 for x, y in pin["at"])
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from oracle.sketch import sketch
 
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import HEALTHY, Fault
-from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_names
+from jointplay.solver.machines.machine import parse_machine, shipped_machine
 from jointplay.solver.simulation.account import Account, account
 
 
@@ -47,7 +47,7 @@ def test_what_is_left_out_is_named() -> None:
     assert {"gravity", "external loads", "supports", "viscous torque of P"} <= set(left)
 
 
-@pytest.mark.parametrize("name", shipped_machine_names())
+@pytest.mark.parametrize("name", ["four-bar", "quick-return", "slider-crank"])
 @pytest.mark.parametrize("count", [0, 1, 4])
 def test_every_unknown_of_a_shipped_machine_is_accounted_for(name: str, count: int) -> None:
     machine = shipped_machine(name)

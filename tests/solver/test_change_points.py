@@ -12,10 +12,13 @@ from extremes.scenes import equal_legs, four_bar
 from laws import run
 
 from jointplay.solver.cases.case import Case, Settings, Status
-from jointplay.solver.cases.positions import change_point_remarks, link_motion
+from jointplay.solver.cases.positions import change_point_remarks
+from jointplay.solver.cases.start import walk
+from jointplay.solver.equations.links import link_motion
+from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
 from jointplay.solver.machines.fault import Fault
-from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import check_assembly, simulate
 
 CRANK, COUPLER, ROCKER, BASE = 0.06, 0.12, 0.14, 0.20
@@ -38,6 +41,15 @@ def numbers(line: str, text: str) -> float:
     found = re.search(text.replace("#", "([-0-9.e]+)"), line)
     assert found is not None, line
     return float(found[1])
+
+
+def angles_of(machine: Machine) -> dict[str, np.ndarray]:
+    """By link: how far it has turned at 120 positions of the drive, rad."""
+    model = build_model(machine)
+    p = model.vector({})
+    poses = walk(model, p, p[model.parameters.index("drive.speed")], 120)
+    t, z = np.array([at for at, _ in poses]), np.array([pose for _, pose in poses])
+    return dict(zip(machine.links, link_motion(model, p, t, z, np.zeros_like(z)).displacement[:, :, 2].T, strict=True))
 
 
 @pytest.mark.parametrize("short", [1e-9, 1e-6, 3e-6, 1e-5])
@@ -77,12 +89,12 @@ def test_positions_stay_on_the_way_that_a_run_takes(beyond: float) -> None:
     """Next to a change point links change their speeds within a degree; further on, the other branch is far away."""
     machine = grashof(-beyond)
     history, motion = run(machine, {}, duration=2 * math.pi / 30, sample_rate=20_000)
-    walked = link_motion(machine, 120)
+    walked = angles_of(machine)
     for link in ("coupler", "rocker"):
         turned = np.diff(motion.displacement[:, [0, motion.links.index(link)], 2]).ravel()
         at = np.interp(np.arange(120) * math.pi / 60 / 30, history.t, turned)
         # Straight between samples of 0.09 deg; the other branch is 2 rad away.
-        assert np.abs(at - walked[link][:, 2]).max() < 1e-4
+        assert np.abs(at - walked[link]).max() < 1e-4
 
 
 def test_a_parallelogram_says_its_branch_and_takes_it() -> None:
@@ -109,7 +121,7 @@ def test_a_crossed_parallelogram_goes_on_crossed() -> None:
     # The tangents of half its angle and of half the crank's are in the ratio of the first.
     crank, ratio = np.arange(120) * math.pi / 60 - DRAWN, (BASE + CRANK) / (BASE - CRANK)
     rocker = -2 * np.arctan2(ratio * np.sin(crank / 2), np.cos(crank / 2))
-    assert np.abs(link_motion(machine, 120)["rocker"][:, 2] - (rocker - rocker[0])).max() < 1e-6
+    assert np.abs(angles_of(machine)["rocker"] - (rocker - rocker[0])).max() < 1e-6
 
 
 def test_a_rod_as_long_as_its_crank() -> None:
@@ -163,7 +175,7 @@ def test_a_link_that_swings_freely_does_not_hide_it() -> None:
                 check_assembly(parse_machine(tree))
 
 
-@pytest.mark.parametrize("name", shipped_machine_names())
+@pytest.mark.parametrize("name", ["four-bar", "quick-return", "slider-crank"])
 def test_machines_that_ship_come_near_none(name: str) -> None:
     machine = shipped_machine(name)
     for worn in ((), machine.turning_joints[:1], machine.turning_joints):

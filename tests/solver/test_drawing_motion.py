@@ -8,12 +8,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from jointplay.solver.cases.positions import link_motion
+from jointplay.solver.machines.course import POSITIONS, course_of
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.drawing_motion import moving_drawing
 from jointplay.solver.machines.machine import Machine, shipped_machine, shipped_machine_names
-
-POSITIONS = 24
 
 
 def place(machine: Machine, link: str, pose: np.ndarray, point: tuple[float, float]) -> complex:
@@ -24,7 +22,7 @@ def place(machine: Machine, link: str, pose: np.ndarray, point: tuple[float, flo
 @pytest.mark.parametrize("name", shipped_machine_names())
 def test_turning_joints_stay_together(name: str) -> None:
     machine = shipped_machine(name)
-    motion = link_motion(machine, POSITIONS)
+    motion = course_of(machine).links
     for joint in machine.turning_joints:
         first, second = machine.joints[joint].links
         at = machine.joints[joint].at
@@ -35,7 +33,7 @@ def test_turning_joints_stay_together(name: str) -> None:
 
 def test_a_crank_turns_evenly_and_the_slider_follows() -> None:
     machine = shipped_machine("slider-crank")
-    motion = link_motion(machine, POSITIONS)
+    motion = course_of(machine).links
     np.testing.assert_allclose(motion["crank"][:, 2], np.arange(POSITIONS) * 2 * np.pi / POSITIONS, atol=1e-9)
     o, a, b = (complex(*machine.joints[name].at) for name in ("O", "A", "B"))
     crank, rod = abs(a - o), abs(b - a)
@@ -48,13 +46,15 @@ def test_a_crank_turns_evenly_and_the_slider_follows() -> None:
 @pytest.mark.parametrize("name", shipped_machine_names())
 def test_what_moves_is_in_the_drawing_and_what_stands_does_not(name: str) -> None:
     machine = shipped_machine(name)
-    moving = moving_drawing(machine, link_motion(machine, POSITIONS))
+    moving = moving_drawing(machine)
     drawing = ET.fromstring(machine_svg(machine))
     classes = {part for element in drawing.iter() for part in element.get("class", "").split()}
     assert set(moving.transforms) <= classes
     assert f"link-{machine.frame}" not in moving.transforms
-    driven = machine.drive.joint if machine.drive else ""
-    assert f"joint-{driven}" not in moving.transforms
+    driven = machine.joints[machine.driven_joint]
+    assert (f"joint-{machine.driven_joint}" in moving.transforms) == (machine.frame not in driven.links)
+    for load in machine.loads:  # what pushes goes with what it pushes
+        assert f"load-{load.link}" in moving.transforms
     number = r"-?\d+\.\d+"
     for steps in moving.transforms.values():
         assert len(steps) == POSITIONS

@@ -133,7 +133,10 @@ def test_a_frame_alone_and_a_body_on_a_spring_are_machines() -> None:
 
 
 def test_shipped_machines() -> None:
-    assert shipped_machine_names() == ("four-bar", "quick-return", "slider-crank")
+    assert shipped_machine_names() == (
+        "elliptic-trammel", "four-bar", "inverted-slider-crank", "parallel-cranks", "quick-return", "scotch-yoke",
+        "slider-crank", "stephenson-six-bar", "toggle-press", "v-twin", "walking-beam", "watt-six-bar",
+    )  # fmt: skip
     for name in shipped_machine_names():
         machine = shipped_machine(name)
         assert machine.name == name
@@ -143,9 +146,18 @@ def test_shipped_machines() -> None:
     assert shipped_machine("quick-return").turning_joints == ("O", "A", "C", "E", "F")
     speeds = {name: shipped_machine(name).drive for name in shipped_machine_names()}
     assert {name: round(drive.speed * 30 / math.pi) for name, drive in speeds.items()} == {  # type: ignore[union-attr]
-        "slider-crank": 600,
+        "elliptic-trammel": 120,
         "four-bar": 300,
+        "inverted-slider-crank": 270,
+        "parallel-cranks": 300,
         "quick-return": 120,
+        "scotch-yoke": 240,
+        "slider-crank": 600,
+        "stephenson-six-bar": 150,
+        "toggle-press": 90,
+        "v-twin": 900,
+        "walking-beam": 30,
+        "watt-six-bar": 180,
     }
 
 

@@ -12,7 +12,7 @@ from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.cases.start import start_pose, start_velocity, walk
 from jointplay.solver.equations.model import build_model
 from jointplay.solver.errors import AssemblyError
-from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine, shipped_machine_names
+from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
 from jointplay.solver.simulation.simulate import check_assembly, simulate
 
 G = 9.81
@@ -47,7 +47,7 @@ def four_bar(coupler: float, rocker: float, **changes: Any) -> Machine:
     return parse_machine({**tree, **changes}, "four-bar")
 
 
-@pytest.mark.parametrize("name", shipped_machine_names())
+@pytest.mark.parametrize("name", ["four-bar", "quick-return", "slider-crank"])
 def test_shipped_machines_assemble_all_the_way_round(name: str) -> None:
     check_assembly(shipped_machine(name))
 
@@ -232,7 +232,7 @@ def test_contradicting_velocities_are_refused() -> None:
         start_velocity(model, model.vector({}), np.zeros(model.size))
 
 
-@pytest.mark.parametrize("name", shipped_machine_names())
+@pytest.mark.parametrize("name", ["four-bar", "quick-return", "slider-crank"])
 def test_equilibrium_is_that_of_a_machine_whose_drive_stands(name: str) -> None:
     """What turns shakes the frame; where it begins is where it hangs still: measured to the last bit."""
     tree: Any = shipped_machine(name).model_dump() | {"initial": {"pose": "equilibrium"}}
