@@ -12,7 +12,6 @@ import click
 from jointplay.app.commands.diagnose import read_measurements
 from jointplay.app.commands.parameters import Pairs, each_once, existing_catalogue, file_options, json_option
 from jointplay.app.fields import PROFILE
-from jointplay.app.pages.wear_state import show_state
 from jointplay.app.tables import indent, table
 from jointplay.app.words import in_utc, parse_moment
 
@@ -125,6 +124,8 @@ def read_moment(text: str, said: str, option: str) -> datetime:
 
 def report(state: WearState) -> str:
     """Return a state of wear as plain text."""
+    from jointplay.app.pages.wear_state import show_state
+
     shown = show_state(state)
     rows = [
         (row["name"], f"{row['said']}, {row['percent']}", f"{row['clearance']} ({row['interval']})", row["rate"],

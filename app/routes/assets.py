@@ -28,7 +28,10 @@ router = APIRouter(prefix="/assets", tags=["assets"])
 ExternalId = Annotated[str, Path(pattern=EXTERNAL_ID, description="The asset's name in your own records.")]
 Order = Annotated[
     Literal["newest", "urgent"],
-    Query(description="urgent: first what needs somebody most, by its standing and the date of reaching a limit."),
+    Query(
+        examples=["urgent"],
+        description="urgent: first what needs somebody most, by its standing and the date of reaching a limit.",
+    ),
 ]
 State = Annotated[StandingName | None, Query(description="Only what stands so.")]
 Search = Annotated[

@@ -64,7 +64,10 @@ BODY = {
     },
 }
 FILE_SHOWN: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The file.", "content": {kind: {"schema": {"type": "string"}} for kind in YAML_TYPES[:1]}}
+    200: {
+        "description": "The file, as it was sent.",
+        "content": {kind: {"schema": {}} for kind in (YAML_TYPES[0], JSON_TYPE)},
+    }
 }
 PUT_SHOWN: dict[int | str, dict[str, Any]] = {
     200: {"description": "The machine of this name is this one now; there was one before.", **SHOWN},

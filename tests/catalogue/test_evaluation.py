@@ -39,6 +39,7 @@ from jointplay.catalogue.storage.index import Index
 from jointplay.catalogue.storage.leases import ChunkRow, ChunkStatus
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine, shipped_machine
+from jointplay.solver.machines.parts import RotationDrive
 
 SHORT = replace(PROTOCOLS["matched"], revolutions=10.0, clearance=(80e-6, 700e-6))
 MACHINE = shipped_machine("slider-crank")
@@ -353,7 +354,7 @@ def test_a_recording_that_cannot_be_kept_leaves_nothing(tmp_path: Path, monkeypa
 
 @pytest.mark.parametrize("rpm", [12.0, 600.0, 3000.0])
 def test_recordings_are_as_many_revolutions_whatever_the_speed(rpm: float) -> None:
-    machine = MACHINE.with_parameters({"drive.speed": rpm * math.pi / 30.0})
+    machine = MACHINE.model_copy(update={"drive": RotationDrive(joint="O", speed=rpm * math.pi / 30.0)})
     for name, revolutions in {"matched": 40.0, "hard": 40.0, "drop-out-short": 15.0, "drop-out-long": 50.0}.items():
         truth = draw_truth(machine, Hypothesis.of(("A",)), PROTOCOLS[name], 3, 0)
         assert truth.seconds * truth.parameters["drive.speed"] / (2.0 * math.pi) == pytest.approx(revolutions)
