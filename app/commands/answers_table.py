@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jointplay.app.commands.progress import ProgressLine
-from jointplay.app.problems import kind_of, one_line
+from jointplay.app.problems import kind_of, one_line, say
 from jointplay.app.rows import percent
 from jointplay.app.tables import table
 
@@ -83,7 +83,7 @@ def _row(file: Path, ask: Callable[[], Answered]) -> dict[str, Any]:
     except Exception as error:
         if kind_of(error) is None and not isinstance(error, OSError | click.ClickException):
             raise
-        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        text = error.format_message() if isinstance(error, click.ClickException) else say(error)
         with suppress(OSError):
             row["sha256"] = hashlib.sha256(file.read_bytes()).hexdigest()
         return {**row, "refusal": one_line(text)}
@@ -125,6 +125,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         if row["refusal"]:
             cells.append((row["file"], "", "refused", row["refusal"]))
         else:
-            said = f"{row['first']}, {percent(row['probability'])}"
+            # Without a verdict on joints none of them is named.
+            said = f"{row['first']}, {percent(row['probability'])}" if row["verdict"] in ("worn", "in_order") else ""
             cells.append((row["file"], f"{row['drive_speed_rpm']:.6g} rpm", row["verdict"].replace("_", " "), said))
     return table(("file", "speed", "verdict", "first"), cells, frozenset({1}))

@@ -249,4 +249,6 @@ def summary(answer: Mapping[str, Any]) -> str:
     first = answer["hypotheses"][0]
     joints = "+".join(first["joints"]) or "none worn"
     verdict = str(answer["verdict"]).replace("_", " ")
-    return f"{verdict} ({joints}, {percent(first['probability'])}): diagnosis {answer['id']}"
+    # Without a verdict on joints none of them is named.
+    said = f" ({joints}, {percent(first['probability'])})" if answer["verdict"] in ("worn", "in_order") else ""
+    return f"{verdict}{said}: diagnosis {answer['id']}"
