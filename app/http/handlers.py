@@ -136,14 +136,13 @@ async def handle(request: Request, error: Exception) -> Response:
 
 
 def find_methods(request: Request) -> list[str]:
-    """Return the methods that the address of a request knows: of all its routes, where the framework names the first's.
+    """Return the methods that the address of a request knows: of all routes, where the framework names the first's.
 
     An address of its own, like `/machines/check`, is no name of a machine.
     """
-    known = [route for route in request.app.router.routes if not isinstance(route, Mount)]
-    routes = [route for route in known if route.matches(request.scope)[0] is not Match.NONE]
-    fewest = min((len(route.param_convertors) for route in routes), default=0)
-    routes = [route for route in routes if len(route.param_convertors) == fewest]
+    if own := request.app.openapi()["paths"].get(request.scope["path"]):
+        return [method for method in ("GET", "POST", "PUT", "PATCH", "DELETE") if method.lower() in own]
+    routes = [route for route in request.app.router.routes if not isinstance(route, Mount)]
     found = [
         method
         for method in ("GET", "POST", "PUT", "PATCH", "DELETE")

@@ -57,7 +57,8 @@ class Life:
 def gather(store: Store, asset: str) -> Life:
     """Return what is known of an asset.
 
-    Every recording counts once, by its bytes: in the newest answer that several have together, or else in its own.
+    Every recording counts once, by its bytes: in the newest answer that several have together, or else in its own; in a
+    common answer without a verdict, as where recordings contradict each other, only if it has none of its own.
 
     Raises
     ------
@@ -80,7 +81,7 @@ def gather(store: Store, asset: str) -> Life:
         made[row_of.sha256] = min(made.get(row_of.sha256, moment), moment)
     heard: set[str] = set()
     counted: list[tuple[datetime, str, DiagnosisRow]] = []
-    for each in sorted(diagnoses, key=lambda each: len(each.measurements) == 1):  # the newest of either first
+    for each in sorted(diagnoses, key=_turn):  # the newest of each kind first
         recordings = [known[key] for key in each.measurements if key in known]
         bytes_of = sorted({recording.sha256 for recording in recordings})
         if recordings and heard.isdisjoint(bytes_of):
@@ -98,6 +99,13 @@ def gather(store: Store, asset: str) -> Life:
         lessons=[(results[found.diagnosis], found.joints) for found in reversed(fleet)],
         limits_um=row.limits_um,
     )
+
+
+def _turn(row: DiagnosisRow) -> int:
+    """When an answer counts: common ones first, those without a verdict last."""
+    if len(row.measurements) == 1:
+        return 1
+    return 2 if row.result["verdict"] == "unknown" else 0
 
 
 def _without_evidence(row: DiagnosisRow) -> dict[str, Any]:

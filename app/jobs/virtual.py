@@ -86,7 +86,7 @@ def make_recording(task: VirtualTask) -> tuple[bytes, str, dict[str, Any]]:
     if task.drive_speed_rpm is not None and not at_speed(machine, speed):
         rule = "the load of its motor says how fast this machine turns; leave it out"
         raise BadFieldError(f"drive_speed_rpm: {task.drive_speed_rpm:g}: {rule}", field="drive_speed_rpm")
-    if abs(math.log(abs(speed / nominal))) > math.log(FARTHEST) + 1e-9:
+    if not 1.0 / FARTHEST <= abs(speed / nominal) * (1.0 + 1e-9) <= FARTHEST * (1.0 + 2e-9):
         low, high = (abs(nominal) * RPM * factor for factor in (1 / FARTHEST, FARTHEST))
         rule = f"must be {low:.4g} to {high:.4g}, a {FARTHEST:g}th to {FARTHEST:g} times the machine's own"
         raise BadFieldError(f"drive_speed_rpm: {task.drive_speed_rpm:g}: {rule}", field="drive_speed_rpm")

@@ -33,7 +33,7 @@ Order = Annotated[
         description="urgent: first what needs somebody most, by its standing and the date of reaching a limit.",
     ),
 ]
-State = Annotated[StandingName | None, Query(description="Only what stands so.")]
+State = Annotated[StandingName | None, Query(examples=["alarm"], description="Only what stands so.")]
 Search = Annotated[
     str | None, Query(max_length=200, pattern=TEXT, examples=["press"], description="In id, machine or notes.")
 ]

@@ -64,10 +64,7 @@ BODY = {
     },
 }
 FILE_SHOWN: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The file, as it was sent.",
-        "content": {kind: {"schema": {}} for kind in (YAML_TYPES[0], JSON_TYPE)},
-    }
+    200: {"description": "The file, as it was sent; JSON is YAML, too.", "content": {YAML_TYPES[0]: {"schema": {}}}}
 }
 PUT_SHOWN: dict[int | str, dict[str, Any]] = {
     200: {"description": "The machine of this name is this one now; there was one before.", **SHOWN},
@@ -143,9 +140,8 @@ def versions(request: Request, name: str, cursor: Cursor = None, limit: Limit = 
 def file(request: Request, name: str, version: Version = None) -> Response:
     """Return the file of a machine as it was written, comments and all; of one version where it is named."""
     found = of_request(request).machines.version(name, version)
-    is_json = found.text.lstrip().startswith("{")
-    ending, kind = ("json", JSON_TYPE) if is_json else ("yaml", YAML_TYPES[0])
-    answer = Response(found.text, media_type=kind)
+    ending = "json" if found.text.lstrip().startswith("{") else "yaml"
+    answer = Response(found.text, media_type=YAML_TYPES[0])
     answer.headers["Content-Disposition"] = f'attachment; filename="{name}.{ending}"'
     return respond(request, answer, f"{found.number}-{hashlib.sha256(found.text.encode()).hexdigest()}")
 
