@@ -187,6 +187,7 @@ def chart(found: dict[str, Any], channel: str, unit: str) -> dict[str, Any]:
     far = f"{outside[strongest]:+.1f} dB".replace("-", "−")
     at = f"order {order(found['orders'][strongest])}"
     baseline = found["baseline"].get(channel)
+    members = found["family"]
     return {
         "title": NAMES[channel],
         "summary": (
@@ -202,8 +203,13 @@ def chart(found: dict[str, Any], channel: str, unit: str) -> dict[str, Any]:
             "lines": [
                 {"name": "in order", "look": "matched", "levels": healthy},
                 *(
-                    {"name": length(each["clearance_um"]), "look": "rival", "levels": each["levels"][channel]}
-                    for each in found["family"]
+                    {
+                        "name": length(each["clearance_um"]),
+                        "look": "rival",
+                        "share": index / max(len(members) - 1, 1),
+                        "levels": each["levels"][channel],
+                    }
+                    for index, each in enumerate(members)
                 ),
                 {"name": "this entry", "look": "measured", "levels": levels},
                 *([{"name": "baseline", "look": "joint-2", "levels": baseline}] if baseline else []),

@@ -56,6 +56,8 @@ def test_wear_is_shown_over_clearance_beside_machines_with_new_fits(client: http
     assert np.median(fits.max(axis=1)) > 1e-6, "machines in order have the play of a new fit, and are no ideal ones"
     lines: list[dict[str, Any]] = charts(text)[1]["lines"]  # type: ignore[assignment]
     family = [line for line in lines if line["look"] == "rival"]
+    shares = [line["share"] for line in family]
+    assert shares[0] == 0 and shares[-1] == 1 and shares == sorted(set(shares))  # a colour each
     sizes = [float(size) * {"µm": 1.0, "mm": 1e3}[unit] for size, unit in (line["name"].split() for line in family)]
     assert len(sizes) == 4 and sizes == sorted(sizes) and sizes[-1] > 5 * sizes[0]
     loud = [np.mean(line["levels"][20:]) for line in family]
