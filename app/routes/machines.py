@@ -56,12 +56,16 @@ joints:
   O: {kind: turning, links: [arm, base], at: [0, 0]}
 drive: {kind: rotation, joint: O, speed: 120 rpm}
 """
-BODY = {
+BODY: dict[str, Any] = {
     "required": True,
     "content": {
         JSON_TYPE: {"schema": FILE, "example": MACHINE_FILE},
         YAML_TYPES[0]: {"schema": {"type": "string"}, "example": MACHINE_YAML},
     },
+}
+CHECKED: dict[str, Any] = {  # whatever is sent is looked at, and said to be wrong
+    "required": True,
+    "content": {kind: {"schema": {}, "example": shown["example"]} for kind, shown in BODY["content"].items()},
 }
 FILE_SHOWN: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file, as it was sent; JSON is YAML, too.", "content": {YAML_TYPES[0]: {"schema": {}}}}
@@ -112,7 +116,7 @@ def machine(request: Request, name: str) -> Response:
 @router.post(
     "/check",
     responses=problems(400, 413, 415, 500, 503, 504),
-    openapi_extra={"requestBody": BODY},
+    openapi_extra={"requestBody": CHECKED},
 )
 async def check(request: Request) -> MachineCheck:
     """Check a machine file (JSON or YAML) as `jointplay check` does; nothing is stored."""

@@ -5,7 +5,6 @@
 (() => {
   const SECONDS = 4;
   const SLOWER = 5;
-  const SVG = "http://www.w3.org/2000/svg";
   const SOCKET = 50;
   const PIN = 34;
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
@@ -21,7 +20,7 @@
   };
 
   const element = (name, attributes, parent) => {
-    const made = parent.appendChild(document.createElementNS(SVG, name));
+    const made = parent.appendChild(document.createElementNS(parent.namespaceURI, name));
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
     return made;
   };

@@ -19,7 +19,7 @@ def assert_problem(response: httpx.Response, status: int, text: str = "", slug: 
     assert document["status"] == status
     assert document["instance"] == response.request.url.path
     assert "\n" not in document["detail"]
-    assert text in document["detail"]
+    assert text in document["detail"], document["detail"]
     if slug:
         assert document["type"] == f"urn:jointplay:problem:{slug}"
     return document

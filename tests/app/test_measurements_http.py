@@ -36,7 +36,7 @@ def test_a_measurement_is_stored_by_content(client: httpx.Client, measurement: d
 
 @pytest.mark.parametrize(
     ("kind", "text"),
-    [("no number", "line 301"), ("nan", "line 301"), ("short", "samples"), ("spectrum", "spectrum")],
+    [("no number", "line 301"), ("nan", "line 301"), ("short", "samples"), ("spectrum", "give its scaling: psd")],
 )
 def test_unreadable_recordings(client: httpx.Client, worn: bytes, kind: str, text: str) -> None:
     document = assert_problem(send(client, spoiled(worn, kind), "bad.csv"), 422, text, "measurement")
