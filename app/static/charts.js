@@ -208,7 +208,7 @@ window.jointplay = window.jointplay || {};
     clearTimeout(before?.waiting);
     place.replaceChildren();
     const ends = [figure.at[0], figure.at[figure.at.length - 1]];
-    const entry = { place, figure, ends, whole: figure.x.range || ends, window: [], first: { at: figure.at, lines: figure.lines }, bar: before?.bar, said: before?.said };
+    const entry = { place, figure, ends, whole: figure.x.range || ends, window: [], first: { ...figure }, bar: before?.bar, said: before?.said };
     drawn.set(place, entry);
     entry.chart = new uPlot(options(entry, place.clientWidth), table(figure), place);
     if (!before) {

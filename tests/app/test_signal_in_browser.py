@@ -227,6 +227,25 @@ def test_a_family_of_lines_goes_from_one_colour_to_another(visit: Visit, server:
     assert len(set(strokes)) == 3 and all(stroke.startswith("rgb(") for stroke in strokes)
 
 
+def test_a_spectrogram_that_is_shown_whole_again_is_the_whole_one(visit: Visit, server: str, minute: str) -> None:
+    page = visit.page
+    page.goto(f"{server}/measurements/{minute}?speed=600+rpm")
+    place = page.locator("[data-signal='spectrogram']")
+    expect(place.locator("canvas")).to_have_count(1, timeout=SECONDS)
+    place.scroll_into_view_if_needed()
+    figure = "window.jointplay.chartAt(document.querySelector(\"[data-signal='spectrogram']\")).figure"
+    shown = f"[{figure}.at[0], {figure}.at.at(-1), JSON.stringify({figure}.map.levels_db[0])]"
+    whole = page.evaluate(shown)
+    place.evaluate("each => delete each.dataset.points")
+    drag(page, place, 0.4, 0.6)
+    expect(place).to_have_attribute("data-points", re.compile(r"\d"), timeout=SECONDS)
+    assert page.evaluate(shown)[2] != whole[2]
+    place.evaluate("each => delete each.dataset.points")
+    place.locator(".u-over").dblclick()
+    expect(place).to_have_attribute("data-points", re.compile(r"\d"), timeout=SECONDS)
+    assert page.evaluate(shown) == whole
+
+
 def test_charts_are_saved_as_png_and_svg(visit: Visit, server: str, minute: str) -> None:
     page = visit.page
     page.goto(f"{server}/measurements/{minute}?speed=600+rpm")
