@@ -19,6 +19,8 @@ RELATIVE, ABSOLUTE = 0.5, 0.1
 NEGLIGIBLE, RIVAL = 0.01, "rival"
 #: What a forecast of a build measures.
 MEASURED = frozenset({"seconds", "tried", "size_bytes"})
+#: Made when somebody asks for it, once a catalogue, which tests share: there or not, whoever came first.
+MADE_ON_REQUEST = "quality"
 #: How a text ends that was cut, and how much of its end may be half a word.
 CUT, LAST_WORD = "…", 20
 
@@ -31,6 +33,8 @@ def differences(one: Any, other: Any, place: str) -> Iterator[str]:
         for name in one.keys() | other.keys():
             if name in one and name in other:
                 if name in MEASURED and "/forecasts" in place:
+                    continue
+                if name == MADE_ON_REQUEST and None in (one[name], other[name]):
                     continue
                 yield from differences(one[name], other[name], f"{place}/{name}")
             else:
