@@ -106,12 +106,16 @@ async def change(request: Request, external_id: str) -> Response:
         await run_in_threadpool(check_baseline, service, wanted)
         await run_in_threadpool(found.put, external_id, wanted)
     except REFUSALS as error:
-        problem = problem_from(error)
-        try:
-            return await show_asset(request, external_id, None, given, problem)
-        except REFUSALS:
-            return await show_list(request, None, {}, problem)
+        return await show_refusal(request, external_id, given, problem_from(error))
     return RedirectResponse(f"/assets/{external_id}", status_code=303)
+
+
+async def show_refusal(request: Request, external_id: str, given: dict[str, str] | None, problem: Problem) -> Response:
+    """Show why something is refused on the page of the asset, or on the list where there is none of this id."""
+    try:
+        return await show_asset(request, external_id, None, given, problem)
+    except REFUSALS:
+        return await show_list(request, None, {}, problem)
 
 
 @router.post("/{external_id}/acknowledgement")
@@ -128,11 +132,7 @@ async def acknowledge(request: Request, external_id: str) -> Response:
             by = request.state.key_name or ""
             await run_in_threadpool(standings.acknowledge, external_id, seen.state, by, seen.note)
     except REFUSALS as error:
-        problem = problem_from(error)
-        try:
-            return await show_asset(request, external_id, None, None, problem)
-        except REFUSALS:
-            return await show_list(request, None, {}, problem)
+        return await show_refusal(request, external_id, None, problem_from(error))
     return RedirectResponse(f"/assets/{external_id}", status_code=303)
 
 
@@ -148,11 +148,7 @@ async def together(request: Request, external_id: str) -> Response:
         asked = {"asset": external_id, "catalogue": given.get("catalogue", ""), "since": first.measured_at.isoformat()}
         row = await service.diagnose(validate(DiagnosisRequest, asked))
     except REFUSALS as error:
-        problem = problem_from(error)
-        try:
-            return await show_asset(request, external_id, None, None, problem)
-        except REFUSALS:
-            return await show_list(request, None, {}, problem)
+        return await show_refusal(request, external_id, None, problem_from(error))
     return RedirectResponse(f"/diagnoses/{row.id}", status_code=303)
 
 
