@@ -13,6 +13,10 @@ QUICK := $(addprefix tests/, docs/test_docs_pages.py \
   $(addprefix app/test_, openapi.py paging.py problems.py settings.py words.py))
 # Options of make bench.
 BENCH ?=
+PINS   := build/pins
+PIN    := $(PINS)/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-header \
+  --no-annotate
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOWEST := build/lowest
 LOWEST_TESTS := $(addprefix tests/app/test_,$(addsuffix .py,api_keys cli gate http logs measurements_http prometheus \
     reports settings webhooks)) \
@@ -21,7 +25,7 @@ LOWEST_TESTS := $(addprefix tests/app/test_,$(addsuffix .py,api_keys cli gate ht
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo test quick lint format unit docs lowest fuzz fuzz-readers schemathesis serve bench openapi pins
-.PHONY: clean
+.PHONY: audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
@@ -74,19 +78,25 @@ fuzz-readers: $(STAMP) ## 10 000 damaged recordings of all kinds: read as what t
 	PYTHONPATH=tests $(BIN)/python -m fuzz.readers --count 10000
 
 bench: $(STAMP) ## cost and accuracy beside other programs, onto docs/measured/benchmarks.md (BENCH="--quick": a smoke test)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]' \
+	@$(INSTALL) --require-hashes --no-deps --requirement benchmarks/constraints.txt \
 	  || echo 'the other programs could not all be installed: those missing are named in the table' >&2
 	$(BIN)/python -m benchmarks $(BENCH)
 
 openapi: $(STAMP) ## the OpenAPI document made anew, with what a service answers now; another one has another version
 	PYTHONPATH=tests $(BIN)/python tests/app/make_openapi.py
 
-pins: ## make constraints.txt anew from the newest versions that fit pyproject.toml
-	rm -rf $(VENV)
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable '.[dev,cluster,bench]'
-	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
-	touch $(STAMP)
+# Of every file that the registry has of a version, for whatever platform; one that is not among them is not installed.
+pins: ## make constraints.txt and benchmarks/constraints.txt anew from the newest versions that fit pyproject.toml
+	$(PYTHON) -m venv $(PINS)
+	$(PINS)/bin/python -m pip install --quiet --disable-pip-version-check uv
+	$(PIN) --extra dev --extra cluster --extra tables pyproject.toml --output-file constraints.txt
+	$(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"])' \
+	  | tr ' ' '\n' | $(PIN) --constraint constraints.txt --no-deps - --output-file benchmarks/constraints.txt
+
+audit: $(STAMP) ## known weaknesses of the pinned versions, where the registry's list of them can be reached
+	$(PYTHON) -m venv $(PINS)
+	$(PINS)/bin/python -m pip install --quiet --disable-pip-version-check pip-audit
+	$(PINS)/bin/pip-audit --require-hashes --disable-pip --requirement constraints.txt
 
 clean: ## remove what was made: the environment, caches, builds
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
@@ -99,5 +109,6 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 	  { echo '$(PYTHON) cannot make virtual environments; on Debian and Ubuntu: apt-get install python3-venv' >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(INSTALL) --require-hashes --no-deps --requirement constraints.txt
+	$(INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@

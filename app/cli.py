@@ -30,6 +30,7 @@ COMMANDS = {
     "backup": "copy everything a service keeps, while it works",
     "restore": "bring such a copy to where a service is to find it",
     "serve": "serve the HTTP interface and the web page",
+    "sbom": "list what the installed program is made of, with licences; a bill of materials",
 }
 
 
