@@ -95,7 +95,7 @@ def usual(offer: Offer) -> str:
 
 def with_baseline(service: Service, offer: Offer) -> list[str]:
     """Return the assets that are a catalogue's machine and have a recording of it in order."""
-    assets = Assets(service.store.database).page(None, KNOWN_ASSETS)
+    assets = Assets(service.store.database).page(None, KNOWN_ASSETS, damaged=[])
     return [each.external_id for each in assets if each.machine == offer.machine.name and each.in_order]
 
 

@@ -13,12 +13,12 @@ from datetime import datetime, timedelta
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
-from jointplay.app.errors import BadFieldError
+from jointplay.app.errors import BadFieldError, DamagedRowError
 from jointplay.app.schemas.assets import Acknowledged, StandingOut
-from jointplay.app.storage.assets import NEEDED, AssetRow, diagnoses_of, measurements_of
+from jointplay.app.storage.assets import NEEDED, AssetRow, diagnoses_of, measurements_of, one_locked
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now, rows_of
 from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.following.standing import (
     RECORDINGS,
@@ -76,13 +76,20 @@ class Standings:
     def take(self, moment: datetime) -> Due | None:
         """Return the asset that is due for longest, taken for the time of a lease; ``None`` if none is."""
         due = select(AssetRow).where(AssetRow.due_at <= moment).order_by(AssetRow.due_at).limit(1)
-        with self._database.reading() as session:  # most looks find nothing, and need no lock for that
-            if session.scalar(due) is None:
-                return None
+        try:
+            with self._database.reading() as session:  # most looks find nothing, and need no lock for that
+                if not rows_of(session, AssetRow, due, None):
+                    return None
+        except DamagedRowError as error:  # the others are to be judged all the same
+            with self._database.writing() as session:
+                later = update(AssetRow).where(AssetRow.number == error.number)
+                session.execute(later.values(due_at=moment + LEASE))
+            raise
         with self._database.writing() as session:
-            row = session.scalar(due.with_for_update(key_share=True, skip_locked=True))
-            if row is None:
+            found = rows_of(session, AssetRow, due.with_for_update(key_share=True, skip_locked=True), None)
+            if not found:
                 return None
+            [row] = found
             row.due_at = moment + LEASE
             known = Known.model_validate(row.known) if row.followed == row.changes else None
             return Due(row.external_id, row.changes, known, row.patience, dict(row.limits_um))
@@ -183,7 +190,7 @@ class Standings:
 def locked(session: Session, external_id: str) -> AssetRow:
     """Return an asset that nobody else changes until the end of a transaction."""
     query = select(AssetRow).where(AssetRow.external_id == external_id).with_for_update(key_share=True)
-    return session.scalars(query).one()
+    return one_locked(session, query)
 
 
 def acknowledged_of(row: AssetRow) -> tuple[Reason, ...]:

@@ -22,7 +22,18 @@ from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMe
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
-from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, MomentSource, Row, newest, now
+from jointplay.app.storage.rows import (
+    Base,
+    Damaged,
+    DiagnosisRow,
+    MeasurementRow,
+    MomentSource,
+    Row,
+    newest,
+    now,
+    one_of,
+    rows_of,
+)
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
@@ -274,7 +285,7 @@ class Store:
             "measured_at": moment,
             "measured_at_source": source,
         }
-        kept, new = self._put(session, MeasurementRow, row)
+        kept, new = self._put(session, MeasurementRow, MeasurementRow.seal(row))
         is_first_told = source == "file" and kept.measured_at_source == "received"
         if new:
             audit.note(session, "made", "measurement", kept.id, after=about_measurement(kept))
@@ -298,7 +309,7 @@ class Store:
         UnknownMeasurementError
             When there is none of this id.
         """
-        row = self.database.find(MeasurementRow, key)
+        row = one_of(self.database, MeasurementRow, key)
         if row is None:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
         return row
@@ -325,7 +336,8 @@ class Store:
         if until is not None:
             query = query.where(MeasurementRow.measured_at < until)
         with self._session() as session:
-            return list(session.scalars(query.order_by(MeasurementRow.measured_at, MeasurementRow.number).limit(most)))
+            ordered = query.order_by(MeasurementRow.measured_at, MeasurementRow.number).limit(most)
+            return rows_of(session, MeasurementRow, ordered, None)
 
     def add_diagnosis(self, diagnosis: NewDiagnosis) -> DiagnosisRow:
         """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
@@ -333,7 +345,7 @@ class Store:
             return self._put_diagnosis(session, diagnosis)
 
     def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
-        kept, new = self._put(session, DiagnosisRow, diagnosis.row())
+        kept, new = self._put(session, DiagnosisRow, DiagnosisRow.seal(diagnosis.row()))
         if new:
             told = {"measurements": list(kept.measurements), "catalogue": kept.catalogue, **kept.request}
             told |= {name: kept.result[name] for name in ("verdict", "candidate_set", "hash") if name in kept.result}
@@ -350,13 +362,18 @@ class Store:
         UnknownDiagnosisError
             When there is none of this id.
         """
-        row = self.database.find(DiagnosisRow, key)
+        row = one_of(self.database, DiagnosisRow, key)
         if row is None:
             raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
         return row
 
     def diagnoses(
-        self, before: int | None, limit: int, since: datetime | None = None, among: Select[str] | None = None
+        self,
+        before: int | None,
+        limit: int,
+        since: datetime | None = None,
+        among: Select[str] | None = None,
+        damaged: list[Damaged] | None = None,
     ) -> list[DiagnosisRow]:
         """Return diagnoses, the newest first, from below a row number on; not those before a moment.
 
@@ -367,17 +384,25 @@ class Store:
         since : datetime, optional
         among : Select, optional
             Query for the ids that may occur.
+        damaged : list, optional
+            Is given those that are damaged; without it one such is refused.
         """
         with self._session() as session:
             query = newest(session, DiagnosisRow, before, limit, among)
             if since is not None:
                 query = query.where(DiagnosisRow.created_at >= since)
-            return list(session.scalars(query))
+            return rows_of(session, DiagnosisRow, query, damaged)
 
-    def measurements(self, before: int | None, limit: int, among: Select[str] | None = None) -> list[MeasurementRow]:
-        """Return measurements, the newest first, from below a row number on; of the ids in a query, if there is one."""
+    def measurements(
+        self,
+        before: int | None,
+        limit: int,
+        among: Select[str] | None = None,
+        damaged: list[Damaged] | None = None,
+    ) -> list[MeasurementRow]:
+        """Return measurements, the newest first, from below a row number on; the rest as for :meth:`diagnoses`."""
         with self._session() as session:
-            return list(session.scalars(newest(session, MeasurementRow, before, limit, among)))
+            return rows_of(session, MeasurementRow, newest(session, MeasurementRow, before, limit, among), damaged)
 
 
 def correct(session: Session, row: MeasurementRow, moment: datetime, source: MomentSource) -> None:

@@ -70,7 +70,9 @@ def test_every_change_is_noted_with_who_made_it(store: Store) -> None:
         put(store, "hall B")
         asked = store.add_diagnosis(NewDiagnosis(kept.id, "c" * 64, MACHINE, {"asset": None}, diagnosis()))
         store.add_diagnosis(NewDiagnosis(kept.id, "c" * 64, MACHINE, {"asset": None}, diagnosis()))
-        found = Assets(store.database).add_finding(asked, FindingIn.model_validate({"at": "2026-03-01T06:00:00Z"}))
+        found = Assets(store.database).add_finding(
+            asked, FindingIn.model_validate({"at": "2026-03-01T06:00:00Z", "text": "in order"})
+        )
         hook = Webhooks(store.database).add("https://user:secret@example.org/path-secret", ["build.ended"])
         Webhooks(store.database).remove(hook.id)
         build = BuildQueue(store.database).add(MACHINE, {"name": "p"}, "h", "c", None)
