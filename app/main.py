@@ -19,6 +19,7 @@ from jointplay.app.http.gate import Gate
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.scrubber import Scrubber
 from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.jobs.workers import WorkerPool
@@ -27,6 +28,7 @@ from jointplay.app.metrics import Metrics
 from jointplay.app.routes import (
     asset_pages,
     assets,
+    audit,
     browser_pages,
     build_pages,
     builds,
@@ -46,6 +48,7 @@ from jointplay.app.routes import (
     signals,
     signin,
     try_pages,
+    verifications,
     webhooks,
 )
 from jointplay.app.scopes import API
@@ -93,6 +96,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
         behind = [asyncio.create_task(StandingKeeper(store, pool).run())]
+        behind.append(asyncio.create_task(Scrubber(store, metrics).run()))
         if warm:
             behind.append(asyncio.create_task(service.warm()))
         try:
@@ -129,10 +133,12 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
                 measurements,
                 signals,
                 diagnoses,
+                verifications,
                 reports,
                 assets,
                 findings,
                 webhooks,
+                audit,
             ),
             API,
             True,

@@ -68,7 +68,9 @@ def assets(
     service = of_request(request)
     size = limit or service.settings.page_size
     rows, damaged, following = list_assets(service, order, cursor, size, state, search)
-    return AssetPage(items=[asset_out(row) for row in rows], damaged=damaged_out(damaged), next_cursor=following)
+    return AssetPage(
+        items=[asset_out(row) for row in rows], damaged=damaged_out(service, damaged), next_cursor=following
+    )
 
 
 @router.get("/{external_id}", response_model=AssetOut, responses=problems(404, 422))

@@ -168,7 +168,7 @@ def diagnoses(
     rows = service.store.diagnoses(paging.decode_number(cursor), size + 1, since, among, found)
     shown, damaged, following = paging.cut_around(rows, found, size)
     items = [item(row) for row in shown]
-    return DiagnosisPage(items=items, damaged=damaged_out(damaged), next_cursor=following)
+    return DiagnosisPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
 @router.get("/{key}", response_model=DiagnosisOut, responses=problems(404))

@@ -15,7 +15,7 @@ from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
 from jointplay.app.schemas.resources import DamagedItem
-from jointplay.app.service import of_request
+from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets, FindingRow
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.rows import Damaged
@@ -69,7 +69,7 @@ def findings(
     rows = Assets(service.store.database).findings(paging.decode_number(cursor), size + 1, since, only, found)
     shown, damaged, following = paging.cut_around(rows, found, size)
     items = [finding_out(row) for row in shown]
-    return FindingPage(items=items, damaged=damaged_out(damaged), next_cursor=following)
+    return FindingPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
 @router.get("/findings/{key}", response_model=FindingOut, responses=problems(404))
@@ -79,8 +79,9 @@ async def finding(request: Request, key: str) -> Response:
     return respond(request, Response(finding_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
 
 
-def damaged_out(rows: Sequence[Damaged]) -> list[DamagedItem]:
-    """Return the outside shape of rows that are damaged."""
+def damaged_out(service: Service, rows: Sequence[Damaged]) -> list[DamagedItem]:
+    """Return the outside shape of rows that are damaged, and count them."""
+    service.metrics.count_damage("row-damaged", len(rows))
     return [DamagedItem(id=row.id, problem=row.problem) for row in rows]
 
 

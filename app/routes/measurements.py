@@ -91,7 +91,7 @@ def measurements(request: Request, asset: Only = None, cursor: Cursor = None, li
     rows = service.store.measurements(paging.decode_number(cursor), size + 1, among, found)
     shown, damaged, following = paging.cut_around(rows, found, size)
     items = [measurement_out(row) for row in shown]
-    return MeasurementPage(items=items, damaged=damaged_out(damaged), next_cursor=following)
+    return MeasurementPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
 @router.get("/{key}", response_model=MeasurementOut, responses=problems(404))
