@@ -33,6 +33,32 @@ class UnknownMeasurementError(AppError):
     """No stored measurement has this id."""
 
 
+class RecordingMissingError(AppError):
+    """A stored recording whose file is not there."""
+
+
+class RecordingDamagedError(AppError):
+    """A stored recording whose file is not what was stored."""
+
+
+class DamagedRowError(AppError):
+    """A row of the database that is not what was stored.
+
+    Parameters
+    ----------
+    message : str
+    number : int
+        Its place in the table.
+    """
+
+    def __init__(self, message: str, number: int) -> None:
+        super().__init__(message)
+        self.number = number
+
+    def __reduce__(self) -> tuple[type[DamagedRowError], tuple[str, int]]:
+        return DamagedRowError, (str(self), self.number)
+
+
 class UnknownDiagnosisError(AppError):
     """No stored diagnosis has this id."""
 
@@ -210,6 +236,10 @@ class IncompleteBuildError(AppError):
 
 class RefusedFilesError(AppError):
     """Some of many files could not be used; the others were."""
+
+
+class DamageError(AppError):
+    """A check of what a service keeps that found damage."""
 
 
 class DamagedCatalogueError(AppError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 
 from fastapi import Depends, FastAPI
@@ -18,6 +19,7 @@ from jointplay.app.http.gate import Gate
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.scrubber import Scrubber
 from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.jobs.workers import WorkerPool
@@ -26,6 +28,7 @@ from jointplay.app.metrics import Metrics
 from jointplay.app.routes import (
     asset_pages,
     assets,
+    audit,
     browser_pages,
     build_pages,
     builds,
@@ -45,12 +48,14 @@ from jointplay.app.routes import (
     signals,
     signin,
     try_pages,
+    verifications,
     webhooks,
 )
 from jointplay.app.scopes import API
 from jointplay.app.service import Service
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
+from jointplay.app.storage.audit import note_machine
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.machine_store import MachineStore
@@ -78,7 +83,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         store = Store(chosen.data, chosen.database)
         log = LogSettings(chosen.log_format, chosen.log_level)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log, metrics)
-        put_there = MachineStore(chosen.data / "machines")
+        put_there = MachineStore(chosen.data / "machines", partial(note_machine, store.database))
         queue = BuildQueue(store.database)
         runner = BuildRunner(
             queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log, scheduler=chosen.scheduler
@@ -91,6 +96,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
         behind = [asyncio.create_task(StandingKeeper(store, pool).run())]
+        behind.append(asyncio.create_task(Scrubber(store, metrics).run()))
         if warm:
             behind.append(asyncio.create_task(service.warm()))
         try:
@@ -127,10 +133,12 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
                 measurements,
                 signals,
                 diagnoses,
+                verifications,
                 reports,
                 assets,
                 findings,
                 webhooks,
+                audit,
             ),
             API,
             True,

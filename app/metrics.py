@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
+from collections.abc import Mapping
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 
@@ -40,6 +42,17 @@ class Metrics:
         self._deliveries = counter("webhook_attempts", "Attempts to tell a webhook something.", "outcome")
         self._queue_seconds = histogram("task_queue_seconds", "Time that tasks waited for a worker.", "task")
         self._worker_seconds = histogram("task_worker_seconds", "Time of tasks in a worker.", "task", "outcome")
+        self._met = counter("damage_met", "Damaged rows and recordings that somebody asked for.", "problem")
+        self._scrubbed = counter("scrubbed_bytes", "What was looked through for damage.")
+        self._damaged = Gauge(
+            "jointplay_damaged",
+            "What the last look found damaged.",
+            ["kind"],
+            registry=self.registry,
+        )
+        self._looked = Gauge(
+            "jointplay_scrub_ended_timestamp_seconds", "When the last look ended; 0 before.", registry=self.registry
+        )
         ProcessCollector(registry=self.registry)  # of the server itself, where the system tells
 
     def count_answer(self, method: str, route: str | None, status: int, seconds: float) -> None:
@@ -59,6 +72,20 @@ class Metrics:
     def count_delivery(self, outcome: str) -> None:
         """Count an attempt of a webhook: ``delivered``, ``failed``, or ``given_up`` after the last that failed."""
         self._deliveries.labels(outcome).inc()
+
+    def count_damage(self, problem: str, count: int = 1) -> None:
+        """Count damaged things that somebody asked for, by the kind of problem."""
+        self._met.labels(problem).inc(count)
+
+    def count_scrubbed(self, size: int) -> None:
+        """Count bytes that were looked through for damage."""
+        self._scrubbed.inc(size)
+
+    def tell_damage(self, found: Mapping[str, int], moment: float) -> None:
+        """Tell what a look through everything found damaged, by kind, and when it ended [s since 1970]."""
+        for kind, count in found.items():
+            self._damaged.labels(kind).set(count)
+        self._looked.set(moment)
 
     def count_wait(self, task: str, seconds: float) -> None:
         """Count a task that got a worker."""

@@ -83,6 +83,13 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.UnknownMachineError: ProblemKind(404, "unknown-machine", "No such machine"),
     errors.UnknownCatalogueError: ProblemKind(404, "unknown-catalogue", "No such catalogue"),
     errors.UnknownMeasurementError: ProblemKind(404, "unknown-measurement", "No such measurement"),
+    errors.RecordingMissingError: ProblemKind(
+        409, "recording-missing", "The recording's file is missing", exit_status=1
+    ),
+    errors.RecordingDamagedError: ProblemKind(
+        409, "recording-damaged", "The recording is not what was stored", exit_status=1
+    ),
+    errors.DamagedRowError: ProblemKind(409, "row-damaged", "A row is not what was stored", exit_status=1),
     errors.UnknownDiagnosisError: ProblemKind(404, "unknown-diagnosis", "No such diagnosis"),
     errors.UnknownBuildError: ProblemKind(404, "unknown-build", "No such build"),
     errors.BuildEndedError: ProblemKind(409, "build-ended", "The build has ended already"),
@@ -123,6 +130,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.SimulationFailedError: ProblemKind(500, "simulation-failed", "The simulation did not succeed"),
     errors.IncompleteBuildError: ProblemKind(500, "incomplete-build", "The catalogue is not complete"),
     errors.RefusedFilesError: ProblemKind(422, "refused-files", "Some files cannot be used", exit_status=1),
+    errors.DamageError: ProblemKind(500, "damage", "What is kept is damaged"),
     errors.DamagedCatalogueError: ProblemKind(500, "damaged-catalogue", "The catalogue is damaged"),
     solver_errors.SolverError: ProblemKind(500, "solver", "The solver failed"),
     solver_errors.MachineError: ProblemKind(422, "machine", "The machine or fault breaks a rule"),

@@ -9,7 +9,7 @@ API = "/api/v1"
 #: Addresses that say nothing of anybody's machines: whether the process lives, the form to sign in, scripts and styles.
 OPEN = ("/healthz", "/readyz", "/sign-in", "/sign-out", "/openapi.json")
 OPEN_FOLDER = "/static/"
-ADMINISTERED = ("/webhooks", "/keys")
+ADMINISTERED = ("/webhooks", "/keys", "/audit")
 BUILDING = ("/forecasts", "/builds", "/machines")
 
 

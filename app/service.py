@@ -61,6 +61,8 @@ class Asked:
         Its asset.
     question : DiagnosisTask
         What a worker is told of them.
+    baselines : tuple of str
+        Ids of the recordings of the asset in order that it is compared with.
     remembered : bool
         Whether its sensors are those of the asset's last recording with the same columns.
     """
@@ -68,6 +70,7 @@ class Asked:
     offer: Offer
     asset: AssetRow | None
     question: tasks.DiagnosisTask
+    baselines: tuple[str, ...] = ()
     remembered: bool = False
 
 
@@ -330,11 +333,12 @@ class Service:
         speed = speed_of(request.speed)
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
-        baselines = () if asset is None else self.baselines_of(asset, request.measurement)
+        in_order = [] if asset is None else self.baselines_of(asset, request.measurement)
+        baselines = tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in in_order)
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
         question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baselines)
-        return Asked(offer, asset, question)
+        return Asked(offer, asset, question, tuple(row.id for row in in_order))
 
     def new_diagnosis(
         self, request: DiagnosisRequest, asked: Asked, result: Diagnosis, columns: Sequence[str], told: Told
@@ -353,7 +357,9 @@ class Service:
             measurements[0],
             asked.offer.description.id,
             asked.offer.document,
-            request.model_dump(mode="json") | ({"mapping_remembered": True} if asked.remembered else {}),
+            request.model_dump(mode="json")
+            | {"baselines": list(asked.baselines)}
+            | ({"mapping_remembered": True} if asked.remembered else {}),
             result,
             also,
         )
@@ -384,14 +390,14 @@ class Service:
             raise BadFieldError(said, field="asset")
         return found
 
-    def baselines_of(self, asset: AssetRow, measurement: str | None) -> tuple[tuple[str, str, Told], ...]:
-        """Return where the baselines of an asset lie and how to read them, without the measurement itself."""
+    def baselines_of(self, asset: AssetRow, measurement: str | None) -> list[MeasurementRow]:
+        """Return the baselines of an asset, without the measurement itself."""
         rows = [self.store.measurement(key) for key in asset.in_order if key != measurement]
         own = None
         if rows and measurement is not None:
             with suppress(UnknownMeasurementError):  # it is on its way, with this question
                 own = self.store.measurement(measurement).sha256
-        return tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows if row.sha256 != own)
+        return [row for row in rows if row.sha256 != own]
 
     def announce(
         self, session: Session, diagnosis: str, measurements: Sequence[str], asset: AssetRow | None, result: Diagnosis

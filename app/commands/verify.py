@@ -1,4 +1,4 @@
-"""``jointplay verify``: check a catalogue and repair its index."""
+"""``jointplay verify``: check a catalogue and repair its index, or check everything that a service keeps."""
 
 from __future__ import annotations
 
@@ -7,22 +7,62 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jointplay.app.commands.parameters import catalogue_option, existing_catalogue, json_option, print_json
+from jointplay.app.commands.backup import catalogues_option
+from jointplay.app.commands.parameters import existing_catalogue, json_option, print_json
 
 if TYPE_CHECKING:
     from jointplay.catalogue.storage.verify import VerifyReport
 
 
 @click.command("verify")
-@catalogue_option
+@click.option("--catalogue", type=click.Path(path_type=Path), metavar="DIR", help="Folder of a catalogue to check.")
+@click.option("--data", type=click.Path(path_type=Path), metavar="DIR", help="Directory of a service to check.")
+@click.option(
+    "--repeat",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    show_default=True,
+    help="With --data: make the newest N diagnoses again, and compare.",
+)
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE",
+    help="With --data: check a report, HTML or PDF, against the diagnosis it is of, in place of everything.",
+)
+@catalogues_option
 @json_option
-def command(catalogue: Path, as_json: bool) -> None:
-    """Check every stored spectrum against its checksum and the index against the files; repair the index.
+def command(
+    catalogue: Path | None, data: Path | None, repeat: int, report: Path | None, catalogues: Path | None, as_json: bool
+) -> None:
+    """Check a catalogue, or what a service keeps.
 
-    Exit status 1 means that spectra are lost: building again computes them.
+    --catalogue checks every stored spectrum against its checksum and the index against the files, and repairs the
+    index. Exit status 1 means that spectra are lost: building again computes them.
+
+    --data checks every row against its checksum, every recording against its SHA-256, and the chain of the audit log.
+    JOINTPLAY_DATABASE names the database, where that is no file in DIR. A line for each damage, and exit status 1, mean
+    that what they name is to be brought back from a backup.
     """
+    if (catalogue is None) == (data is None):
+        raise click.UsageError("--catalogue, --data: give one of them")
+    if data is not None:
+        from jointplay.app.commands.verify_data import verify_service
+        from jointplay.app.settings import ServiceSettings
+
+        settings = (
+            ServiceSettings(data=data) if catalogues is None else ServiceSettings(data=data, catalogues=catalogues)
+        )
+        if not settings.database and not (data / "service.sqlite").is_file():
+            raise click.UsageError(f"--data: {data}: holds no service")
+        verify_service(settings, repeat, report, as_json=as_json)
+        return
+    if repeat or report:
+        raise click.UsageError("--repeat, --report: need --data")
     from jointplay.catalogue.storage.verify import verify
 
+    assert catalogue is not None
     tell(verify(existing_catalogue(catalogue)), catalogue, "in order", as_json=as_json)
 
 

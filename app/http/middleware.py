@@ -60,6 +60,9 @@ RECORDING_BYTES = 16_000_000
 log = logging.getLogger(__name__)
 HEADER = "X-Request-ID"
 SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")
+DAMAGE = ("recording-missing", "recording-damaged", "row-damaged")
+"""Problems that say that something kept is damaged."""
+
 GONE = 499
 """Status in the log of a request whose client went before there was an answer."""
 
@@ -286,6 +289,8 @@ class RequestLog:
         }
         if "problem" in scope["state"]:
             told["problem"] = scope["state"]["problem"]
+            if told["problem"] in DAMAGE:
+                self._metrics.count_damage(told["problem"])
             if scope["method"] == "POST" and Headers(scope=scope).get("content-type", "").startswith(MULTIPART):
                 self._metrics.count_refusal(told["problem"])
         log.info("request", extra={logs.MEMBERS: told})

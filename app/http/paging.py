@@ -39,11 +39,22 @@ class Numbered(Protocol):
 
 
 N = TypeVar("N", bound=Numbered)
+D = TypeVar("D", bound=Numbered)
 
 
 def cut(rows: Sequence[N], size: int) -> tuple[Sequence[N], str | None]:
     """Return the rows of a page of some size, and the cursor of the next one if there is one more row than that."""
     return rows[:size], encode(str(rows[size - 1].number)) if len(rows) > size else None
+
+
+def cut_around(rows: Sequence[N], damaged: Sequence[D], size: int) -> tuple[Sequence[N], Sequence[D], str | None]:
+    """Return what :func:`cut` does of rows among which there are damaged ones, which have their places, too."""
+    numbers = sorted((each.number for each in (*rows, *damaged)), reverse=True)
+    if len(numbers) <= size:
+        return rows, damaged, None
+    last = numbers[size - 1]
+    shown = [each for each in rows if each.number >= last], [each for each in damaged if each.number >= last]
+    return *shown, encode(str(last))
 
 
 def decode_number(cursor: str | None) -> int | None:

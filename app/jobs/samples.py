@@ -5,18 +5,21 @@ They lie beside the uploads in single precision; the folder is bounded, and what
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointplay.app.errors import BadFieldError
+from jointplay.app.storage.recording_files import read_bytes
 from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
@@ -53,7 +56,7 @@ def read(path: str, name: str, told: Told) -> Recording | MeasuredSpectrum:
     from jointplay.catalogue.measurements.measured_spectrum import read_recording
 
     return read_recording(
-        Path(path).read_bytes(),
+        read_bytes(path),
         name=name,
         sample_rate=told.sample_rate_hz,
         units=told.units or None,
@@ -87,11 +90,21 @@ def _mapped(stored: StoredRecording) -> Recording:
 
     samples, facts = _places(stored)
     known = json.loads(facts.read_text())
-    signal = np.load(samples, mmap_mode="r").T
+    kept = np.load(samples, mmap_mode="r")
+    if known.pop("sha256", "") != _digest(stored, known, kept):
+        raise ValueError("samples or facts are not what was kept")
+    signal = kept.T
     os.utime(samples)
     channels = tuple(Channel(**each) for each in known["channels"])
     turns = None if known["turns"] is None else np.array(known["turns"])
     return Recording(stored.name, known["sample_rate"], signal, channels, (), (), "", turns=turns)
+
+
+def _digest(stored: StoredRecording, known: Mapping[str, Any], signal: NDArray[np.float32]) -> str:
+    """Return the checksum of samples and what is known of them, as those of this recording."""
+    digest = hashlib.sha256(json.dumps([stored.id, known], sort_keys=True).encode())
+    digest.update(np.ascontiguousarray(signal).data)
+    return digest.hexdigest()
 
 
 def _places(stored: StoredRecording) -> tuple[Path, Path]:
@@ -114,7 +127,9 @@ def keep(stored: StoredRecording, measured: Recording) -> None:
     }
     samples, facts = _places(stored)
     samples.parent.mkdir(exist_ok=True)
-    put(samples, lambda file: np.save(file, np.ascontiguousarray(measured.signal.T, np.float32)))
+    signal = np.ascontiguousarray(measured.signal.T, np.float32)
+    known["sha256"] = _digest(stored, known, signal)
+    put(samples, lambda file: np.save(file, signal))
     put(facts, lambda file: file.write(json.dumps(known).encode()))
     tidy(samples.parent)
 

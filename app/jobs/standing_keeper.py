@@ -10,7 +10,7 @@ from datetime import timedelta
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 
-from jointplay.app.errors import BusyError, NothingToFollowError, TimeLimitError, WorkerDiedError
+from jointplay.app.errors import BusyError, DamagedRowError, NothingToFollowError, TimeLimitError, WorkerDiedError
 from jointplay.app.jobs import following
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.storage.rows import now
@@ -70,7 +70,10 @@ class StandingKeeper:
 
     async def _learn(self, due: Due) -> Known:
         """Return what is known of an asset."""
-        heard, last, at = await run_in_threadpool(self._standings.last_heard, due.external_id)
+        try:
+            heard, last, at = await run_in_threadpool(self._standings.last_heard, due.external_id)
+        except DamagedRowError as error:
+            return Known(failure=str(error)[:200])
         told = Known(heard_at=heard)
         if last is None:
             return told
@@ -78,6 +81,6 @@ class StandingKeeper:
         try:
             life = await run_in_threadpool(following.gather, self._store, due.external_id)
             state: WearState = await self._pool.run(following.follow_life, life)
-        except (NothingToFollowError, TaskFailedError, TimeLimitError, WorkerDiedError) as error:
+        except (DamagedRowError, NothingToFollowError, TaskFailedError, TimeLimitError, WorkerDiedError) as error:
             return told.model_copy(update={"failure": str(error)[:200]})
         return told.model_copy(update={"joints": {name: JointKnown.of(each) for name, each in state.joints.items()}})

@@ -13,6 +13,7 @@ from jointplay.app.jobs.samples import StoredRecording, keep, read
 from jointplay.app.jobs.summaries import summary_of
 from jointplay.app.jobs.workers import WorkerOutcome, attempt
 from jointplay.app.problems import Problem, problem_of
+from jointplay.app.storage.recording_files import read_bytes
 from jointplay.app.storage.remembered import columns_key
 from jointplay.app.storage.told import Told
 
@@ -294,7 +295,7 @@ def in_order(path: str, name: str, told: Told) -> Recording:
     from jointplay.catalogue.measurements.measurement import read_measurement
 
     return read_measurement(
-        Path(path).read_bytes(),
+        read_bytes(path),
         name=name,
         sample_rate=told.sample_rate_hz,
         units=told.units or None,

@@ -26,7 +26,7 @@ def signal_view(service: Service, key: str) -> dict[str, Any]:
     store = service.store
     row = store.measurement(key)
     of_it = select(DiagnosisRow.id).where(DiagnosisRow.measurement == key)
-    diagnoses = store.diagnoses(None, DIAGNOSES, among=of_it)
+    diagnoses = store.diagnoses(None, DIAGNOSES, among=of_it, damaged=[])
     with store.database.reading() as session:
         sent = session.scalars(select(AssetMeasurementRow.asset).where(AssetMeasurementRow.measurement == key))
         found = session.scalars(select(AssetDiagnosisRow.asset).where(AssetDiagnosisRow.diagnosis.in_(of_it)))
@@ -34,7 +34,7 @@ def signal_view(service: Service, key: str) -> dict[str, Any]:
     others: dict[str, str] = {}
     for name in assets:
         asset = Assets(store.database).asset(name)
-        own = store.measurements(None, OFFERED, measurements_of(name))
+        own = store.measurements(None, OFFERED, measurements_of(name), [])
         baselines = [store.measurement(each) for each in asset.in_order]
         for other in [*baselines, *sorted(own, key=lambda each: each.measured_at, reverse=True)]:
             role = "baseline, " if other.id in asset.in_order else ""

@@ -8,6 +8,7 @@ from datetime import datetime
 
 from jointplay.app import words
 from jointplay.app.jobs.summaries import extent, kind_of, summarise_told
+from jointplay.app.reports.evidence import evidence_of
 from jointplay.app.rows import JointRow, between, hypothesis_rows, joint_rows, percent, play_of, recording_rows
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import SOURCES, spell_moment
@@ -87,6 +88,8 @@ class Report:
     method : tuple of Named
         Versions and hashes.
     warnings, limits : tuple of str
+    evidence : str
+        The line by which the report can be checked.
     """
 
     title: str
@@ -106,6 +109,7 @@ class Report:
     method: tuple[Named, ...]
     warnings: tuple[str, ...]
     limits: tuple[str, ...]
+    evidence: str
 
 
 def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None = None, notes: str = "") -> Report:
@@ -147,6 +151,7 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         method=method(row),
         warnings=tuple(warnings(result.warnings)),
         limits=(LIMITS,),
+        evidence=evidence_of(row).line,
     )
 
 
@@ -284,7 +289,7 @@ def method(row: DiagnosisRow) -> tuple[Named, ...]:
         shown = f"{cut(baseline.measurement)}, {'used' if baseline.used else 'not used'}"
     versions = f"solver {origin.solver_version} (catalogue: {origin.catalogue_solver_version}),"
     return (
-        Named("Diagnosis", f"{row.id}, answer {result.hash}"),
+        Named("Diagnosis", f"{row.id}, answer {result.hash}, as stored {row.checksum}"),
         Named("Recording", f"SHA-256 {origin.measurement_sha256}"),
         Named("Catalogue", f"SHA-256 {origin.catalogue_sha256}"),
         Named("Machine", f"SHA-256 {origin.machine_sha256}"),

@@ -56,6 +56,7 @@ def pdf(report: Report, figures: ReportFigures) -> bytes:
         canvas.setTitle(report.title)
         canvas.setSubject(report.sentence)
         canvas.setCreator("jointplay")
+        canvas.setKeywords(report.evidence)
         for scale in SCALES:
             parts = content(report, figures, wide / scale)
             room = high / scale - height_of(parts, wide / scale, high)

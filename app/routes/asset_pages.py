@@ -27,7 +27,7 @@ from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
-from jointplay.app.storage.rows import MeasurementRow, now
+from jointplay.app.storage.rows import Damaged, MeasurementRow, now
 from jointplay.app.storage.standings import Standings
 from jointplay.app.words import spell_moment
 
@@ -185,7 +185,7 @@ async def show_list(
     size = service.settings.page_size
     wanted = looking or {}
     only = (wanted.get("state"), wanted.get("search"))
-    rows, following = await run_in_threadpool(list_assets, service, "urgent", cursor, size, *only)
+    rows, damaged, following = await run_in_threadpool(list_assets, service, "urgent", cursor, size, *only)
     counts = await run_in_threadpool(Assets(service.store.database).counts)
     moment = now()
     members: dict[str, Any] = {
@@ -193,6 +193,7 @@ async def show_list(
         "states": [(state, said, counts.get(state, 0)) for state, said in STATES.items()],
         "looking": wanted,
         "same": urlencode(wanted),
+        "damaged": damaged,
         "following": following,
         "first": cursor is None,
         "machines": await run_in_threadpool(machine_names, service),
@@ -245,17 +246,20 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     store = service.store
     found = Assets(store.database)
     row = found.asset(external_id)
-    rows = store.diagnoses(paging.decode_number(cursor), SHOWN + 1, among=diagnoses_of(external_id))
-    diagnoses, following = paging.cut(rows, SHOWN)
+    damaged: list[Damaged] = []
+    beyond: list[Damaged] = []
+    rows = store.diagnoses(paging.decode_number(cursor), SHOWN + 1, None, diagnoses_of(external_id), beyond)
+    diagnoses, damaged[:], following = paging.cut_around(rows, beyond, SHOWN)
     used = {key for each in diagnoses for key in each.measurements}
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
-    measurements = {each.id: each for each in store.measurements(None, len(used), among)}
-    own = store.measurements(None, SHOWN, measurements_of(external_id))
+    measurements = {each.id: each for each in store.measurements(None, len(used), among, damaged)}
+    own = store.measurements(None, SHOWN, measurements_of(external_id), damaged)
+    diagnoses = [each for each in diagnoses if measurements.keys() >= set(each.measurements)]
     own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baselines = [store.measurement(key) for key in row.in_order]
     recordings += [each for each in baselines[:1] if each.id not in {one.id for one in recordings}]
-    findings = found.findings(None, SHOWN + 1, only={"asset": external_id})
+    findings = found.findings(None, SHOWN + 1, None, {"asset": external_id}, damaged)
     machine = service.machine_of(row.machine)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []
@@ -276,6 +280,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         "catalogue": next(
             (each.description.name for each in service.shelf.offers() if each.machine.name == row.machine), None
         ),
+        "damaged": {each.problem: each for each in damaged}.values(),
         "following": following,
         "first": cursor is None,
     }

@@ -14,10 +14,12 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
+from jointplay.app.routes.findings import damaged_out
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import EXTERNAL_ID, TEXT, Acknowledgement, AssetIn, AssetOut, AssetPage
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.rows import Damaged
 from jointplay.app.storage.standings import Standings, standing_out
 from jointplay.catalogue.following.standing import StandingName
 from jointplay.catalogue.following.state import WearState
@@ -65,8 +67,10 @@ def assets(
     """List the assets, the newest first, or first those that need somebody: of a state, or with a text."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows, following = list_assets(service, order, cursor, size, state, search)
-    return AssetPage(items=[asset_out(row) for row in rows], next_cursor=following)
+    rows, damaged, following = list_assets(service, order, cursor, size, state, search)
+    return AssetPage(
+        items=[asset_out(row) for row in rows], damaged=damaged_out(service, damaged), next_cursor=following
+    )
 
 
 @router.get("/{external_id}", response_model=AssetOut, responses=problems(404, 422))
@@ -132,13 +136,16 @@ def check_baseline(service: Service, wanted: AssetIn) -> None:
 
 def list_assets(
     service: Service, order: str, cursor: str | None, size: int, state: str | None, search: str | None
-) -> tuple[Sequence[AssetRow], str | None]:
-    """Return a page of assets, and the cursor of the next."""
+) -> tuple[Sequence[AssetRow], Sequence[Damaged], str | None]:
+    """Return a page of assets, those of it that are damaged, and the cursor of the next."""
     found, start = Assets(service.store.database), paging.decode_number(cursor)
+    damaged: list[Damaged] = []
     if order == "newest":
-        return paging.cut(found.page(start, size + 1, state, search), size)
-    rows = found.urgent(start or 0, size + 1, state, search)
-    return rows[:size], paging.encode(str((start or 0) + size)) if len(rows) > size else None
+        rows = found.page(start, size + 1, state, search, damaged)
+        return paging.cut_around(rows, damaged, size)
+    rows = found.urgent(start or 0, size + 1, state, search, damaged)
+    more = len(rows) + len(damaged) > size
+    return rows[:size], damaged, paging.encode(str((start or 0) + size)) if more else None
 
 
 def check_limits(service: Service, wanted: AssetIn) -> None:
@@ -179,5 +186,6 @@ def asset_out(row: AssetRow) -> AssetOut:
         warn_within_days=row.warn_within_days,
         created_at=row.created_at,
         updated_at=row.updated_at,
+        made_by=row.made_by,
         standing=standing_out(row),
     )

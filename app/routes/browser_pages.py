@@ -95,7 +95,7 @@ def usual(offer: Offer) -> str:
 
 def with_baseline(service: Service, offer: Offer) -> list[str]:
     """Return the assets that are a catalogue's machine and have a recording of it in order."""
-    assets = Assets(service.store.database).page(None, KNOWN_ASSETS)
+    assets = Assets(service.store.database).page(None, KNOWN_ASSETS, damaged=[])
     return [each.external_id for each in assets if each.machine == offer.machine.name and each.in_order]
 
 
@@ -113,7 +113,7 @@ def baseline_of(service: Service, offer: Offer, asset: str) -> tuple[str, str, T
     found = service.baselines_of(row, None)
     if not found:
         raise BadFieldError(f"asset: {asset[:80]}: has no baseline", field="asset")
-    return found[0]
+    return str(service.store.path_of(found[0].sha256)), found[0].name, found[0].told
 
 
 async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:

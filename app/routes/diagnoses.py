@@ -22,13 +22,13 @@ from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
 from jointplay.app.http.uploads import MULTIPART, Form, media_type, receive_form
 from jointplay.app.http.validation import validate
-from jointplay.app.routes.findings import Only, Since
+from jointplay.app.routes.findings import Only, Since, damaged_out
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.resources import DiagnosisItem, DiagnosisPage, DiagnosisRequest
+from jointplay.app.schemas.resources import MADE_BY, DiagnosisItem, DiagnosisPage, DiagnosisRequest
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import diagnoses_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.rows import Damaged, DiagnosisRow
 from jointplay.app.storage.store import measurement_key
 from jointplay.app.storage.told import Told, read_told
 from jointplay.catalogue.diagnosing.answer import Answer
@@ -39,6 +39,7 @@ class _Stored(BaseModel):
 
     id: str
     created_at: datetime
+    made_by: str | None = MADE_BY
     measurement: str = Field(description="Id of the measurement, of several the first.")
     measurements: list[str] = Field(description="Ids of all measurements that have this answer.")
     asset: str | None = Field(description="External id of the machine that was measured, where the request named it.")
@@ -61,6 +62,7 @@ def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
     stored = {
         "id": row.id,
         "created_at": row.created_at,
+        "made_by": row.made_by,
         "measurement": row.measurement,
         "measurements": list(row.measurements),
         "asset": row.request.get("asset"),
@@ -161,11 +163,12 @@ def diagnoses(
     """List the diagnoses, the newest first; of one asset, or since a moment, where that is asked for."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows = service.store.diagnoses(
-        paging.decode_number(cursor), size + 1, since, None if asset is None else diagnoses_of(asset)
-    )
-    shown, following = paging.cut(rows, size)
-    return DiagnosisPage(items=[item(row) for row in shown], next_cursor=following)
+    found: list[Damaged] = []
+    among = None if asset is None else diagnoses_of(asset)
+    rows = service.store.diagnoses(paging.decode_number(cursor), size + 1, since, among, found)
+    shown, damaged, following = paging.cut_around(rows, found, size)
+    items = [item(row) for row in shown]
+    return DiagnosisPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
 @router.get("/{key}", response_model=DiagnosisOut, responses=problems(404))

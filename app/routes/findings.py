@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -13,9 +14,11 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
-from jointplay.app.service import of_request
+from jointplay.app.schemas.resources import DamagedItem
+from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets, FindingRow
 from jointplay.app.storage.idempotency import IdempotencyKey, once
+from jointplay.app.storage.rows import Damaged
 from jointplay.app.words import Moment
 
 router = APIRouter(tags=["findings"])
@@ -62,9 +65,11 @@ def findings(
     service = of_request(request)
     size = limit or service.settings.page_size
     only = {"diagnosis": diagnosis, "asset": asset}
-    rows = Assets(service.store.database).findings(paging.decode_number(cursor), size + 1, since, only)
-    shown, following = paging.cut(rows, size)
-    return FindingPage(items=[finding_out(row) for row in shown], next_cursor=following)
+    found: list[Damaged] = []
+    rows = Assets(service.store.database).findings(paging.decode_number(cursor), size + 1, since, only, found)
+    shown, damaged, following = paging.cut_around(rows, found, size)
+    items = [finding_out(row) for row in shown]
+    return FindingPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
 @router.get("/findings/{key}", response_model=FindingOut, responses=problems(404))
@@ -74,6 +79,12 @@ async def finding(request: Request, key: str) -> Response:
     return respond(request, Response(finding_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
 
 
+def damaged_out(service: Service, rows: Sequence[Damaged]) -> list[DamagedItem]:
+    """Return the outside shape of rows that are damaged, and count them."""
+    service.metrics.count_damage("row-damaged", len(rows))
+    return [DamagedItem(id=row.id, problem=row.problem) for row in rows]
+
+
 def finding_out(row: FindingRow) -> FindingOut:
     """Return the outside shape of a finding."""
     return FindingOut(
@@ -81,6 +92,7 @@ def finding_out(row: FindingRow) -> FindingOut:
         diagnosis=row.diagnosis,
         asset=row.asset,
         created_at=row.created_at,
+        made_by=row.made_by,
         at=row.at,
         joints={name: JointFound.model_validate(found) for name, found in row.joints.items()},
         text=row.text,

@@ -194,7 +194,7 @@ def cards(service: Service, cursor: str | None) -> dict[str, Any]:
 
 def known_assets(service: Service) -> list[AssetRow]:
     """Return the assets that the page speaks of."""
-    return Assets(service.store.database).page(None, KNOWN_ASSETS)
+    return Assets(service.store.database).page(None, KNOWN_ASSETS, damaged=[])
 
 
 async def refuse_list(request: Request, problem: Problem) -> Response:

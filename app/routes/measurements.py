@@ -14,14 +14,14 @@ from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
 from jointplay.app.http.sent_measurements import JSON_TYPE, MeasurementIn, receive_measurement
 from jointplay.app.http.uploads import MULTIPART, json_body
-from jointplay.app.routes.findings import Only
+from jointplay.app.routes.findings import Only, damaged_out
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import MeasurementChange, MeasurementOut, MeasurementPage
 from jointplay.app.schemas.virtual import BuiltInRequest, VirtualRequest
 from jointplay.app.service import of_request
 from jointplay.app.storage.assets import measurements_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.rows import MeasurementRow
+from jointplay.app.storage.rows import Damaged, MeasurementRow
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
 
@@ -86,11 +86,12 @@ def measurements(request: Request, asset: Only = None, cursor: Cursor = None, li
     """List the measurements, the newest first; of one asset where it is named."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows = service.store.measurements(
-        paging.decode_number(cursor), size + 1, None if asset is None else measurements_of(asset)
-    )
-    shown, following = paging.cut(rows, size)
-    return MeasurementPage(items=[measurement_out(row) for row in shown], next_cursor=following)
+    found: list[Damaged] = []
+    among = None if asset is None else measurements_of(asset)
+    rows = service.store.measurements(paging.decode_number(cursor), size + 1, among, found)
+    shown, damaged, following = paging.cut_around(rows, found, size)
+    items = [measurement_out(row) for row in shown]
+    return MeasurementPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
 @router.get("/{key}", response_model=MeasurementOut, responses=problems(404))
@@ -121,6 +122,7 @@ def measurement_out(row: MeasurementRow) -> MeasurementOut:
         sha256=row.sha256,
         size_bytes=row.size_bytes,
         created_at=row.created_at,
+        made_by=row.made_by,
         measured_at=row.measured_at,
         measured_at_source=row.measured_at_source,
         told=row.told.shown,

@@ -218,7 +218,7 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
     """Return what every page needs."""
     service = of_request(request)
     offers = await run_in_threadpool(service.shelf.offers)
-    known = await run_in_threadpool(Assets(service.store.database).page, None, KNOWN_ASSETS)
+    known = await run_in_threadpool(Assets(service.store.database).page, None, KNOWN_ASSETS, None, None, [])
     settings = service.settings
     steps = {} if offers else await run_in_threadpool(first_steps, service)
     page: dict[str, Any] = {

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field, model_validator
 
-from jointplay.app.schemas.resources import Page, Shape
+from jointplay.app.schemas.resources import MADE_BY, Shape, StoredPage
 from jointplay.app.words import MeasuredAt
 from jointplay.catalogue.diagnosing.answer import Verdict
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
@@ -136,10 +136,11 @@ class AssetOut(Shape):
     warn_within_days: int
     created_at: datetime
     updated_at: datetime
+    made_by: str | None = MADE_BY
     standing: StandingOut
 
 
-class AssetPage(Page):
+class AssetPage(StoredPage):
     """A page of assets."""
 
     items: list[AssetOut]
@@ -189,12 +190,13 @@ class FindingOut(Shape):
     diagnosis: str = Field(description="Id of the diagnosis that it answers.")
     asset: str | None
     created_at: datetime
+    made_by: str | None = MADE_BY
     at: datetime
     joints: dict[str, JointFound]
     text: str
 
 
-class FindingPage(Page):
+class FindingPage(StoredPage):
     """A page of findings."""
 
     items: list[FindingOut]

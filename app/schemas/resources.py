@@ -91,10 +91,28 @@ class Motion(Shape):
     pins: list[PinOrbit] = Field(description="Of the joints with clearance that were asked for; simulated.")
 
 
+MADE_BY: Any = Field(
+    description="Who made it: a person, else `key ID`, else an address; null where that was not noted yet."
+)
+
+
 class Page(Shape):
     """What all lists have."""
 
     next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
+class DamagedItem(Shape):
+    """A row of a list that is not what was stored."""
+
+    id: str = Field(description="Empty where even that cannot be read.")
+    problem: str = Field(description="What is wrong, in a line.")
+
+
+class StoredPage(Page):
+    """What lists have of which single rows may be damaged."""
+
+    damaged: list[DamagedItem] = Field(description="Rows of this page that are not what was stored; mostly none.")
 
 
 class MachinePage(Page):
@@ -174,6 +192,7 @@ class MeasurementOut(Shape):
     sha256: str = Field(description="Of the file's bytes.")
     size_bytes: int
     created_at: datetime = Field(description="When it was received.")
+    made_by: str | None = MADE_BY
     measured_at: datetime = Field(description="When it was measured; when it was received where nobody says that.")
     measured_at_source: Literal["sender", "file", "received"] = Field(description="Who says so; received: nobody does.")
     kind: Literal["recording", "spectrum"] = "recording"
@@ -202,7 +221,7 @@ class MeasurementChange(Shape):
     measured_at: Annotated[MeasuredAt, Field(description="When it was measured, with a time zone.")]
 
 
-class MeasurementPage(Page):
+class MeasurementPage(StoredPage):
     """A page of measurements."""
 
     items: list[MeasurementOut]
@@ -303,7 +322,7 @@ class DiagnosisItem(Shape):
     candidate_set: list[str]
 
 
-class DiagnosisPage(Page):
+class DiagnosisPage(StoredPage):
     """A page of diagnoses."""
 
     items: list[DiagnosisItem]

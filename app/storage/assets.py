@@ -7,15 +7,27 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timedelta
-from typing import Any
+from typing import Any, ClassVar
 
 from sqlalchemy import JSON, ColumnElement, ForeignKey, Select, String, Text, func, or_, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column, relationship
 
 from jointplay.app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
+from jointplay.app.storage.audit import note
+from jointplay.app.storage.checksums import checksum
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.rows import Base, DiagnosisRow, newest, now
+from jointplay.app.storage.rows import (
+    Base,
+    Damaged,
+    DiagnosisRow,
+    Sealed,
+    damaged_row,
+    newest,
+    now,
+    one_of,
+    rows_of,
+)
 from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.following.standing import Known, Patience, Reason, judge
 
@@ -29,7 +41,7 @@ def reasons_at_first() -> list[dict[str, Any]]:
     return [reason.model_dump() for reason in judge(Known(), now(), patience)]
 
 
-class AssetRow(Base):
+class AssetRow(Sealed, Base):
     """One asset, and how it stands: what follows from all that is known of it is kept, not computed for every look.
 
     Whatever changes that counts up `changes`, in its own transaction; what was judged is by the `followed` first of
@@ -37,6 +49,11 @@ class AssetRow(Base):
     """
 
     __tablename__ = "assets"
+    NAME: ClassVar = "external_id"
+    SEALED: ClassVar = (
+        *("external_id", "machine", "notes", "baseline", "baselines_sha256", "created_at", "updated_at"),
+        *("limits_um", "silent_after_days", "warn_within_days", "made_by"),
+    )
 
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     external_id: Mapped[str] = mapped_column(String(128), unique=True)
@@ -45,6 +62,7 @@ class AssetRow(Base):
     baseline: Mapped[str | None] = mapped_column(ForeignKey("measurements.id"))
     created_at: Mapped[datetime]
     updated_at: Mapped[datetime]
+    baselines_sha256: Mapped[str] = mapped_column(String(64))
     limits_um: Mapped[dict[str, Any]]
     silent_after_days: Mapped[int]
     warn_within_days: Mapped[int]
@@ -62,10 +80,23 @@ class AssetRow(Base):
         order_by="AssetBaselineRow.place", lazy="selectin", cascade="all, delete-orphan"
     )
 
+    def check(self) -> None:
+        """Refuse a row whose baselines are not what was written, which stand in rows of their own."""
+        _ = self.in_order
+
     @property
     def in_order(self) -> tuple[str, ...]:
-        """Ids of its baselines."""
-        return () if self.baseline is None else (self.baseline, *(each.measurement for each in self.further))
+        """Ids of its baselines.
+
+        Raises
+        ------
+        DamagedRowError
+            They are not those that somebody said.
+        """
+        found = () if self.baseline is None else (self.baseline, *(each.measurement for each in self.further))
+        if checksum(list(found)) != self.baselines_sha256:
+            raise damaged_row(self.__tablename__, self.external_id, self.number)
+        return found
 
     @property
     def patience(self) -> Patience:
@@ -107,10 +138,11 @@ class AssetDiagnosisRow(Base):
     asset: Mapped[str] = mapped_column(ForeignKey("assets.external_id"), index=True)
 
 
-class FindingRow(Base):
+class FindingRow(Sealed, Base):
     """What an inspection found."""
 
     __tablename__ = "findings"
+    SEALED: ClassVar = ("id", "diagnosis", "asset", "created_at", "at", "joints", "text", "made_by")
 
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     id: Mapped[str] = mapped_column(String(32), unique=True)
@@ -120,6 +152,9 @@ class FindingRow(Base):
     at: Mapped[datetime]
     joints: Mapped[dict[str, Any]]
     text: Mapped[str] = mapped_column(Text)
+
+
+SAID_OF_FINDING = ("diagnosis", "asset", "at", "joints", "text")
 
 
 class Assets:
@@ -146,7 +181,9 @@ class Assets:
         """
         moment, in_order = now(), wanted.in_order
         asked = {**wanted.model_dump(exclude={"baselines"}), "baseline": in_order[0] if in_order else None}
-        first = {"external_id": external_id, "created_at": moment, "updated_at": moment, **asked}
+        moments = {"created_at": moment, "updated_at": moment}
+        own = {"external_id": external_id, **moments, "baselines_sha256": checksum(list(in_order[:1]))}
+        first = AssetRow.seal({**own, **asked})
         with self._database.writing() as session:
             # Two that put it at once wait for each other: one makes it, the other finds it.
             insert = (
@@ -156,7 +193,8 @@ class Assets:
             if only_new and not new:
                 said = f"external_id: {external_id}: there is an asset of this id already"
                 raise BadFieldError(said, field="external_id")
-            row = session.scalars(select(AssetRow).filter_by(external_id=external_id).with_for_update()).one()
+            row = one_locked(session, select(AssetRow).filter_by(external_id=external_id).with_for_update())
+            before = None if new else about_asset(row)
             if row.in_order != in_order or any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():
                     setattr(row, name, value)
@@ -164,7 +202,10 @@ class Assets:
                     AssetBaselineRow(place=place, measurement=key) for place, key in enumerate(in_order[1:], 1)
                 ]
                 row.updated_at = moment
+                row.baselines_sha256 = checksum(list(in_order))
                 row.changes, row.due_at = row.changes + 1, moment
+            if before != (after := about_asset(row)):
+                note(session, "made" if new else "changed", "asset", external_id, before, after)
             session.flush()
             for measurement in in_order:
                 self.own_in(session, external_id, measurement)
@@ -178,16 +219,21 @@ class Assets:
         UnknownAssetError
             When there is none of this id.
         """
-        row = None
+        found: list[AssetRow] = []
         if re.fullmatch(EXTERNAL_ID, external_id):  # what can be no id does not reach the database
             with self._database.reading() as session:
-                row = session.scalar(select(AssetRow).where(AssetRow.external_id == external_id))
-        if row is None:
+                found = rows_of(session, AssetRow, select(AssetRow).where(AssetRow.external_id == external_id), None)
+        if not found:
             raise UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
-        return row
+        return found[0]
 
     def page(
-        self, before: int | None, limit: int, state: str | None = None, search: str | None = None
+        self,
+        before: int | None,
+        limit: int,
+        state: str | None = None,
+        search: str | None = None,
+        damaged: list[Damaged] | None = None,
     ) -> list[AssetRow]:
         """Return assets, the newest first, from below a row number on; of a state, or with a text, where one is given.
 
@@ -198,12 +244,21 @@ class Assets:
         state : str, optional
         search : str, optional
             In their id, machine or notes, in whatever case.
+        damaged : list, optional
+            Is given those that are damaged; without it one such is refused.
         """
         with self._database.reading() as session:
-            query = newest(session, AssetRow, before, limit)
-            return list(session.scalars(query.where(*filters(state, search))))
+            query = newest(session, AssetRow, before, limit).where(*filters(state, search))
+            return rows_of(session, AssetRow, query, damaged)
 
-    def urgent(self, after: int, limit: int, state: str | None = None, search: str | None = None) -> list[AssetRow]:
+    def urgent(
+        self,
+        after: int,
+        limit: int,
+        state: str | None = None,
+        search: str | None = None,
+        damaged: list[Damaged] | None = None,
+    ) -> list[AssetRow]:
         """Return assets from a place on, those first that need somebody most; the rest as for :meth:`page`.
 
         Of those that need somebody alike, the one is first whose limit is reached first.
@@ -211,7 +266,7 @@ class Assets:
         order = (AssetRow.need.desc(), AssetRow.limit_at.asc().nulls_last(), AssetRow.number.desc())
         with self._database.reading() as session:
             query = select(AssetRow).where(*filters(state, search)).order_by(*order)
-            return list(session.scalars(query.offset(after).limit(limit)))
+            return rows_of(session, AssetRow, query.offset(after).limit(limit), damaged)
 
     def counts(self) -> dict[str, int]:
         """Return how many assets are in each state."""
@@ -228,7 +283,9 @@ class Assets:
     def own_in(self, session: Session, external_id: str, measurement: str) -> None:
         """Note in a transaction that a stored measurement is of an asset."""
         row = {"asset": external_id, "measurement": measurement}
-        session.execute(self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing())
+        insert = self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing()
+        if session.execute(insert.returning(AssetMeasurementRow.asset)).first() is not None:
+            note(session, "gained", "asset", external_id, after={"measurement": measurement})
 
     def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> None:
         """Note in a transaction that a diagnosis, and what it is of, belong to an asset."""
@@ -267,11 +324,16 @@ class Assets:
             "text": found.text,
         }
         with self._database.writing() as session:
-            insert = self._database.insert(FindingRow).values(values).on_conflict_do_nothing(index_elements=["id"])
+            insert = (
+                self._database.insert(FindingRow)
+                .values(FindingRow.seal(values))
+                .on_conflict_do_nothing(index_elements=["id"])
+            )
             if session.scalar(insert.returning(FindingRow.id)) is not None:
                 # It teaches what answers to recordings of all machines of the kind are worth.
                 of = select(AssetRow.machine).where(AssetRow.external_id == values["asset"])
                 touch(session, AssetRow.machine == of.scalar_subquery())
+                note(session, "made", "finding", key, after={name: values[name] for name in SAID_OF_FINDING})
                 announce(session, "finding.created", {"finding": key, "diagnosis": row.id, "asset": values["asset"]})
         return self.finding(key)
 
@@ -283,7 +345,7 @@ class Assets:
         UnknownFindingError
             When there is none of this id.
         """
-        row = self._database.find(FindingRow, key)
+        row = one_of(self._database, FindingRow, key)
         if row is None:
             raise UnknownFindingError(f"finding {key[:80]}: there is none of this id")
         return row
@@ -293,7 +355,7 @@ class Assets:
         with self._database.reading() as session:
             query = select(FindingRow).join(AssetRow, AssetRow.external_id == FindingRow.asset)
             query = query.where(AssetRow.machine == machine).order_by(FindingRow.number.desc()).limit(limit)
-            return list(session.scalars(query))
+            return rows_of(session, FindingRow, query, None)
 
     def findings(
         self,
@@ -301,6 +363,7 @@ class Assets:
         limit: int,
         since: datetime | None = None,
         only: Mapping[str, str | None] | None = None,
+        damaged: list[Damaged] | None = None,
     ) -> list[FindingRow]:
         """Return findings, the newest first, from below a row number on.
 
@@ -312,6 +375,8 @@ class Assets:
             Not those that came before.
         only : Mapping, optional
             Values of `diagnosis` and `asset`; ``None`` for any.
+        damaged : list, optional
+            Is given those that are damaged; without it one such is refused.
         """
         with self._database.reading() as session:
             query = newest(session, FindingRow, before, limit)
@@ -320,7 +385,25 @@ class Assets:
             for name, value in (only or {}).items():
                 if value is not None:
                     query = query.where(getattr(FindingRow, name) == value)
-            return list(session.scalars(query))
+            return rows_of(session, FindingRow, query, damaged)
+
+
+def one_locked(session: Session, query: Select[AssetRow]) -> AssetRow:
+    """Return the asset of a query for one.
+
+    Raises
+    ------
+    DamagedRowError
+        It is damaged.
+    """
+    [found] = rows_of(session, AssetRow, query, None)
+    return found
+
+
+def about_asset(row: AssetRow) -> dict[str, Any]:
+    """Return what people said of an asset."""
+    names = ("machine", "notes", "limits_um", "silent_after_days", "warn_within_days")
+    return {**{name: getattr(row, name) for name in names}, "baselines": list(row.in_order)}
 
 
 def wearing_in(machine: Mapping[str, Any]) -> set[str]:

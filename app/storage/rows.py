@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from typing import Any, ClassVar, Literal, TypeVar
 
-from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, select
+from sqlalchemy import JSON, BigInteger, ForeignKey, Select, String, event, select
+from sqlalchemy.exc import DatabaseError, OperationalError
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
-from jointplay.app.storage.database import UtcDateTime
+from jointplay.app.actor import actor
+from jointplay.app.errors import DamagedRowError
+from jointplay.app.storage.checksums import checksum
+from jointplay.app.storage.database import ServiceDatabase, UtcDateTime, is_id
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 
@@ -23,14 +29,71 @@ class Base(DeclarativeBase):
     type_annotation_map: ClassVar = {dict[str, Any]: JSON, datetime: UtcDateTime}
 
 
+class Sealed:
+    """A row with a checksum of what it holds: set whenever it is written, checked whenever it is read."""
+
+    NAME: ClassVar[str] = "id"
+    SEALED: ClassVar[tuple[str, ...]]
+    """Columns that the checksum is of."""
+
+    checksum: Mapped[str] = mapped_column(String(64))
+    made_by: Mapped[str | None] = mapped_column(String(256))
+
+    @classmethod
+    def seal(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of a row that is made, with who makes it and the checksum of all."""
+        made = {"made_by": actor().name[:256], **values}
+        return {**made, "checksum": checksum({name: made[name] for name in cls.SEALED})}
+
+    def check(self) -> None:
+        """Refuse a row of which something is damaged that stands in other rows."""
+
+    def digest(self) -> str:
+        """Return the checksum of what the row holds."""
+        return checksum({name: getattr(self, name) for name in self.SEALED})
+
+
+@event.listens_for(Sealed, "load", propagate=True)
+@event.listens_for(Sealed, "refresh", propagate=True)
+def check_row(row: Any, *_: object) -> None:
+    """Refuse a row that is not what was written.
+
+    Raises
+    ------
+    DamagedRowError
+    """
+    if row.digest() != row.checksum:
+        raise damaged_row(row.__tablename__, getattr(row, row.NAME), row.number)
+
+
+@event.listens_for(Sealed, "before_update", propagate=True)
+def seal_again(_mapper: object, _connection: object, row: Any) -> None:
+    """Give a row that changes the checksum of what it is then."""
+    row.checksum = row.digest()
+
+
+def damaged_row(table: str, name: str, number: int) -> DamagedRowError:
+    """Return the error for a row that is not what was written, or cannot be read."""
+    shown = "".join(letter if letter.isprintable() else "?" for letter in str(name))[:40]
+    said = f"{SINGULAR.get(table, table)} {shown}: its row is not what was written; bring it back from a backup"
+    return DamagedRowError(said, number=number)
+
+
+SINGULAR = {"measurements": "measurement", "diagnoses": "diagnosis", "findings": "finding", "assets": "asset"}
+
+
 MomentSource = Literal["sender", "file", "received"]
 """Who says when a measurement was made: its sender, its file, or nobody, so that it is the moment of receipt."""
 
 
-class MeasurementRow(Base):
+class MeasurementRow(Sealed, Base):
     """An uploaded recording."""
 
     __tablename__ = "measurements"
+    SEALED: ClassVar = (
+        *("id", "sha256", "name", "size_bytes", "said", "created_at", "summary", "measured_at", "measured_at_source"),
+        "made_by",
+    )
 
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     id: Mapped[str] = mapped_column(String(32), unique=True)
@@ -49,13 +112,17 @@ class MeasurementRow(Base):
         return Told(**self.said, measured_at=self.measured_at if self.measured_at_source == "sender" else None)
 
 
-class DiagnosisRow(Base):
+class DiagnosisRow(Sealed, Base):
     """A finished diagnosis: what was asked, of which machine, and what was answered.
 
     The machine is kept with it, because a catalogue that has grown has another id than when it was asked.
     """
 
     __tablename__ = "diagnoses"
+    SEALED: ClassVar = (
+        *("id", "measurement", "catalogue", "machine", "created_at", "request", "result"),
+        "made_by",
+    )
 
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     id: Mapped[str] = mapped_column(String(32), unique=True)
@@ -78,6 +145,96 @@ class DiagnosisRow(Base):
 
 
 Row = TypeVar("Row", MeasurementRow, DiagnosisRow)
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """A row that a list has, but cannot show.
+
+    Parameters
+    ----------
+    number : int
+        Its place.
+    id : str
+        Empty where even that cannot be read.
+    problem : str
+        What is wrong, in a line.
+    """
+
+    number: int
+    id: str
+    problem: str
+
+
+Any_Row = TypeVar("Any_Row")
+
+
+def rows_of(session: Session, table: type[Any_Row], query: Any, damaged: list[Damaged] | None) -> list[Any_Row]:
+    """Return the rows of a query; what is damaged among them is put into a list, if there is one.
+
+    Raises
+    ------
+    DamagedRowError
+        One is damaged, and there is no such list.
+    """
+
+    def checked(rows: Iterable[Any]) -> list[Any]:
+        found = list(rows)
+        for row in found:
+            row.check()
+        return found
+
+    try:
+        return checked(session.scalars(query))
+    except UNREADABLE as error:
+        if is_passing(error):
+            raise
+        found: Any = table
+        intact = []
+        for number in session.scalars(query.with_only_columns(found.number)).all():
+            session.expunge_all()
+            try:
+                intact += checked(session.scalars(select(table).where(found.number == number)))
+            except UNREADABLE as problem:
+                name = name_of(session, found, number)
+                named = damaged_row(found.__tablename__, name or f"in row {number}", number)
+                if damaged is None:
+                    raise named from problem
+                damaged.append(Damaged(number, name, str(named)))
+        return intact
+
+
+def one_of(database: ServiceDatabase, table: type[Any_Row], key: str) -> Any_Row | None:
+    """Return the row of an id; None where there is none.
+
+    Raises
+    ------
+    DamagedRowError
+        When it is damaged.
+    """
+    if not is_id(key):
+        return None
+    found: Any = table
+    with database.reading() as session:
+        rows = rows_of(session, table, select(table).where(getattr(found, found.NAME) == key), None)
+    return rows[0] if rows else None
+
+
+UNREADABLE = (DamagedRowError, ValueError, TypeError, DatabaseError)
+"""What reading a damaged row may raise: its checksum, JSON or a moment that is none, a text that is none."""
+
+
+def is_passing(error: Exception) -> bool:
+    """Return whether a database could not be asked, rather than not be read."""
+    return isinstance(error, OperationalError) and "decode" not in str(error)
+
+
+def name_of(session: Session, table: Any, number: int) -> str:
+    """Return the id of a row; empty where it cannot be read."""
+    try:
+        return str(session.scalar(select(getattr(table, table.NAME)).where(table.number == number)) or "")
+    except UNREADABLE:
+        return ""
 
 
 def newest(session: Session, table: Any, before: int | None, limit: int, among: Select[str] | None = None) -> Any:

@@ -13,11 +13,12 @@ from datetime import datetime, timedelta
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
-from jointplay.app.errors import BadFieldError
+from jointplay.app.errors import BadFieldError, DamagedRowError
 from jointplay.app.schemas.assets import Acknowledged, StandingOut
-from jointplay.app.storage.assets import NEEDED, AssetRow, diagnoses_of, measurements_of
+from jointplay.app.storage.assets import NEEDED, AssetRow, diagnoses_of, measurements_of, one_locked
+from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now, rows_of
 from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.following.standing import (
     RECORDINGS,
@@ -75,13 +76,20 @@ class Standings:
     def take(self, moment: datetime) -> Due | None:
         """Return the asset that is due for longest, taken for the time of a lease; ``None`` if none is."""
         due = select(AssetRow).where(AssetRow.due_at <= moment).order_by(AssetRow.due_at).limit(1)
-        with self._database.reading() as session:  # most looks find nothing, and need no lock for that
-            if session.scalar(due) is None:
-                return None
+        try:
+            with self._database.reading() as session:  # most looks find nothing, and need no lock for that
+                if not rows_of(session, AssetRow, due, None):
+                    return None
+        except DamagedRowError as error:  # the others are to be judged all the same
+            with self._database.writing() as session:
+                later = update(AssetRow).where(AssetRow.number == error.number)
+                session.execute(later.values(due_at=moment + LEASE))
+            raise
         with self._database.writing() as session:
-            row = session.scalar(due.with_for_update(key_share=True, skip_locked=True))
-            if row is None:
+            found = rows_of(session, AssetRow, due.with_for_update(key_share=True, skip_locked=True), None)
+            if not found:
                 return None
+            [row] = found
             row.due_at = moment + LEASE
             known = Known.model_validate(row.known) if row.followed == row.changes else None
             return Due(row.external_id, row.changes, known, row.patience, dict(row.limits_um))
@@ -109,7 +117,9 @@ class Standings:
             if row.followed > due.changes:
                 return
             self._tell(session, row, known, reasons, due, moment)
-            row.state, row.reasons = state_of(reasons), [reason.model_dump() for reason in reasons]
+            if row.state != (state := state_of(reasons)):
+                note(session, "judged", "asset", row.external_id, {"state": row.state}, {"state": state})
+            row.state, row.reasons = state, [reason.model_dump() for reason in reasons]
             row.known = known.model_dump(mode="json")
             row.limit_at = None if known.limit_at is None else known.limit_at[1]
             if row.acknowledged is not None and (not reasons or is_worse(reasons, acknowledged_of(row))):
@@ -121,7 +131,7 @@ class Standings:
             else:
                 row.due_at = moment
 
-    def acknowledge(self, external_id: str, state: str, by: str, note: str) -> None:
+    def acknowledge(self, external_id: str, state: str, by: str, told: str) -> None:
         """Note that somebody has seen how an asset stands.
 
         Raises
@@ -136,13 +146,16 @@ class Standings:
             if not row.reasons:
                 rule = "there is nothing to acknowledge of what is in order"
                 raise BadFieldError(f"state: {state}: {rule}", field="state")
-            row.acknowledged = {"by": by, "at": now().isoformat(), "note": note, "reasons": list(row.reasons)}
+            note(session, "acknowledged", "asset", external_id, after={"state": state, "by": by, "note": told})
+            row.acknowledged = {"by": by, "at": now().isoformat(), "note": told, "reasons": list(row.reasons)}
             row.need = need_of(row)
 
     def forget_acknowledgement(self, external_id: str) -> None:
         """Note that what was acknowledged needs somebody again."""
         with self._database.writing() as session:
             row = locked(session, external_id)
+            if row.acknowledged is not None:
+                note(session, "acknowledgement taken back", "asset", external_id)
             row.acknowledged = None
             row.need = need_of(row)
 
@@ -177,7 +190,7 @@ class Standings:
 def locked(session: Session, external_id: str) -> AssetRow:
     """Return an asset that nobody else changes until the end of a transaction."""
     query = select(AssetRow).where(AssetRow.external_id == external_id).with_for_update(key_share=True)
-    return session.scalars(query).one()
+    return one_locked(session, query)
 
 
 def acknowledged_of(row: AssetRow) -> tuple[Reason, ...]:

@@ -19,9 +19,21 @@ from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
 from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
-from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, MomentSource, Row, newest, now
+from jointplay.app.storage.rows import (
+    Base,
+    Damaged,
+    DiagnosisRow,
+    MeasurementRow,
+    MomentSource,
+    Row,
+    newest,
+    now,
+    one_of,
+    rows_of,
+)
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
@@ -119,6 +131,7 @@ class Store:
         self._tidy()
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
+        audit.attend(self.database)
         self._session = self.database.session
         self._opened = self._identity()
 
@@ -272,11 +285,12 @@ class Store:
             "measured_at": moment,
             "measured_at_source": source,
         }
-        kept, new = self._put(session, MeasurementRow, row)
+        kept, new = self._put(session, MeasurementRow, MeasurementRow.seal(row))
         is_first_told = source == "file" and kept.measured_at_source == "received"
-        if not new and (told.measured_at is not None or is_first_told):
-            kept.measured_at, kept.measured_at_source = moment, source
-            touch_owners(session, kept.id)
+        if new:
+            audit.note(session, "made", "measurement", kept.id, after=about_measurement(kept))
+        elif told.measured_at is not None or is_first_told:
+            correct(session, kept, moment, source)
         return kept
 
     def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:
@@ -295,7 +309,7 @@ class Store:
         UnknownMeasurementError
             When there is none of this id.
         """
-        row = self.database.find(MeasurementRow, key)
+        row = one_of(self.database, MeasurementRow, key)
         if row is None:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
         return row
@@ -311,8 +325,7 @@ class Store:
         number = self.measurement(key).number
         with self.database.writing() as session:
             row = session.get_one(MeasurementRow, number, with_for_update=True)
-            row.measured_at, row.measured_at_source = measured_at, "sender"
-            touch_owners(session, key)
+            correct(session, row, measured_at, "sender")
         return row
 
     def measurements_between(
@@ -323,7 +336,8 @@ class Store:
         if until is not None:
             query = query.where(MeasurementRow.measured_at < until)
         with self._session() as session:
-            return list(session.scalars(query.order_by(MeasurementRow.measured_at, MeasurementRow.number).limit(most)))
+            ordered = query.order_by(MeasurementRow.measured_at, MeasurementRow.number).limit(most)
+            return rows_of(session, MeasurementRow, ordered, None)
 
     def add_diagnosis(self, diagnosis: NewDiagnosis) -> DiagnosisRow:
         """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
@@ -331,9 +345,13 @@ class Store:
             return self._put_diagnosis(session, diagnosis)
 
     def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
-        kept, new = self._put(session, DiagnosisRow, diagnosis.row())
-        if new and diagnosis.also is not None:
-            diagnosis.also(session, kept.id)
+        kept, new = self._put(session, DiagnosisRow, DiagnosisRow.seal(diagnosis.row()))
+        if new:
+            told = {"measurements": list(kept.measurements), "catalogue": kept.catalogue, **kept.request}
+            told |= {name: kept.result[name] for name in ("verdict", "candidate_set", "hash") if name in kept.result}
+            audit.note(session, "made", "diagnosis", kept.id, after=told)
+            if diagnosis.also is not None:
+                diagnosis.also(session, kept.id)
         return kept
 
     def diagnosis(self, key: str) -> DiagnosisRow:
@@ -344,13 +362,18 @@ class Store:
         UnknownDiagnosisError
             When there is none of this id.
         """
-        row = self.database.find(DiagnosisRow, key)
+        row = one_of(self.database, DiagnosisRow, key)
         if row is None:
             raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
         return row
 
     def diagnoses(
-        self, before: int | None, limit: int, since: datetime | None = None, among: Select[str] | None = None
+        self,
+        before: int | None,
+        limit: int,
+        since: datetime | None = None,
+        among: Select[str] | None = None,
+        damaged: list[Damaged] | None = None,
     ) -> list[DiagnosisRow]:
         """Return diagnoses, the newest first, from below a row number on; not those before a moment.
 
@@ -361,17 +384,40 @@ class Store:
         since : datetime, optional
         among : Select, optional
             Query for the ids that may occur.
+        damaged : list, optional
+            Is given those that are damaged; without it one such is refused.
         """
         with self._session() as session:
             query = newest(session, DiagnosisRow, before, limit, among)
             if since is not None:
                 query = query.where(DiagnosisRow.created_at >= since)
-            return list(session.scalars(query))
+            return rows_of(session, DiagnosisRow, query, damaged)
 
-    def measurements(self, before: int | None, limit: int, among: Select[str] | None = None) -> list[MeasurementRow]:
-        """Return measurements, the newest first, from below a row number on; of the ids in a query, if there is one."""
+    def measurements(
+        self,
+        before: int | None,
+        limit: int,
+        among: Select[str] | None = None,
+        damaged: list[Damaged] | None = None,
+    ) -> list[MeasurementRow]:
+        """Return measurements, the newest first, from below a row number on; the rest as for :meth:`diagnoses`."""
         with self._session() as session:
-            return list(session.scalars(newest(session, MeasurementRow, before, limit, among)))
+            return rows_of(session, MeasurementRow, newest(session, MeasurementRow, before, limit, among), damaged)
+
+
+def correct(session: Session, row: MeasurementRow, moment: datetime, source: MomentSource) -> None:
+    """Note in a transaction when a measurement was made, as somebody says who knows better."""
+    before = about_measurement(row)
+    row.measured_at, row.measured_at_source = moment, source
+    if about_measurement(row) != before:
+        audit.note(session, "corrected", "measurement", row.id, before, about_measurement(row))
+    touch_owners(session, row.id)
+
+
+def about_measurement(row: MeasurementRow) -> dict[str, Any]:
+    """Return what the audit log says of a measurement."""
+    names = ("sha256", "name", "size_bytes", "said", "measured_at", "measured_at_source")
+    return {name: getattr(row, name) for name in names}
 
 
 def recording_path(directory: Path, sha256: str) -> Path:

@@ -15,12 +15,12 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from answers import diagnosis
-from sqlalchemy import event, inspect, text
+from sqlalchemy import Connection, event, inspect, text
 from uploaded import SHA256, SIZE, uploaded
 
 from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
 from jointplay.app.rows import joint_rows
-from jointplay.app.schemas.assets import AssetIn
+from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.backup import TABLES
 from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
@@ -30,6 +30,8 @@ from jointplay.app.storage.standings import Standings
 from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.storage.database import Database
+
+MACHINE = {"name": "m", "joints": {"B": {"kind": "turning"}}}
 
 
 def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> None:
@@ -117,6 +119,7 @@ def test_assets_of_revision_2_are_due_to_be_judged(store: Store, url: str, tmp_p
     Assets(store.database).put("press-7", AssetIn.model_validate({"machine": "m", "notes": "hall B"}))
     added = "limits_um silent_after_days warn_within_days state need reasons known said acknowledged limit_at changes"
     with closing(connected(url)) as database, database.transaction() as connection:
+        take_seals(connection)
         connection.execute(text("DROP INDEX ix_assets_due_at"))
         for column in [*added.split(), "followed", "due_at"]:
             connection.execute(text(f"ALTER TABLE assets DROP COLUMN {column}"))
@@ -128,6 +131,34 @@ def test_assets_of_revision_2_are_due_to_be_judged(store: Store, url: str, tmp_p
         due = Standings(opened.database).take(now())
         assert due is not None and (due.external_id, due.known) == ("press-7", None)
         assert Assets(opened.database).put("press-8", AssetIn.model_validate({"machine": "m"}))[1] is True
+
+
+def take_seals(connection: Connection) -> None:
+    """Make the tables those of revision 3."""
+    for table in ("measurements", "diagnoses", "findings", "assets"):
+        for column in ("checksum", "made_by", *(["baselines_sha256"] if table == "assets" else [])):
+            connection.execute(text(f"ALTER TABLE {table} DROP COLUMN {column}"))
+    connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '3'"))
+
+
+def test_rows_of_revision_3_get_their_checksums(store: Store, url: str, tmp_path: Path) -> None:
+    keys = [store.add_measurement(uploaded(store), f"{name}.csv", None, {"rate": 0.1 + 0.2}).id for name in "abc"]
+    wanted = {"machine": "m", "baselines": keys[:2], "limits_um": {"B": 1e-7 + 200}}
+    Assets(store.database).put("press-7", AssetIn.model_validate(wanted))
+    Assets(store.database).put("press-8", AssetIn.model_validate({"machine": "m"}))
+    asked = store.add_diagnosis(NewDiagnosis(keys[2], "c" * 64, MACHINE, {"asset": None}, diagnosis()))
+    Assets(store.database).add_finding(
+        asked, FindingIn.model_validate({"at": "2026-03-01T06:00:00.123Z", "joints": {"B": {"clearance_um": 12.5}}})
+    )
+    with closing(connected(url)) as database, database.transaction() as connection:
+        take_seals(connection)
+    with closing(Store(tmp_path, url)) as opened:
+        assert differences(opened) == []
+        assets = Assets(opened.database)
+        assert [row.id for row in opened.measurements(None, 9)] == keys[::-1]
+        assert [row.in_order for row in assets.page(None, 9)] == [(), tuple(keys[:2])]
+        assert opened.diagnosis(asked.id).answer == diagnosis()
+        assert [row.made_by for row in assets.findings(None, 9)] == [None]
 
 
 def test_answers_of_version_1_are_read() -> None:
@@ -192,7 +223,7 @@ def test_a_measurement_and_its_diagnosis_in_one_transaction(store: Store) -> Non
     assert len(commits) == 1
     assert (store.measurement(key).told, row.measurement, noted) == (told, key, [row.id])
     found = store.diagnosis(row.id)
-    for name in ("number", "id", "measurement", "catalogue", "machine", "created_at", "request", "result"):
+    for name in ("number", "id", "measurement", "catalogue", "machine", "created_at", "request", "result", "checksum"):
         assert getattr(found, name) == getattr(row, name)
     assert store.add_both(uploaded(store), "a.csv", told, {"samples": 4}, new).number == row.number
     assert store.measurement(key).summary == {"samples": 3}

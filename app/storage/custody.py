@@ -1,0 +1,93 @@
+"""Whether everything that a service keeps is what was stored: its rows, its recordings, its audit log.
+
+The same for whoever asks for it once and for the server that looks all the time. It goes in small steps, between which
+nothing is held, so that it can be as slow as it likes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from sqlalchemy import select
+
+from jointplay.app.errors import RecordingDamagedError, RecordingMissingError
+from jointplay.app.storage.assets import AssetRow, FindingRow
+from jointplay.app.storage.audit import AuditLog
+from jointplay.app.storage.recording_files import check_file
+from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, rows_of
+from jointplay.app.storage.store import Store
+
+Kind = Literal["row", "recording", "audit"]
+KINDS: tuple[Kind, ...] = ("row", "recording", "audit")
+
+CHUNK = 20
+ROW_BYTES = 20_000
+"""What a row is counted as; most of a diagnosis is its evidence."""
+
+SEALED: tuple[Any, ...] = (MeasurementRow, DiagnosisRow, FindingRow, AssetRow)
+
+
+@dataclass(frozen=True)
+class Step:
+    """What was looked at just now.
+
+    Parameters
+    ----------
+    kind : str
+        row, recording, or audit.
+    count, bytes : int
+        How many of them, and how much that was to read; a large recording is read in several steps, of which the last
+        counts.
+    damage : tuple of str
+        What is wrong, a line each.
+    """
+
+    kind: Kind
+    count: int
+    bytes: int
+    damage: tuple[str, ...] = ()
+
+
+def look_through(store: Store) -> Iterator[Step]:
+    """Look at all rows, then at all recordings, then at the audit log."""
+    yield from look_at_rows(store)
+    yield from look_at_recordings(store)
+    found = tuple(AuditLog(store.database).damage())
+    number, _ = AuditLog(store.database).end()
+    yield Step("audit", number, 0, found)
+
+
+def look_at_rows(store: Store) -> Iterator[Step]:
+    """Look at all rows that have a checksum."""
+    for table in SEALED:
+        last = 0
+        while True:
+            damaged: list[Damaged] = []
+            query = select(table).where(table.number > last).order_by(table.number).limit(CHUNK)
+            with store.database.reading() as session:
+                found = [*rows_of(session, table, query, damaged), *damaged]
+            if not found:
+                break
+            last = max(each.number for each in found)
+            yield Step("row", len(found), ROW_BYTES * len(found), tuple(each.problem for each in damaged))
+
+
+def look_at_recordings(store: Store) -> Iterator[Step]:
+    """Look at all recordings that rows speak of."""
+    last = ""
+    while True:
+        query = select(MeasurementRow.sha256).where(MeasurementRow.sha256 > last).distinct()
+        with store.database.reading() as session:
+            found = list(session.scalars(query.order_by(MeasurementRow.sha256).limit(CHUNK)))
+        for sha256 in found:
+            try:
+                for size in check_file(store.path_of(sha256)):
+                    yield Step("recording", 0, size)
+                yield Step("recording", 1, 0)
+            except (RecordingDamagedError, RecordingMissingError) as error:
+                yield Step("recording", 1, 0, (str(error),))
+        if not found:
+            return
+        last = found[-1]
