@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 
 from fastapi import Depends, FastAPI
@@ -51,6 +52,7 @@ from jointplay.app.scopes import API
 from jointplay.app.service import Service
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
+from jointplay.app.storage.audit import note_machine
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.machine_store import MachineStore
@@ -78,7 +80,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         store = Store(chosen.data, chosen.database)
         log = LogSettings(chosen.log_format, chosen.log_level)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log, metrics)
-        put_there = MachineStore(chosen.data / "machines")
+        put_there = MachineStore(chosen.data / "machines", partial(note_machine, store.database))
         queue = BuildQueue(store.database)
         runner = BuildRunner(
             queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log, scheduler=chosen.scheduler

@@ -94,6 +94,7 @@ def revoke(identity: str, data: Path | None, as_json: bool) -> None:
 @contextmanager
 def keys_of(data: Path | None) -> Iterator[Keys]:
     """Open the keys of a service's database, for the time of a ``with`` block."""
+    from jointplay.app.actor import acting_at_prompt
     from jointplay.app.settings import ServiceSettings
     from jointplay.app.storage.keys import Keys
     from jointplay.app.storage.store import Store
@@ -101,7 +102,8 @@ def keys_of(data: Path | None) -> Iterator[Keys]:
     settings = ServiceSettings() if data is None else ServiceSettings(data=data)
     store = Store(settings.data, settings.database)
     try:
-        yield Keys(store.database)
+        with acting_at_prompt():
+            yield Keys(store.database)
     finally:
         store.close()
 

@@ -16,6 +16,8 @@ from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Send
 from starlette.types import Scope as Connection
 
+from jointplay.app import logs
+from jointplay.app.actor import Actor, acting
 from jointplay.app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
 from jointplay.app.http.handlers import answer, is_fragment, is_page, path_of, problem_from
 from jointplay.app.scopes import READING, scope_of
@@ -95,7 +97,8 @@ class Gate:
             # Raised in a middleware, an exception would pass the application's own handlers by.
             refusal = refuse(request, error)
         if refusal is None:
-            await self._app(scope, receive, send)
+            with acting(actor_of(request)):
+                await self._app(scope, receive, send)
         else:
             await refusal(scope, receive, send)
 
@@ -234,6 +237,11 @@ def host_name(named: str) -> str:
     except ValueError:
         return ""
     return (parts.hostname or "") if parts.netloc == named and "@" not in named else ""
+
+
+def actor_of(request: Request) -> Actor:
+    """Return who sent a request that was let pass."""
+    return Actor(key=request.state.key, address=address(request), request_id=logs.request_id())
 
 
 def address(request: Request) -> str:

@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import UnauthorizedError, UnsupportedMediaError
-from jointplay.app.http.gate import COOKIE
+from jointplay.app.http.gate import COOKIE, address
 from jointplay.app.http.handlers import templates
 from jointplay.app.http.uploads import media_type
 from jointplay.app.service import of_request
@@ -39,6 +39,7 @@ async def sign_in(request: Request) -> Response:
     try:
         key = await run_in_threadpool(keys.find, fields.get("key", [""])[0].strip())
     except UnauthorizedError as error:
+        await run_in_threadpool(keys.note_refusal, address(request))
         return show_form(request, place, str(error), 401)
     token = await run_in_threadpool(keys.open_session, key)
     response = RedirectResponse(place, status_code=303)

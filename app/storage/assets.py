@@ -14,6 +14,7 @@ from sqlalchemy.orm import Mapped, Session, mapped_column, relationship
 
 from jointplay.app.errors import BadFieldError, UnknownAssetError, UnknownFindingError
 from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
+from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, DiagnosisRow, newest, now
 from jointplay.app.storage.webhooks import announce
@@ -122,6 +123,9 @@ class FindingRow(Base):
     text: Mapped[str] = mapped_column(Text)
 
 
+SAID_OF_FINDING = ("diagnosis", "asset", "at", "joints", "text")
+
+
 class Assets:
     """The assets of a service.
 
@@ -157,6 +161,7 @@ class Assets:
                 said = f"external_id: {external_id}: there is an asset of this id already"
                 raise BadFieldError(said, field="external_id")
             row = session.scalars(select(AssetRow).filter_by(external_id=external_id).with_for_update()).one()
+            before = None if new else about_asset(row)
             if row.in_order != in_order or any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():
                     setattr(row, name, value)
@@ -165,6 +170,8 @@ class Assets:
                 ]
                 row.updated_at = moment
                 row.changes, row.due_at = row.changes + 1, moment
+            if before != (after := about_asset(row)):
+                note(session, "made" if new else "changed", "asset", external_id, before, after)
             session.flush()
             for measurement in in_order:
                 self.own_in(session, external_id, measurement)
@@ -228,7 +235,9 @@ class Assets:
     def own_in(self, session: Session, external_id: str, measurement: str) -> None:
         """Note in a transaction that a stored measurement is of an asset."""
         row = {"asset": external_id, "measurement": measurement}
-        session.execute(self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing())
+        insert = self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing()
+        if session.execute(insert.returning(AssetMeasurementRow.asset)).first() is not None:
+            note(session, "gained", "asset", external_id, after={"measurement": measurement})
 
     def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> None:
         """Note in a transaction that a diagnosis, and what it is of, belong to an asset."""
@@ -272,6 +281,7 @@ class Assets:
                 # It teaches what answers to recordings of all machines of the kind are worth.
                 of = select(AssetRow.machine).where(AssetRow.external_id == values["asset"])
                 touch(session, AssetRow.machine == of.scalar_subquery())
+                note(session, "made", "finding", key, after={name: values[name] for name in SAID_OF_FINDING})
                 announce(session, "finding.created", {"finding": key, "diagnosis": row.id, "asset": values["asset"]})
         return self.finding(key)
 
@@ -321,6 +331,12 @@ class Assets:
                 if value is not None:
                     query = query.where(getattr(FindingRow, name) == value)
             return list(session.scalars(query))
+
+
+def about_asset(row: AssetRow) -> dict[str, Any]:
+    """Return what people said of an asset."""
+    names = ("machine", "notes", "limits_um", "silent_after_days", "warn_within_days")
+    return {**{name: getattr(row, name) for name in names}, "baselines": list(row.in_order)}
 
 
 def wearing_in(machine: Mapping[str, Any]) -> set[str]:

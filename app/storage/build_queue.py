@@ -19,6 +19,7 @@ from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 from jointplay.app.errors import BuildEndedError, UnknownBuildError
 from jointplay.app.logs import request_id
 from jointplay.app.schemas.resources import BuildOut, State
+from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, newest, now
 from jointplay.app.storage.webhooks import announce
@@ -116,6 +117,7 @@ class BuildQueue:
         )
         with self._database.writing() as session:
             session.add(row)
+            note(session, "made", "build", row.id, after=about_build(row))
         return self.find(row.id)
 
     def find(self, key: str) -> BuildRow:
@@ -218,6 +220,8 @@ class BuildQueue:
             if row.state == "queued":
                 self._close(session, row, "cancelled")
             elif row.state == "running":
+                if not row.cancel_asked:
+                    note(session, "cancelled", "build", key)
                 row.cancel_asked = True
             elif row.state != "cancelled":
                 raise BuildEndedError(f"build {key}: is {row.state} already, and cannot be cancelled")
@@ -248,6 +252,8 @@ class BuildQueue:
             row.state = "queued"
 
     def _close(self, session: Session, row: BuildRow, state: State) -> None:
+        ended = {"state": state, "catalogue_id": row.catalogue_id, "message": row.message}
+        note(session, "cancelled" if state == "cancelled" else "ended", "build", row.id, after=ended)
         row.state, row.ended_at = state, now()
         row.owner, row.lease_until, row.seconds_left = "", 0.0, None
         told = {"build": row.id, "machine": row.machine["name"], "catalogue": row.catalogue}
@@ -260,6 +266,11 @@ class BuildQueue:
         if self._database.is_sqlite:
             return time.time()
         return float(session.scalar(select(func.extract("epoch", func.clock_timestamp()))) or 0.0)
+
+
+def about_build(row: BuildRow) -> dict[str, Any]:
+    """Return what the audit log says of a build that is asked for."""
+    return {"machine": row.machine["name"], "plan_hash": row.plan_hash, "catalogue": row.catalogue}
 
 
 def build_out(row: BuildRow) -> BuildOut:

@@ -8,11 +8,13 @@ import secrets
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
+from cachetools import TTLCache
 from sqlalchemy import String, delete, select
 from sqlalchemy.orm import Mapped, mapped_column
 
 from jointplay.app.errors import UnauthorizedError, UnknownKeyError
 from jointplay.app.scopes import Scope
+from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase, is_id
 from jointplay.app.storage.rows import Base, now
 
@@ -20,6 +22,7 @@ PREFIX = "jp"
 ID_BYTES = 6
 SECRET_BYTES = 32
 SESSION = timedelta(hours=12)
+ADDRESSES, QUIET_S = 10_000, 60.0
 
 
 class ApiKeyRow(Base):
@@ -90,6 +93,7 @@ class Keys:
 
     def __init__(self, database: ServiceDatabase) -> None:
         self._database = database
+        self._refused: TTLCache[str, bool] = TTLCache(ADDRESSES, QUIET_S)
 
     def create(self, name: str, scopes: frozenset[Scope], lifetime: timedelta) -> tuple[Key, str]:
         """Make a key; return it and the token that is shown once and kept nowhere.
@@ -115,6 +119,7 @@ class Keys:
         )
         with self._database.writing() as session:
             session.add(row)
+            note(session, "made", "key", identity, after=about_key(row))
         return key_of(row), f"{PREFIX}_{identity}_{secret}"
 
     def all(self) -> list[Key]:
@@ -134,7 +139,10 @@ class Keys:
             row = session.get(ApiKeyRow, identity)
             if row is None:
                 raise UnknownKeyError(f"key {identity}: there is none of this id; `jointplay keys list` shows them")
+            before = about_key(row)
             row.revoked_at = row.revoked_at or now()
+            if before["revoked_at"] is None:
+                note(session, "revoked", "key", identity, before, about_key(row))
             session.execute(delete(SessionRow).where(SessionRow.key == identity))
             return key_of(row)
 
@@ -165,7 +173,18 @@ class Keys:
         with self._database.writing() as session:
             session.execute(delete(SessionRow).where(SessionRow.expires_at < now()))
             session.add(SessionRow(sha256=digest(token), key=key.id, expires_at=now() + SESSION))
+            note(session, "signed in", "key", key.id)
         return token
+
+    def note_refusal(self, address: str) -> None:
+        """Note that somebody tried to sign in with what is no key.
+
+        Of an address once a minute: nobody without a key is to fill a disk.
+        """
+        if address not in self._refused:
+            self._refused[address] = True
+            with self._database.writing() as session:
+                note(session, "refused to sign in", "address", address)
 
     def of_session(self, token: str) -> Key:
         """Return the key that a session was opened with.
@@ -186,6 +205,11 @@ class Keys:
         """End a session."""
         with self._database.writing() as session:
             session.execute(delete(SessionRow).where(SessionRow.sha256 == digest(token)))
+
+
+def about_key(row: ApiKeyRow) -> dict[str, object]:
+    """Return what the audit log says of a key."""
+    return {name: getattr(row, name) for name in ("name", "scopes", "expires_at", "revoked_at")}
 
 
 def valid(key: Key) -> Key:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -60,10 +61,13 @@ class MachineStore:
     ----------
     directory : Path
         Made when the first machine is put there. Several servers may share it.
+    note : callable, optional
+        Called with the name of a machine that is about to be another one, and its content keys before and after.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, note: Callable[[str, str | None, str], None] = lambda *_: None) -> None:
         self._directory = directory
+        self._note = note
         self._read: dict[Path, tuple[tuple[int, int, int], Machine]] = {}
 
     def names(self) -> list[str]:
@@ -164,6 +168,7 @@ class MachineStore:
                 raise PreconditionError(f"machine: {name}: If-Match or If-None-Match does not hold: {state}")
             self._keep(name, older, machine, text)
             if older is None or older.content_key != machine.content_key:
+                self._note(name, None if older is None else older.content_key, machine.content_key)
                 publish(self._file(name), content.encode())
         return machine, older is None
 

@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session
 from jointplay.app.errors import BadFieldError
 from jointplay.app.schemas.assets import Acknowledged, StandingOut
 from jointplay.app.storage.assets import NEEDED, AssetRow, diagnoses_of, measurements_of
+from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
 from jointplay.app.storage.webhooks import announce
@@ -109,7 +110,9 @@ class Standings:
             if row.followed > due.changes:
                 return
             self._tell(session, row, known, reasons, due, moment)
-            row.state, row.reasons = state_of(reasons), [reason.model_dump() for reason in reasons]
+            if row.state != (state := state_of(reasons)):
+                note(session, "judged", "asset", row.external_id, {"state": row.state}, {"state": state})
+            row.state, row.reasons = state, [reason.model_dump() for reason in reasons]
             row.known = known.model_dump(mode="json")
             row.limit_at = None if known.limit_at is None else known.limit_at[1]
             if row.acknowledged is not None and (not reasons or is_worse(reasons, acknowledged_of(row))):
@@ -121,7 +124,7 @@ class Standings:
             else:
                 row.due_at = moment
 
-    def acknowledge(self, external_id: str, state: str, by: str, note: str) -> None:
+    def acknowledge(self, external_id: str, state: str, by: str, told: str) -> None:
         """Note that somebody has seen how an asset stands.
 
         Raises
@@ -136,13 +139,16 @@ class Standings:
             if not row.reasons:
                 rule = "there is nothing to acknowledge of what is in order"
                 raise BadFieldError(f"state: {state}: {rule}", field="state")
-            row.acknowledged = {"by": by, "at": now().isoformat(), "note": note, "reasons": list(row.reasons)}
+            note(session, "acknowledged", "asset", external_id, after={"state": state, "by": by, "note": told})
+            row.acknowledged = {"by": by, "at": now().isoformat(), "note": told, "reasons": list(row.reasons)}
             row.need = need_of(row)
 
     def forget_acknowledgement(self, external_id: str) -> None:
         """Note that what was acknowledged needs somebody again."""
         with self._database.writing() as session:
             row = locked(session, external_id)
+            if row.acknowledged is not None:
+                note(session, "acknowledgement taken back", "asset", external_id)
             row.acknowledged = None
             row.need = need_of(row)
 

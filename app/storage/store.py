@@ -19,6 +19,7 @@ from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
 from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
 from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, MomentSource, Row, newest, now
@@ -119,6 +120,7 @@ class Store:
         self._tidy()
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
+        audit.attend(self.database)
         self._session = self.database.session
         self._opened = self._identity()
 
@@ -274,9 +276,10 @@ class Store:
         }
         kept, new = self._put(session, MeasurementRow, row)
         is_first_told = source == "file" and kept.measured_at_source == "received"
-        if not new and (told.measured_at is not None or is_first_told):
-            kept.measured_at, kept.measured_at_source = moment, source
-            touch_owners(session, kept.id)
+        if new:
+            audit.note(session, "made", "measurement", kept.id, after=about_measurement(kept))
+        elif told.measured_at is not None or is_first_told:
+            correct(session, kept, moment, source)
         return kept
 
     def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:
@@ -311,8 +314,7 @@ class Store:
         number = self.measurement(key).number
         with self.database.writing() as session:
             row = session.get_one(MeasurementRow, number, with_for_update=True)
-            row.measured_at, row.measured_at_source = measured_at, "sender"
-            touch_owners(session, key)
+            correct(session, row, measured_at, "sender")
         return row
 
     def measurements_between(
@@ -332,8 +334,12 @@ class Store:
 
     def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
         kept, new = self._put(session, DiagnosisRow, diagnosis.row())
-        if new and diagnosis.also is not None:
-            diagnosis.also(session, kept.id)
+        if new:
+            told = {"measurements": list(kept.measurements), "catalogue": kept.catalogue, **kept.request}
+            told |= {name: kept.result[name] for name in ("verdict", "candidate_set", "hash") if name in kept.result}
+            audit.note(session, "made", "diagnosis", kept.id, after=told)
+            if diagnosis.also is not None:
+                diagnosis.also(session, kept.id)
         return kept
 
     def diagnosis(self, key: str) -> DiagnosisRow:
@@ -372,6 +378,21 @@ class Store:
         """Return measurements, the newest first, from below a row number on; of the ids in a query, if there is one."""
         with self._session() as session:
             return list(session.scalars(newest(session, MeasurementRow, before, limit, among)))
+
+
+def correct(session: Session, row: MeasurementRow, moment: datetime, source: MomentSource) -> None:
+    """Note in a transaction when a measurement was made, as somebody says who knows better."""
+    before = about_measurement(row)
+    row.measured_at, row.measured_at_source = moment, source
+    if about_measurement(row) != before:
+        audit.note(session, "corrected", "measurement", row.id, before, about_measurement(row))
+    touch_owners(session, row.id)
+
+
+def about_measurement(row: MeasurementRow) -> dict[str, Any]:
+    """Return what the audit log says of a measurement."""
+    names = ("sha256", "name", "size_bytes", "said", "measured_at", "measured_at_source")
+    return {name: getattr(row, name) for name in names}
 
 
 def recording_path(directory: Path, sha256: str) -> Path:

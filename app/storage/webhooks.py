@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
+from urllib.parse import urlsplit
 
 from sqlalchemy import JSON, ForeignKey, String, Text, delete, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
@@ -21,6 +22,7 @@ from sqlalchemy.orm import Mapped, Session, mapped_column
 from jointplay.app.errors import UnknownWebhookError
 from jointplay.app.schemas.resources import Event
 from jointplay.app.storage import idempotency
+from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase, is_id
 from jointplay.app.storage.rows import Base, newest, now
 
@@ -105,6 +107,7 @@ class Webhooks:
         row = WebhookRow(id=secrets.token_hex(16), url=url, events=list(events), secret=secret, created_at=now())
         with self._database.writing() as session:
             session.add(row)
+            note(session, "made", "webhook", row.id, after=about_webhook(row))
         return row
 
     def webhook(self, key: str) -> WebhookRow:
@@ -137,8 +140,11 @@ class Webhooks:
             raise unknown(key)
         with self._database.writing() as session:
             session.execute(delete(DeliveryRow).where(DeliveryRow.webhook == key))
-            if session.execute(delete(WebhookRow).where(WebhookRow.id == key).returning(WebhookRow.id)).first() is None:
+            row = session.scalar(select(WebhookRow).where(WebhookRow.id == key).with_for_update())
+            if row is None:
                 raise unknown(key)
+            session.delete(row)
+            note(session, "deleted", "webhook", key, before=about_webhook(row))
             # An answer that is kept has the secret, and says of a webhook that it is there.
             idempotency.forget(session, place_of(key))
 
@@ -216,6 +222,11 @@ def announce(session: Session, event: Event, members: Mapping[str, Any]) -> None
                 created_at=moment,
             )
         )
+
+
+def about_webhook(row: WebhookRow) -> dict[str, Any]:
+    """Return what the audit log says of a webhook; the path of its address may be a secret, too."""
+    return {"host": urlsplit(row.url).netloc.rpartition("@")[2], "events": row.events}
 
 
 def standard_signature(secret: str, key: str, timestamp: int, body: bytes) -> str:
